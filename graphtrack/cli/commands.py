@@ -1,73 +1,46 @@
-"""The application and its commands."""
+"""The program graphtrack: its commands by their names."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from graphtrack.cli.attention import attention
+from graphtrack.cli.compare import CompareCommand, compare
+from graphtrack.cli.convert import convert
+from graphtrack.cli.demo import demo
+from graphtrack.cli.fit import fit
+from graphtrack.cli.forecast import forecast
+from graphtrack.cli.groups import groups
+from graphtrack.cli.info import formats, info
+from graphtrack.cli.options import command_of, program_of
+from graphtrack.cli.report import report
+from graphtrack.cli.reproduce import reproduce
+from graphtrack.cli.score import score
+from graphtrack.cli.serve import serve
+from graphtrack.cli.simulate import add_noise, simulate
+from graphtrack.cli.smooth import smooth
+from graphtrack.cli.track import track
+from graphtrack.cli.view import view
 
-import typer
-
-from graphtrack.cli import (
-    attention,
-    compare,
-    convert,
-    demo,
-    fit,
-    forecast,
-    groups,
-    info,
-    report,
-    reproduce,
-    score,
-    serve,
-    simulate,
-    smooth,
-    track,
-    view,
+app = program_of(
+    "graphtrack",
+    "Where pedestrians are, how they move and where their bodies and heads point.",
+    {
+        "smooth": smooth,
+        "track": track,
+        "serve": serve,
+        "score": score,
+        "groups": groups,
+        "attention": attention,
+        "fit": fit,
+        "forecast": forecast,
+        "report": report,
+        "view": view,
+        "reproduce": reproduce,
+        "demo": demo,
+        "simulate": simulate,
+        "add-noise": add_noise,
+        "convert": convert,
+        "info": info,
+        "formats": formats,
+    },
 )
-from graphtrack.cli.options import expanded
-
-app = typer.Typer(
-    name="graphtrack",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-
-
-def show_version(wanted: bool) -> None:
-    """Print the version and end."""
-    if wanted:
-        import graphtrack
-
-        print(graphtrack.__version__)
-        raise typer.Exit
-
-
-@app.callback()
-def start(
-    version: Annotated[
-        bool,
-        typer.Option("--version", is_eager=True, callback=show_version, help="Print the version and end."),
-    ] = False,
-) -> None:
-    """Where pedestrians are, how they move and where their bodies and heads point."""
-
-
-app.command("smooth")(expanded(smooth.smooth))
-app.command("track")(expanded(track.track))
-app.command("serve")(expanded(serve.serve))
-app.command("compare", cls=compare.CompareCommand)(expanded(compare.compare))
-app.command("score")(expanded(score.score))
-app.command("groups")(expanded(groups.groups))
-app.command("attention")(expanded(attention.attention))
-app.command("fit")(expanded(fit.fit))
-app.command("forecast")(expanded(forecast.forecast))
-app.command("report")(expanded(report.report))
-app.command("view")(expanded(view.view))
-app.command("reproduce")(reproduce.reproduce)
-app.command("demo")(demo.demo)
-app.command("simulate")(simulate.simulate)
-app.command("add-noise")(expanded(simulate.add_noise))
-app.command("convert")(expanded(convert.convert))
-app.command("info")(expanded(info.info))
-app.command("formats")(info.formats)
+app.command("compare", cls=CompareCommand)(command_of(compare))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
 from typer.core import TyperCommand
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, input_warnings_as_notes, print_table, progress_bar
-from graphtrack.cli.simulate import BodyKappa, HeadKappa, PositionNoise
+from graphtrack.cli.compare_trackers import compare_trackers
+from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, progress_bar, write_json
+from graphtrack.cli.simulate import Noise
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
@@ -25,11 +24,9 @@ if TYPE_CHECKING:
     from graphtrack.trust import Trust
 
 FIGURES = ("errors.png", "nees.png")
-"""What `write_figures` writes, and with --reliability one more."""
+"""Files of `write_figures`, and with --reliability one more."""
 
 RELIABILITY = "reliability.png"
-
-_TRACKERS = "Trackers, from detections without identities"
 
 
 class CompareCommand(TyperCommand):
@@ -51,13 +48,7 @@ class CompareCommand(TyperCommand):
 
 
 def named(methods: str | None) -> list[str]:
-    """The methods of an option; none if it was not given.
-
-    Raises
-    ------
-    InputError
-        If it was given, and names none.
-    """
+    """The methods of an option; none if it was not given."""
     if methods is None:
         return []
     names = [name.strip() for name in methods.split(",") if name.strip()]
@@ -66,119 +57,66 @@ def named(methods: str | None) -> list[str]:
     return names
 
 
-def refuse(given: Mapping[str, object], where: str, why: str) -> None:
-    """Refuse options that mean nothing here.
-
-    Raises
-    ------
-    InputError
-        For the first that was given.
-    """
-    for name, value in given.items():
-        if value is not None and value is not False:
-            raise InputError(name, f"it {where} alone: {why}")
-
-
 def compare(
     inputs: options.Inputs,
     reading: options.SceneReading,
-    methods: Annotated[
-        str | None,
-        typer.Option(
-            "--methods",
-            help="Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle, "
-            "particle-modes, "
-            "rts, ffbs, smoother, chain, isam2, fixed-lag; by default chain, isam2, kf, intentional, "
-            "intentional-printed, particle, smoother, rts. The others are compared with the first online and "
-            "the first offline method, track by track. With --truth: associate, hungarian, bytetrack, "
-            "ocsort; by default the first two.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model",
-            help="A preset or a model file (.toml) for all methods; by default the best preset of each: full "
-            "for the graph with every engine and particle-modes, joint for particles, and the filters' own.",
-            show_default=False,
-        ),
-    ] = None,
+    noise: Noise,
+    methods: str | None = None,
+    model: str | None = None,
     trust: options.TrustNoise = None,
-    occlude: Annotated[
-        float | None,
-        typer.Option("--occlude", help="Seconds around the sharpest turn to withhold and to score."),
-    ] = None,
-    position_noise: PositionNoise = None,
-    body_kappa: BodyKappa = None,
-    head_kappa: HeadKappa = None,
+    occlude: float | None = None,
     seed: options.Seed = 0,
     json_path: options.Json = None,
-    figures: Annotated[Path | None, typer.Option("--figures", help="Folder for figures (PNG).")] = None,
-    reliability: Annotated[
-        bool,
-        typer.Option(
-            "--reliability",
-            help="How honest uncertainties are (also as --calibration, without a file): NEES and coverage "
-            "of 50, 90 and 95 % intervals for position, velocity, body, head; with --figures a figure of it.",
-        ),
-    ] = False,
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            "--truth",
-            help="File with the true tracks of the same frames: then the input is detections without "
-            "identities, and trackers are compared.",
-            show_default=False,
-            rich_help_panel=_TRACKERS,
-        ),
-    ] = None,
-    metres: Annotated[
-        float | None,
-        typer.Option(
-            "--metres",
-            help="How far apart on the ground a match may be; 1 by default.",
-            show_default=False,
-            rich_help_panel=_TRACKERS,
-        ),
-    ] = None,
-    fill: Annotated[
-        bool,
-        typer.Option(
-            "--fill",
-            help="Smooth the tracks of online methods too, and fill their gaps: then all that differs is who "
-            "is who.",
-            rich_help_panel=_TRACKERS,
-        ),
-    ] = False,
+    figures: Path | None = None,
+    reliability: bool = False,
+    truth: Path | None = None,
+    metres: float | None = None,
+    fill: bool = False,
 ) -> None:
     """Compare methods on tracks whose truth is known, each with the information it says.
 
     With a noise option the file's own values are the truth, and what the methods see is made from them. With
     --truth trackers are compared, which find out who is who.
+
+    Parameters
+    ----------
+    methods : Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle,
+        particle-modes, rts, ffbs, smoother, chain, isam2, fixed-lag; by default chain, isam2, kf,
+        intentional, intentional-printed, particle, smoother, rts. The others are compared with the first
+        online and the first offline method, track by track. With --truth: associate, hungarian, bytetrack,
+        ocsort; by default the first two.
+    model : A preset or a model file (.toml) for all methods; by default the best preset of each: full for the
+        graph with every engine and particle-modes, joint for particles, and the filters' own.
+    occlude : Seconds around the sharpest turn to withhold and to score.
+    figures : Folder for figures (PNG).
+    reliability : How honest uncertainties are (also as --calibration, without a file): NEES and coverage of
+        50, 90 and 95 % intervals for position, velocity, body, head; with --figures a figure of it.
+
+    Trackers, from detections without identities
+    --------------------------------------------
+    truth : File with the true tracks of the same frames: then the input is detections without identities, and
+        trackers are compared.
+    metres : How far apart on the ground a match may be; 1 by default.
+    fill : Smooth the tracks of online methods too, and fill their gaps: then all that differs is who is who.
     """
     if truth is not None:
         of_tracks: dict[str, object] = {
             "--occlude": occlude,
             "--figures": figures,
             "--reliability": reliability,
-            "--position-noise": position_noise,
             "--trust": trust,
         }
-        of_tracks |= {"--body-kappa": body_kappa, "--head-kappa": head_kappa}
-        refuse(of_tracks, "without --truth", "with it the input is detections, and trackers are compared")
-        from graphtrack.cli.compare_trackers import compare_trackers
-
+        of_tracks |= {options.option_name(name): value for name, value in vars(noise).items()}
+        options.refuse(of_tracks, "with --truth", "it without: with --truth the input is detections")
         compare_trackers(inputs, truth, reading, named(methods), metres, fill, model, json_path)
         return
     of_trackers = {"--metres": metres, "--fill": fill, "--associate": reading.associate != "auto"}
-    refuse(of_trackers, "with --truth", "there trackers are compared")
+    options.refuse(of_trackers, "without --truth", "it with --truth: there trackers are compared")
     reading = replace(reading, associate="never")
     import numpy as np
 
     from graphtrack.evaluation.compare import METHODS
     from graphtrack.evaluation.compare import compare as compare_methods
-    from graphtrack.io import atomic_path
     from graphtrack.model import presets
     from graphtrack.simulation.degrade import add_noise
 
@@ -192,11 +130,8 @@ def compare(
     if figures is not None:
         options.make_folder(figures)
     tracks = reading.tracks(inputs)
-    if any(noise is not None for noise in (position_noise, body_kappa, head_kappa)):
-        rng = np.random.default_rng(seed)
-        tracks = add_noise(
-            tracks, position_std=position_noise, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng
-        )
+    if not noise.is_none:
+        tracks = add_noise(tracks, **noise.given, rng=np.random.default_rng(seed))
     tracks, model_used = _trusted(tracks, model, trust or "check")
     names = named(methods) or METHODS
     with input_warnings_as_notes(), progress_bar(tracks.n_frames) as advance:
@@ -211,12 +146,9 @@ def compare(
     if reliability:
         print_reliability(found)
     if model is not None and model not in presets:
-        console.print(f"  the model is {model}", markup=False)
+        emit(f"  the model is {model}")
     print_failures(found)
-    if json_path is not None:
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)
+    write_json(json_path, found.to_dict())
     if figures is not None:
         write_figures(found, figures, reliability)
 
@@ -229,7 +161,7 @@ def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSe
     given = Model.named(model)
     tracks, learned, said = trusted(tracks, given, trust)
     for line in said:
-        console.print(f"  note: {line}", markup=False)
+        emit(f"  note: {line}")
     if model is None and learned.parameters != given.parameters:
         raise InputError(
             "--trust learn, with a model of its own for each method",
@@ -262,7 +194,7 @@ def print_comparison(comparison: Comparison) -> None:
         for row in comparison.nees
     ]
     print_table("Consistency: are the uncertainties honest?", consistency)
-    console.print(comparison.caption, markup=False)
+    emit(comparison.caption)
 
 
 def print_differences(comparison: Comparison) -> None:
@@ -309,7 +241,7 @@ def print_failures(comparison: Comparison) -> None:
         reasons.setdefault(("left out", reason), []).append(track_id)
     for (what, reason), tracks in reasons.items():
         which = f"track {tracks[0]}" if len(tracks) == 1 else counted(len(tracks), "track")
-        console.print(f"  {what} {which}: {reason}", markup=False)
+        emit(f"  {what} {which}: {reason}")
 
 
 def write_figures(comparison: Comparison, folder: Path, reliability: bool = False) -> None:
@@ -326,4 +258,4 @@ def write_figures(comparison: Comparison, folder: Path, reliability: bool = Fals
     for name, figure in made.items():
         with atomic_path(folder / name) as temporary:
             figure.savefig(temporary, format="png", dpi=120)
-        console.print(f"wrote {folder / name}", markup=False)
+        emit(f"wrote {folder / name}")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_table, progress_bar, quiet_input_warnings
+from graphtrack.cli.console import emit, print_table, progress_bar, quiet_input_warnings, write_json
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,39 +30,28 @@ def compare_trackers(
     Parameters
     ----------
     methods : names; none: the default ones
-
-    Raises
-    ------
-    InputError
-        For several inputs, identities in the input, and whatever cannot be read or compared.
     """
     from graphtrack.evaluation.tracking.compare import compare_trackers as compare
     from graphtrack.evaluation.tracking.compare import read_detections
     from graphtrack.evaluation.tracking.methods import TRACKERS
-    from graphtrack.io import atomic_path
 
     options.check_outputs({"--json": json_path}, reading.inputs([*inputs, truth], model))
     if len(inputs) > 1:
         raise InputError(f"{len(inputs)} files of detections", "one recording at a time")
     refused = {"--select": reading.select, "--associate never": reading.associate == "never"}
-    for name, given in refused.items():
-        if given:
-            raise InputError(f"{name} with --truth", "all detections, without identities")
+    options.refuse(refused, "with --truth", "all detections, without identities")
     path = inputs[0]
     with quiet_input_warnings():
         detections, summary = read_detections(path, reading.format, reading.options())
-    console.print(f"{path}: {summary.format}, {len(detections)} detections", markup=False)
+    emit(f"{path}: {summary.format}, {len(detections)} detections")
     for note in summary.notes:
-        console.print(f"  note: {note}", markup=False)
+        emit(f"  note: {note}")
     true = replace(reading, associate="never", format=None).tracks([truth])
     names = list(methods) or list(TRACKERS)
     with progress_bar(len(names), "methods") as advance:
         found = compare(detections, true, names, metres=metres, fill=fill, model=model, progress=advance)
     print_trackers(found)
-    if json_path is not None:
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)
+    write_json(json_path, found.to_dict())
 
 
 def print_trackers(found: TrackerComparison) -> None:
@@ -80,6 +68,6 @@ def print_trackers(found: TrackerComparison) -> None:
     print_table(f"Trackers on the same {found.detections} detections, {found.threshold}", rows)
     for one in found.results:
         filled = "; smoothed, gaps filled" if found.filled and one.online else ""
-        console.print(f"  {one.method}: {one.information}{filled}", markup=False)
+        emit(f"  {one.method}: {one.information}{filled}")
     for note in found.notes:
-        console.print(f"  note: {note}", markup=False)
+        emit(f"  note: {note}")

@@ -1,19 +1,23 @@
-"""What the commands print, and how they end."""
+"""Messages, tables and progress of the commands, and their ends."""
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
-from graphtrack.cli.tables import TableColumn, laid_out
 from graphtrack.display import counted
 from graphtrack.errors import InputWarning
 
@@ -53,6 +57,23 @@ console = PlainConsole(stderr=True, soft_wrap=True)
 
 BAD_INPUT = 2
 
+
+def emit(text: str) -> None:
+    """Print a message on standard error."""
+    console.print(text)
+
+
+def write_json(path: Path | None, content: object) -> None:
+    """Write numbers as JSON, where that is asked for."""
+    if path is None:
+        return
+    from graphtrack.io.atomic import atomic_path
+
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
+    emit(f"wrote {path}")
+
+
 _LONGEST = 2000
 """Characters of an error message, beyond which its middle is left out."""
 
@@ -87,15 +108,15 @@ def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[
 
 
 class _Printed(logging.Handler):
-    """What the log says, as a message; above a progress bar, where there is one."""
+    """Print log records as messages; above a progress bar, where there is one."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        console.print(record.getMessage(), markup=False)
+        emit(record.getMessage())
 
 
 @contextmanager
 def printed_log() -> Iterator[None]:
-    """What takes long without a progress bar, such as compiling, is said by the log: print that."""
+    """Print the log, which tells of what takes long without a progress bar, such as compiling."""
     handler, logger = _Printed(), logging.getLogger("graphtrack")
     logger.addHandler(handler)
     try:
@@ -114,7 +135,7 @@ def quiet_input_warnings() -> Iterator[None]:
 
 @contextmanager
 def input_warnings_as_notes() -> Iterator[None]:
-    """What is to be said of the input on the way is said in the end, once each, as the readers' notes are."""
+    """Collect warnings about the input and print each once in the end, as the readers' notes are."""
     told: dict[str, None] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)
@@ -129,46 +150,49 @@ def input_warnings_as_notes() -> Iterator[None]:
         warnings.showwarning = collect  # type: ignore[assignment]
         yield
     for message in told:
-        console.print(f"  note: {message}", markup=False)
+        emit(f"  note: {message}")
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:
-    """What was read: rows read, used and refused, tracks, and the reader's notes."""
+    """Print rows read, used and refused, tracks, and the reader's notes."""
     print_reading(tracks.summary, len(tracks), name)
 
 
 def print_reading(summary: ReadSummary, tracks: int, name: str) -> None:
-    """What was read of ``name``, and how many tracks it made."""
-    console.print(
+    """Print the summary of the input ``name``, and how many tracks it made."""
+    emit(
         f"{printable(name, one_line=True)}: {summary.format}, rows read {summary.rows_read}, "
         f"used {summary.rows_used}, refused {summary.rows_refused}; {counted(tracks, 'track')}",
-        markup=False,
     )
     for reason, count in summary.refused.items():
-        console.print(f"  refused {count}: {reason}", markup=False)
+        emit(f"  refused {count}: {reason}")
     for note in summary.notes:
-        console.print(f"  note: {note}", markup=False)
+        emit(f"  note: {note}")
 
 
 def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     """Rows as a table on standard output; the columns are the keys of the first row.
 
-    Nothing is cut: where it is too wide, headings and phrases are folded, or it is split.
+    Headings and phrases are folded between words; a table that is still too wide for the terminal is not cut.
     """
     if not rows:
         return
-    columns = [
-        TableColumn(
+    table = Table(title=printable(title), title_justify="left", box=SIMPLE_HEAD, padding=0, show_edge=False)
+    for key, first in rows[0].items():
+        words = [word for row in rows for word in _cell(row[key]).split()] + printable(key).split()
+        table.add_column(
             printable(key),
-            tuple(_cell(row[key]) for row in rows),
-            "left" if isinstance(first, str) else "right",
+            justify="left" if isinstance(first, str) else "right",
+            vertical="top",
+            min_width=max(map(cell_len, words), default=0),
         )
-        for key, first in rows[0].items()
-    ]
+    for row in rows:
+        table.add_row(*(_cell(row[key]) for key in rows[0]))
     to = PlainConsole()
-    for table, width in laid_out(printable(title), columns, to.width if to.is_terminal else WIDE):
-        PlainConsole(width=width).print(table)
-        to.print()
+    width = to.width if to.is_terminal else WIDE
+    needed = sum(column.min_width or 0 for column in table.columns) + len(table.columns) - 1
+    PlainConsole(width=max(width, needed)).print(table)
+    to.print()
 
 
 def _cell(value: Any) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console
+from graphtrack.cli.console import emit
 from graphtrack.display import counted
 
 
@@ -15,4 +15,4 @@ def convert(inputs: options.Inputs, output: options.Output, reading: options.Cam
     tracks = reading.tracks(inputs)
     write(tracks, output)
     people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
-    console.print(f"wrote {output}: {people}, {rows}", markup=False)
+    emit(f"wrote {output}: {people}, {rows}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 from graphtrack.io.folders import table_in
@@ -19,7 +19,7 @@ LARGE = 512 * 2**20
 
 
 def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: str | None) -> bool:
-    """Whether an input is streamed: if asked to, on a cluster, and where it is a folder or a large file."""
+    """Return True if an input is streamed: asked for, on a cluster, of a folder or of a large file."""
     from graphtrack.ros.bag import is_bag
 
     if asked is not None:
@@ -43,11 +43,6 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
     Parameters
     ----------
     unused : option → value, of those that cannot be used here
-
-    Raises
-    ------
-    InputError
-        For several inputs, an output that is not Parquet, or an option that cannot be used.
     """
     if len(inputs) != 1:
         raise InputError(f"{len(inputs)} inputs to stream", "one Parquet file, or a folder of them")
@@ -67,7 +62,7 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
 
     dataset = open_dataset(path)
     files = "" if len(dataset.files) == 1 else f" in {len(dataset.files)} files"
-    console.print(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed", markup=False)
+    emit(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed")
     if options["cluster"] in (None, "local"):
         in_lanes = (is_large(options["model"], dataset.n_rows),)
         make_solver_ready(options["model"], options["engine"], in_lanes=in_lanes)
@@ -76,18 +71,17 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)
     seconds = time.perf_counter() - start
     for note in outcome.notes:
-        console.print(f"  note: {note}", markup=False)
-    console.print(
+        emit(f"  note: {note}")
+    emit(
         f"smoothed {outcome.n_smoothed} of {counted(outcome.n_tracks, 'track')}, "
         f"{outcome.n_frames} person-frames in {seconds:.1f} s; engine {outcome.engine}, "
-        f"{outcome.n_smoothed - len(outcome.unconverged)} converged",
-        markup=False,
+        f"{outcome.n_smoothed - len(outcome.unconverged)} converged"
     )
     for track_id, iterations in outcome.unconverged:
-        console.print(f"  track {track_id}: not converged in {iterations} steps", markup=False)
+        emit(f"  track {track_id}: not converged in {iterations} steps")
     if outcome.n_smoothed:
-        console.print(f"wrote {output}", markup=False)
+        emit(f"wrote {output}")
     for failure in outcome.failures:
-        console.print(f"error: track {failure.track_id}: {failure.reason}", markup=False)
+        emit(f"error: track {failure.track_id}: {failure.reason}")
     if outcome.failures:
         raise typer.Exit(BAD_INPUT)

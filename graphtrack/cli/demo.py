@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.compare import FIGURES, print_comparison, write_figures
-from graphtrack.cli.console import console, progress_bar
+from graphtrack.cli.console import emit, progress_bar
 
 OBSERVATIONS, ESTIMATES, REPORT, TRACKS = "observations.csv", "estimates.csv", "report.html", "tracks.png"
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("demo"),
+    out: Path = Path("demo"),
     model: options.BestModelName = None,
-    seconds: Annotated[float, typer.Option("--seconds", help="Length of the scene.")] = 30.0,
+    seconds: float = 30.0,
     seed: options.Seed = 0,
 ) -> None:
-    """Simulate people, smooth them offline, track them online, compare with filters, and write a report."""
+    """Simulate people, smooth them offline, track them online, compare with filters, and write a report.
+
+    Parameters
+    ----------
+    out : Folder for the results.
+    seconds : Length of the scene.
+    """
     import numpy as np
 
     from graphtrack.evaluation.compare import compare
@@ -38,7 +41,7 @@ def demo(
     options.check_outputs({"--out": options.files_in(out, names)}, {"--model": options.model_file(model)})
     chosen = Model.named(model)
     options.make_folder(out)
-    console.print(f"{len(observed)} people, {observed.n_frames} person-frames, simulated", markup=False)
+    emit(f"{len(observed)} people, {observed.n_frames} person-frames, simulated")
     write(observed, out / OBSERVATIONS)
     with progress_bar(observed.n_frames) as advance:
         estimates = smooth(observed, chosen, progress=advance)
@@ -60,4 +63,4 @@ def demo(
         calibration=comparison.calibration,
     )
     write_report(out / REPORT, report)
-    console.print(f"the report is {out / REPORT}", markup=False)
+    emit(f"the report is {out / REPORT}")

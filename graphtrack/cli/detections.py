@@ -8,7 +8,6 @@ from typing import Any
 
 from graphtrack.association.shown import descriptors_of
 from graphtrack.association.tracker import OnlineTracker
-from graphtrack.cli.stream import Told, error_row, estimate_row, observation_of, text_of
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, SceneBehaviour
 from graphtrack.cli.stream_forecast import told as told_forecast
 from graphtrack.errors import InputError
@@ -16,6 +15,7 @@ from graphtrack.inference.state import pack_observation, unpack_observation
 from graphtrack.io.readers.ndjson import Pairs, parse_line, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import real, whole
+from graphtrack.streaming.protocol import Told, error_row, estimate_row, observation_of, text_of
 
 ONE = ""
 """The stream of rows that do not name theirs."""
@@ -33,7 +33,7 @@ class Frame:
         self.seen: list[Observation] = []
 
     def state(self) -> dict[str, Any]:
-        """What going on takes, as JSON-able data; see `restore`."""
+        """Return the state as JSON-able data; see `restore`."""
         waiting = [pack_observation(one) for one in self.seen]
         found = {"tracker": self.tracker.state(), "t": self.t, "number": self.number, "seen": waiting}
         return found if self.behaviour is None else {**found, BEHAVIOUR: self.behaviour.state()}
@@ -93,7 +93,7 @@ class Scenes:
         return sum(len(frame.tracker) for frame in self.members.values())
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input: nothing as long as the frame goes on."""
+        """Answers to a line of input: none as long as the frame goes on."""
         self.rows, self.line = self.rows + 1, number
         pairs: Pairs = ()
         try:
@@ -108,11 +108,11 @@ class Scenes:
             return [error_row(pairs, number, error)]
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """What is to be said after each of some lines."""
+        """Answers to each of some lines."""
         return [self.answers(number, line) for number, line in lines]
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is to be said when no more rows come: of the frames that have not ended."""
+        """Answers when no more rows come: those of the frames that have not ended."""
         rows = []
         for name in self.members:
             self.before_change(name)

@@ -1,4 +1,4 @@
-"""How a program's command line runs and ends."""
+"""Run a program's command line, and end it with one line and a status."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def run_app(program: typer.Typer, name: str) -> None:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether an error was raised because of Ctrl-C."""
+    """Return True if an error was raised because of Ctrl-C."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         if isinstance(error, KeyboardInterrupt):

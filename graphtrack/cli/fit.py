@@ -2,99 +2,68 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_table
-from graphtrack.cli.fitted import write_all
+from graphtrack.cli.console import console, emit, print_table, quiet_input_warnings, write_json
+from graphtrack.cli.groups import read_quietly
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from graphtrack.learning import Fit
+    from graphtrack.io.options import Associate
+    from graphtrack.learning import Fit, SceneFit
+    from graphtrack.learning.attention import AttentionFit
+    from graphtrack.learning.groups import GroupFit
+    from graphtrack.table.rows import Rows
+    from graphtrack.tracks import TrackSet
+
+Tables = dict[str, list[dict[str, object]]]
+Learned = tuple[dict[str, Any], Sequence[str], Tables]
+"""Results of learning as JSON-able data, notes, and tables by their titles."""
 
 
 def fit(
     inputs: options.Inputs,
     reading: options.SceneReading,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.toml).")],
-    scene: Annotated[
-        bool,
-        typer.Option(
-            "--scene",
-            help="Learn the scene of tracks: how people come, go, are missed and wrongly detected. Of "
-            "detections without identities it is what is learned anyway.",
-        ),
-    ] = False,
-    forecast: Annotated[
-        bool,
-        typer.Option(
-            "--forecast",
-            help="Learn how people go on, for graphtrack forecast --parameters; each file is a scene.",
-        ),
-    ] = False,
-    groups: Annotated[
-        Path | None,
-        typer.Option(
-            "--groups",
-            help="Learn who is in a group with whom, from this file of labelled groups: SALSA's, ETH's or a "
-            "table.",
-            show_default=False,
-        ),
-    ] = None,
-    attention: Annotated[
-        Path | None,
-        typer.Option(
-            "--attention",
-            help="Learn how people look, from this file of labelled looks (.csv): frame, track_id and "
-            "target, an id or -1; for graphtrack attention --parameters.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model",
-            help="Where to begin: a preset or a model file (.toml); by default separate, full for a scene.",
-            show_default=False,
-        ),
-    ] = None,
-    criterion: Annotated[
-        Literal["truth", "evidence", "prediction"] | None,
-        typer.Option(
-            "--criterion",
-            help="By default the truth, where there is one, else the evidence or, with couplings, the "
-            "prediction.",
-        ),
-    ] = None,
-    hold_out: Annotated[
-        float,
-        typer.Option(
-            "--hold-out",
-            min=0.0,
-            max=0.9,
-            help="Share of the tracks, or for a scene of the recording's end, that only judges.",
-        ),
-    ] = 0.25,
-    max_frames: Annotated[
-        int, typer.Option("--max-frames", min=2, help="Person-frames to learn from at most; not of a scene.")
-    ] = 20_000,
-    report: Annotated[
-        Path | None, typer.Option("--report", help="Write what changed and what it bought as HTML.")
-    ] = None,
+    output: options.OutputPath,
+    scene: bool = False,
+    forecast: bool = False,
+    groups: Path | None = None,
+    attention: Path | None = None,
+    model: str | None = None,
+    criterion: Literal["truth", "evidence", "prediction"] | None = None,
+    hold_out: Annotated[float, typer.Option(min=0.0, max=0.9)] = 0.25,
+    max_frames: Annotated[int, typer.Option(min=2)] = 20_000,
+    report: Path | None = None,
     json_path: options.Json = None,
     seed: options.Seed = 0,
 ) -> None:
     """Learn the parameters of a model from tracks, by their truth or without; of a scene from detections.
 
     If it is interrupted, the same command goes on from the progress file beside the output.
-    """
-    from graphtrack.learning import fit as learn
 
+    Parameters
+    ----------
+    output : Model file to write (.toml).
+    scene : Learn the scene of tracks: how people come, go, are missed and wrongly detected. Of detections
+        without identities it is what is learned anyway.
+    forecast : Learn how people go on, for graphtrack forecast --parameters; each file is a scene.
+    groups : Learn who is in a group with whom, from this file of labelled groups: SALSA's, ETH's or a table.
+    attention : Learn how people look, from this file of labelled looks (.csv): frame, track_id and target, an
+        id or -1; for graphtrack attention --parameters.
+    model : Where to begin: a preset or a model file (.toml); by default separate, full for a scene.
+    criterion : By default the truth, where there is one, else the evidence or, with couplings, the
+        prediction.
+    hold_out : Share of the tracks, or for a scene of the recording's end, that only judges.
+    max_frames : Person-frames to learn from at most; not of a scene.
+    report : Write what changed and what it bought as HTML.
+    """
     if output.suffix != ".toml":
         raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
     journal = output.with_name(output.name + ".progress")
@@ -109,37 +78,32 @@ def fit(
     )
     if sum((forecast, groups is not None, attention is not None)) > 1:
         raise InputError("several of --forecast, --groups and --attention", "one of them")
+    unused = {"--scene": scene, "--model": model, "--criterion": criterion}
     if forecast:
-        from graphtrack.cli.fit_forecast import learn_forecast
-
-        unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
-        learn_forecast(inputs, reading, output, report, json_path, unused)
+        options.refuse(unused, "with --forecast", "recordings of people whose identities are known")
+        _write(_forecasts(inputs, reading, output), output, json_path, report)
         return
     for truth, what in ((groups, "groups"), (attention, "attention")):
-        if truth is None:
-            continue
-        from graphtrack.cli.attention import learn_attention
-        from graphtrack.cli.groups import learn_groups
-
-        unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
-        for name, given in {**unused, "--report": report is not None}.items():
-            if given:
-                raise InputError(f"{name} with --{what}", f"tracks and the labels of --{what} alone")
-        learn_labelled = learn_groups if what == "groups" else learn_attention
-        learn_labelled(reading.tracks(inputs), truth, hold_out, output, json_path)
-        return
+        if truth is not None:
+            expected = f"tracks and the labels of --{what} alone"
+            options.refuse({**unused, "--report": report}, f"with --{what}", expected)
+            _labelled(reading.tracks(inputs), truth, what, hold_out, output, json_path)
+            return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
     if scene or are_detections:
-        from graphtrack.cli.fit_scene import learn_scene
-
-        unused = {"--criterion": criterion is not None, "--select": reading.select is not None}
-        learn_scene(rows, reading.associate, model, hold_out, output, report, json_path, unused)
+        refused: dict[str, object] = {"--criterion": criterion, "--select": reading.select}
+        refused |= {"--associate repair": reading.associate == "repair"}
+        expected = "all rows of a recording, with identities or without"
+        options.refuse(refused, "with a scene", expected)
+        _write(_scene(rows, reading.associate, model, hold_out, output), output, json_path, report)
         return
     if reading.associate == "auto":
         reading = replace(reading, associate="never")
     tracks = reading.tracks(inputs, rows)
     if journal.is_file():
-        console.print(f"  going on from {journal}, if it is of the same data and options", markup=False)
+        emit(f"  going on from {journal}, if it is of the same data and options")
+    from graphtrack.learning import fit as learn
+
     with console.status("learning") as status:
         found = learn(
             tracks,
@@ -152,20 +116,123 @@ def fit(
             progress=lambda count: status.update(f"learning: {count} evaluations"),
         )
     found.model.save(output)
-    print_table("Parameters", parameter_rows(found))
-    print_table("What it bought: log density a frame", score_rows(found))
-    console.print(caption(found), markup=False)
-    for line in advice(found):
-        console.print(line, markup=False)
+    tables = {"What changed": parameter_rows(found), "What it bought: log density a frame": score_rows(found)}
+    _write((found.to_dict(), [*advice(found), caption(found)], tables), output, json_path, report)
+
+
+def _write(found: Learned, output: Path, json_path: Path | None, report: Path | None) -> None:
+    """Print what was learned, say that the model is written, and write numbers and a page if asked for."""
+    from graphtrack.report.content import DataTable, Note, Report, Section
+    from graphtrack.report.html import write_report
+
+    content, notes, tables = found
+    for title, rows in tables.items():
+        print_table(title, rows)
+    for line in reversed(notes):
+        emit(line)
+    emit(f"wrote {output}")
+    write_json(json_path, content)
+    if report is not None:
+        items: tuple[Note | DataTable, ...] = (
+            *[Note(line) for line in notes],
+            *[DataTable.from_records(title, rows) for title, rows in tables.items()],
+        )
+        write_report(report, Report("Learned parameters", sections=(Section("Learning", items),)))
+        emit(f"wrote {report}")
+
+
+def _labelled(
+    tracks: TrackSet, truth: Path, what: str, hold_out: float, output: Path, json_path: Path | None
+) -> None:
+    """Learn from labelled groups or looks, say how well they are found, and write the parameters."""
+    from graphtrack.behaviour.files import save_parameters
+    from graphtrack.behaviour.tables import read_looks
+    from graphtrack.learning.attention import fit_attention
+    from graphtrack.learning.groups import fit_groups
+
+    with console.status("learning"), quiet_input_warnings():
+        found: GroupFit | AttentionFit
+        if what == "groups":
+            found = fit_groups(tracks, read_quietly(truth), hold_out=hold_out)
+            parameters = found.parameters.to_dict()
+        else:
+            found = fit_attention(tracks, read_looks(truth), hold_out=hold_out)
+            parameters = asdict(found.parameters)
+    save_parameters(found.parameters, output)
+    title, counted_by = ("Groups", "frame") if what == "groups" else ("Looks", "look")
+    parts = {"what was learned from": found.learned_from, "what was held out": found.held_out}
+    scores = {name: score for name, score in parts.items() if score is not None}
+    for name, score in scores.items():
+        print_table(f"{title} in {name}, {counted(score.frames, counted_by)}", score.shown())
+    emit(f"wrote {output}")
+    learned = {name: score.to_dict() for name, score in scores.items()}
+    write_json(json_path, {"parameters": parameters, **learned})
+
+
+def _forecasts(inputs: list[Path], reading: options.SceneReading, output: Path) -> Learned:
+    """Learn how people go on."""
+    from graphtrack.learning.forecast import fit_forecast
+
+    scenes = {str(path): reading.tracks([path]) for path in inputs}
+    if len(scenes) < len(inputs):
+        raise InputError("a file twice", "each recording once")
+    with console.status("learning") as status:
+        found = fit_forecast(scenes, progress=lambda what: status.update(f"learning: {what}"))
+    found.parameters.save(output)
+    start = asdict(found.start)
+    fields = type(found.parameters).__dataclass_fields__
+    changed: list[dict[str, object]] = [
+        {"parameter": name, "before": start[name], "after": value, "unit": fields[name].metadata["unit"]}
+        for name, value in asdict(found.parameters).items()
+    ]
+    bought: list[dict[str, object]] = [
+        {
+            "recording": name,
+            "ADE ratio": round(found.errors[name][0], 3),
+            "FDE ratio": round(found.errors[name][1], 3),
+            "log density before": found.density[name][0],
+            "after": found.density[name][1],
+        }
+        for name in found.errors
+    ]
+    tables = {"Parameters": changed, "Errors over those of constant velocity, and density": bought}
+    return found.to_dict(), ["Judged on what was learned from."], tables
+
+
+def _scene(
+    rows: Rows | None, associate: Associate, model: str | None, hold_out: float, output: Path
+) -> Learned:
+    """Learn a scene: from detections, or from tracks.
+
+    Parameters
+    ----------
+    rows : of the input; None: there are several
+    associate : "always": the identities of the input are forgotten
+    """
+    from graphtrack.learning import fit_scene
+
+    if rows is None:
+        raise InputError("several files", "one recording at a time, to learn a scene")
+    labelled = rows.has_identity and associate != "always"
+    emit(f"{rows.path}: {rows.format}, {counted(len(rows), 'row')}")
+    with console.status("learning") as status:
+        found = fit_scene(
+            rows,
+            model,
+            labelled=labelled,
+            hold_out=hold_out,
+            progress=lambda done, total: status.update(f"learning: {done} of {total} sweeps"),
+        )
+    found.model.save(output)
     tables = {
-        "What changed": parameter_rows(found),
-        "What it bought: log density a frame": score_rows(found),
+        "The scene": scene_rows(found),
+        "What it bought: log density a detection": scene_part_rows(found),
     }
-    write_all(output, json_path, report, found.to_dict(), [*advice(found), caption(found)], tables)
+    return found.to_dict(), [*scene_advice(found), scene_caption(found)], tables
 
 
 def parameter_rows(found: Fit) -> list[dict[str, object]]:
-    """What changed, a row for each parameter."""
+    """Parameters before and after, a row each."""
     return [
         {
             "parameter": one.name,
@@ -180,7 +247,7 @@ def parameter_rows(found: Fit) -> list[dict[str, object]]:
 
 
 def score_rows(found: Fit) -> list[dict[str, object]]:
-    """What it bought, a row for each part of the tracks."""
+    """Log density before and after, a row for each part of the tracks."""
     return [
         {"tracks": name, "n": n, "before": before, "after": after, "gain": after - before}
         for (name, (before, after)), n in zip(found.scores.items(), found.tracks, strict=False)
@@ -188,7 +255,7 @@ def score_rows(found: Fit) -> list[dict[str, object]]:
 
 
 def caption(found: Fit) -> str:
-    """What was made great, in words."""
+    """Describe the criterion."""
     what = {
         "truth": "the likelihood of the true positions and angles under the smoother's covariances",
         "evidence": "the Laplace evidence of the observations",
@@ -198,7 +265,7 @@ def caption(found: Fit) -> str:
 
 
 def advice(found: Fit) -> list[str]:
-    """What to do where learning did not help tracks that it had not seen; nothing where it did."""
+    """Advice where learning did not help tracks held out; none where it did."""
     before, after = found.scores.get("held out", (0.0, 0.0))
     if after >= before:
         return []
@@ -207,4 +274,56 @@ def advice(found: Fit) -> list[str]:
         f"Learning made it worse on {counted(held, 'track')} held out, by {before - after:.3g} a frame: "
         f"keep the model that it started from ({found.start.preset}), or learn from more than "
         f"{counted(learned, 'track')}."
+    ]
+
+
+def scene_rows(found: SceneFit) -> list[dict[str, object]]:
+    """Parameters before and after, a row each."""
+    return [
+        {
+            "parameter": f"scene.{one.name}",
+            "before": one.start,
+            "after": one.value,
+            "unit": one.unit,
+            "": f"{one.note}: not learned" if one.note else "",
+        }
+        for one in found.learned
+    ]
+
+
+def scene_part_rows(found: SceneFit) -> list[dict[str, object]]:
+    """Log density before and after, a row for each part of the recording."""
+    return [
+        {
+            "": name,
+            "seconds": part.seconds,
+            "detections": part.detections,
+            "people": part.people,
+            "false": part.false,
+            "before": part.before,
+            "after": part.after,
+            "gain": part.after - part.before,
+        }
+        for name, part in found.parts.items()
+    ]
+
+
+def scene_caption(found: SceneFit) -> str:
+    """Describe the recording."""
+    part = found.parts["learned from"]
+    how = "given" if found.labelled else "found"
+    return (
+        f"Learned from {counted(part.detections, 'detection')} in {part.seconds:.0f} s: "
+        f"{part.people} people {how}, {part.false} detections false."
+    )
+
+
+def scene_advice(found: SceneFit) -> list[str]:
+    """Advice where learning did not help the part held out; none where it did."""
+    held = found.parts.get("held out")
+    if held is None or held.after >= held.before:
+        return []
+    return [
+        f"Learning made it worse on {held.seconds:.0f} s held out, by {held.before - held.after:.3g} a "
+        "detection: learn from a longer recording."
     ]

@@ -8,53 +8,34 @@ from typing import Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console
+from graphtrack.cli.console import emit
 from graphtrack.display import counted
 
 
 def forecast(
     inputs: options.Inputs,
     reading: options.SceneReading,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="Table to write: .csv, .csv.gz, .parquet or .ndjson."),
-    ],
-    horizon: Annotated[float, typer.Option("--horizon", metavar="SECONDS", help="How far ahead.")] = 4.8,
-    step: Annotated[
-        float, typer.Option("--step", metavar="SECONDS", help="Between the times ahead that are told.")
-    ] = 0.4,
-    every: Annotated[
-        float | None,
-        typer.Option(
-            "--every",
-            metavar="SECONDS",
-            help="Between the times at which forecasts are made; by default at each frame.",
-            show_default=False,
-        ),
-    ] = None,
-    history: Annotated[
-        float | None,
-        typer.Option(
-            "--history",
-            metavar="SECONDS",
-            help="How long somebody must have been seen; by default in two frames.",
-            show_default=False,
-        ),
-    ] = None,
-    samples: Annotated[
-        int, typer.Option("--samples", metavar="N", min=0, max=1000, help="Paths to draw, as columns.")
-    ] = 0,
-    parameters: Annotated[
-        Path | None,
-        typer.Option(
-            "--parameters",
-            help="What graphtrack fit --forecast learned (.toml); by default, what it learned of streets.",
-            show_default=False,
-        ),
-    ] = None,
+    output: options.OutputPath,
+    horizon: options.Seconds = 4.8,
+    step: options.Seconds = 0.4,
+    every: options.Seconds | None = None,
+    history: options.Seconds | None = None,
+    samples: Annotated[int, typer.Option(metavar="N", min=0, max=1000)] = 0,
+    parameters: Path | None = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Where each person will be, with the uncertainty: at every time from what was seen until then."""
+    """Predict where each person will be, with the uncertainty, at every time from observations until then.
+
+    Parameters
+    ----------
+    output : Table to write: .csv, .csv.gz, .parquet or .ndjson.
+    horizon : How far ahead.
+    step : Between the times ahead that are told.
+    every : Between the times at which forecasts are made; by default at each frame.
+    history : How long somebody must have been seen; by default in two frames.
+    samples : Paths to draw, as columns.
+    parameters : What graphtrack fit --forecast learned (.toml); by default, what it learned of streets.
+    """
     from graphtrack.behaviour.forecast.recorded import forecast as forecast_tracks
     from graphtrack.io.reading import check_table_name, write_table
     from graphtrack.table.as_read import with_names
@@ -78,6 +59,6 @@ def forecast(
     if found.too_short:
         needed = "two frames" if history is None else f"{history:g} s"
         who = counted(len(found.too_short), "track")
-        console.print(f"  note: no forecast of {who} seen for less than {needed}", markup=False)
+        emit(f"  note: no forecast of {who} seen for less than {needed}")
     of = counted(found.people, "track")
-    console.print(f"forecast {of}, {len(found)} rows\nwrote {output}", markup=False)
+    emit(f"forecast {of}, {len(found)} rows\nwrote {output}")

@@ -1,24 +1,20 @@
-"""`graphtrack groups`, and what `fit` and `score` do with groups."""
+"""`graphtrack groups`, and `score` of its tables."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_table, quiet_input_warnings
+from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, write_json
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.interaction.scores import GroupScore
-    from graphtrack.learning.attention import AttentionFit
-    from graphtrack.learning.groups import GroupFit
     from graphtrack.table.groups import GroupLabels
     from graphtrack.tracks import TrackSet
 
@@ -42,20 +38,19 @@ def groups(
     inputs: options.Inputs,
     output: Table,
     reading: options.SceneReading,
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            "--truth", help="Labelled groups to judge by: SALSA's or ETH's file, or a table of groups."
-        ),
-    ] = None,
+    truth: Path | None = None,
     model: Smoothing = None,
     parameters: ParametersFile = None,
-    online: Annotated[
-        bool, typer.Option("--online", help="In each frame the past alone counts, as in a live scene.")
-    ] = False,
+    online: bool = False,
     json_path: options.Json = None,
 ) -> None:
-    """Find who stands in conversation with whom, and who walks together, in every frame."""
+    """Find who stands in conversation with whom, and who walks together, in every frame.
+
+    Parameters
+    ----------
+    truth : Labelled groups to judge by: SALSA's or ETH's file, or a table of groups.
+    online : In each frame the past alone counts, as in a live scene.
+    """
     from graphtrack.behaviour.groups import groups as find
     from graphtrack.behaviour.warm import make_behaviour_ready
     from graphtrack.interaction.scores import score_groups
@@ -76,10 +71,9 @@ def groups(
     write_columns(with_names(found.columns(), tracks.as_read), output)
     count = counted(int(found.group.max(initial=-1)) + 1, "group")
     most = {frame: len(one) for frame, one in found.members().items()}
-    console.print(
+    emit(
         f"wrote {output}: {counted(len(found), 'row')}, {count}, "
-        f"{sum(most.values()) / max(len(most), 1):.2f} a frame",
-        markup=False,
+        f"{sum(most.values()) / max(len(most), 1):.2f} a frame"
     )
     if true is not None:
         show(score_groups(found.frame, found.track_id, found.group, true), json_path)
@@ -105,18 +99,11 @@ def check_csv(output: Path) -> None:
 
 
 def read_quietly(path: Path) -> GroupLabels:
-    """Read labelled groups; what is to be said of them is said as a note."""
-    import warnings
-
-    from graphtrack.errors import InputWarning
+    """Read labelled groups; warnings become notes."""
     from graphtrack.io.groups import read_groups
 
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always", InputWarning)
-        found = read_groups(path)
-    for one in told:
-        console.print(f"  note: {one.message}", markup=False)
-    return found
+    with input_warnings_as_notes():
+        return read_groups(path)
 
 
 def parameters_of(path: Path | None) -> GroupParameters | None:
@@ -131,22 +118,11 @@ def parameters_of(path: Path | None) -> GroupParameters | None:
 def show(found: GroupScore, json_path: Path | None) -> None:
     """Print a score of groups, and write it."""
     print_table(f"Groups beside the truth, {counted(found.frames, 'frame')}", found.shown())
-    if json_path is not None:
-        from graphtrack.io import atomic_path
-
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)
+    write_json(json_path, found.to_dict())
 
 
 def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
-    """`graphtrack score` of a table of groups.
-
-    Raises
-    ------
-    InputError
-        For several files.
-    """
+    """`graphtrack score` of a table of groups."""
     from graphtrack.interaction.scores import score_groups
     from graphtrack.io.groups import read_group_rows
 
@@ -157,41 +133,3 @@ def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) 
     labels = read_quietly(truth[0])
     true = labels.labels(rows["frame"], rows["t"], rows["track_id"])
     show(score_groups(rows["frame"], rows["track_id"], rows["group"], true), json_path)
-
-
-def learn_groups(
-    tracks: TrackSet, truth: Path, hold_out: float, output: Path, json_path: Path | None
-) -> None:
-    """`graphtrack fit --groups`: learn, say how well groups are found, and write the parameters."""
-    from graphtrack.learning.groups import fit_groups
-
-    labels = read_quietly(truth)
-    with console.status("learning"), quiet_input_warnings():
-        found = fit_groups(tracks, labels, hold_out=hold_out)
-    tell_learned(found, found.parameters.to_dict(), ("Groups", "frame"), output, json_path)
-
-
-def tell_learned(
-    found: GroupFit | AttentionFit,
-    parameters: Mapping[str, object],
-    names: tuple[str, str],
-    output: Path,
-    json_path: Path | None,
-) -> None:
-    """Write what was learned of labels, and say how well it tells them; ``names``: of what, counted by."""
-    from graphtrack.behaviour.files import save_parameters
-
-    save_parameters(found.parameters, output)
-    scores = [("what was learned from", found.learned_from), ("what was held out", found.held_out)]
-    for name, score in scores:
-        if score is not None:
-            print_table(f"{names[0]} in {name}, {counted(score.frames, names[1])}", score.shown())
-    console.print(f"wrote {output}", markup=False)
-    if json_path is not None:
-        from graphtrack.io import atomic_path
-
-        content: dict[str, object] = {"parameters": parameters}
-        content |= {name: score.to_dict() for name, score in scores if score is not None}
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_table, printable
+from graphtrack.cli.console import emit, print_table, printable, write_json
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
@@ -22,23 +19,17 @@ if TYPE_CHECKING:
 def info(
     inputs: options.Inputs,
     reading: options.SceneReading,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model",
-            help="Model file (.toml) whose [scene] is known of people without identities.",
-            show_default=False,
-        ),
-    ] = None,
+    model: str | None = None,
     json_path: options.Json = None,
-    suggest: Annotated[
-        bool,
-        typer.Option(
-            "--suggest", help="Print a command line that reads the file, from the columns that it has."
-        ),
-    ] = False,
+    suggest: bool = False,
 ) -> None:
-    """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""
+    """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows.
+
+    Parameters
+    ----------
+    model : Model file (.toml) whose [scene] is known of people without identities.
+    suggest : Print a command line that reads the file, from the columns that it has.
+    """
     if suggest:
         _suggest(inputs, reading, json_path)
         return
@@ -49,11 +40,7 @@ def info(
     headings = {name: _HEADINGS.get(name, name) for name in rows[0] if name not in optional} if rows else {}
     shown = [{heading: _shown(row[name]) for name, heading in headings.items()} for row in rows]
     print_table(f"{counted(len(tracks), 'track')}, {tracks.n_frames} person-frames", shown)
-    if json_path is not None:
-        from graphtrack.io import atomic_path
-
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    write_json(json_path, rows)
 
 
 def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path | None) -> None:
@@ -67,7 +54,7 @@ def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path 
     for name, value in found.options.items():
         words += [options.option_name(name), value]
     for remark in found.remarks:
-        console.print(f"  note: {remark}", markup=False)
+        emit(f"  note: {remark}")
     print(printable(shlex.join(words), one_line=True))
 
 

@@ -8,8 +8,8 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -20,11 +20,10 @@ import numpy as np
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour import warm
 from graphtrack.behaviour.forecast.forecaster import times_ahead
-from graphtrack.cli.console import console, counted, progress_bar
 from graphtrack.cli.detections import Frame, Scenes
 from graphtrack.cli.saving import Answering, Saving, saved_settings, settings_of
 from graphtrack.cli.state_file import StateFile
-from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds
+from graphtrack.cli.stream import People, StreamBounds
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.cli.stream_names import Lines, Refuse, StreamNames, with_first_row
@@ -38,19 +37,7 @@ from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
 from graphtrack.readiness import make_ready
-
-Restore = Callable[[Any, Any], Any]
-"""A member of those who answer, from its key and its state."""
-
-
-def print_note(text: str) -> None:
-    """Say on standard error what was assumed or passed over."""
-    console.print(f"note: {text}", markup=False)
-
-
-def say_nothing(people: Answering) -> None:
-    """Nobody wants to know that a row was answered."""
-
+from graphtrack.streaming.protocol import LONGEST_LINE
 
 _PIECE = 1 << 16
 """Bytes that are read at once."""
@@ -58,10 +45,101 @@ _PIECE = 1 << 16
 MOST_TOGETHER = 128
 """Rows that are answered together, where so many are there: the first of them wait for the last."""
 
+Row = dict[str, Any]
+
+
+def say_nothing(*_: object) -> None:
+    """Nobody wants to know."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Settings of the answers to rows.
+
+    Attributes
+    ----------
+    model, engine, lag, camera : as in `OnlineSmoother`
+    fps : frames a second, for rows without a time
+    associate : whether rows are detections without identity: "always", forgetting those they have; "never";
+        "auto": if the first one has none
+    horizon : (seconds, step) of forecasts that are told; None: none are
+    asked : groups and attention that are told; None: neither
+    bounds : of people with identities
+    """
+
+    model: Model
+    engine: OnlineEngine = "auto"
+    lag: float | None = 2.0
+    fps: float | None = None
+    camera: GroundCamera | None = None
+    associate: Associate = "auto"
+    horizon: tuple[float, float] | None = None
+    asked: Asked | None = None
+    bounds: StreamBounds = field(default_factory=StreamBounds)
+
+    @property
+    def chosen_engine(self) -> str:
+        """The engine that "auto" stands for."""
+        return online_engine(self.model, self.engine)
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {"engine": self.engine, "lag": self.lag, "camera": self.camera}
+
+    def people(self, note: Callable[[str], None] = say_nothing) -> People:
+        """Answers to rows with identities."""
+        return People(
+            partial(OnlineSmoother, self.model, **self._options),
+            self.fps,
+            note,
+            None if self.horizon is None else FrameForecasts(times_ahead(*self.horizon)),
+            None if self.asked is None else FrameBehaviour(SceneBehaviour(self.asked)),
+            self.bounds,
+            Conversations(self.model) if self.model.has_groups else None,
+        )
+
+    def restored_person(self, key: Any, saved: Any) -> Any:
+        """A member of `people` from its state."""
+        if self.horizon is not None and key == FORECASTS:
+            return FrameForecasts.from_state(times_ahead(*self.horizon), saved)
+        if self.asked is not None and key == BEHAVIOUR:
+            return FrameBehaviour.restore(saved, self.asked)
+        if self.model.has_groups and key == CONVERSATIONS:
+            return Conversations.from_state(saved, self.model)
+        if type(key) is not int:
+            raise ValueError(f"a person {str(key)[:40]!r}")
+        return OnlineSmoother.from_state(saved, self.model, **self._options)
+
+    def scenes(self, note: Callable[[str], None] = say_nothing) -> Scenes:
+        """Answers to detections without identity."""
+        make, forget = partial(OnlineTracker, self.model, **self._options), self.associate == "always"
+        return Scenes(make, self.fps, note, forget=forget, horizon=self.horizon, asked=self.asked)
+
+    def restored_scene(self, key: Any, saved: Any) -> Frame:
+        """A member of `scenes` from its state."""
+        tracker = OnlineTracker.from_state(saved["tracker"], self.model, **self._options)
+        return Frame.restore(saved, tracker, self.asked)
+
+    def settings(self) -> dict[str, Any]:
+        """Settings that the answers depend on, as JSON-able data."""
+        found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
+        found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
+        return found | ({} if self.asked is None else self.asked.settings())
+
+    def warm_up(self) -> None:
+        """Load, or compile, what is called, so that no answer waits for it."""
+        engine = online_engine(self.model, self.engine)
+        if engine == "chain" or self.model.has_modes:
+            make_online_ready(self.model, engine)
+        if self.asked is not None or self.model.has_groups:
+            make_ready(warm.ONLINE, warm.online_rehearsal())
+        if self.horizon is not None:
+            make_ready(warm.FORECASTS, warm.forecast_rehearsal())
+
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told what is no answer.
+    """Callbacks for what is no answer.
 
     Attributes
     ----------
@@ -70,49 +148,37 @@ class Listener:
         the last the answers are given again; it comes before any answer
     answered : each time that all answers to a row were given
     all_answered : each time that rows which came together are answered, before the next are kept
+    progress : makes a context of a function that is told how many rows of a state were taken in again
     most_together : rows that are kept and answered together, where so many are there
     """
 
-    note: Callable[[str], None] = print_note
-    went_on: Callable[[int, int, int], None] | None = None
+    note: Callable[[str], None] = say_nothing
+    went_on: Callable[[int, int, int], None] = say_nothing
     answered: Callable[[Answering], None] = say_nothing
-    all_answered: Callable[[], None] = lambda: None
+    all_answered: Callable[[], None] = say_nothing
+    progress: Callable[[int, str], AbstractContextManager[Callable[[int], None]]] = lambda total, unit: (
+        nullcontext(say_nothing)
+    )
     most_together: int = MOST_TOGETHER
 
 
 def track_stream(
-    model: Model,
+    answers: Answers,
     *,
-    engine: OnlineEngine,
-    lag: float | None,
-    fps: float | None,
-    camera: GroundCamera | None,
-    state: Path | None,
-    save_every: float,
-    associate: Associate = "auto",
-    horizon: tuple[float, float] | None = None,
-    asked: Asked | None = None,
+    state: Path | None = None,
+    save_every: float = 10.0,
     listener: Listener = Listener(),
-    bounds: StreamBounds = StreamBounds(),
     names: StreamNames = StreamNames(),
-    copy: Callable[[dict[str, Any]], object] | None = None,
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
     Parameters
     ----------
-    model, engine, lag, camera : as in `OnlineSmoother`
-    fps : frames a second, for rows without a time
+    answers : how
     state : the file to go on from and to keep what going on takes; None: there is none
     save_every : seconds between flushings of it to the disk
-    associate : whether rows are detections without identity: "always", forgetting those they have; "never";
-        "auto": if the first one has none
-    horizon : (seconds, step) of forecasts that are told; None: none are
-    asked : groups and attention that are told; None: neither
     listener : is told what is no answer
-    bounds : of people with identities
     names : of the columns, and the unit of time, of rows and answers
-    copy : is given each answer too, under the native table's names, when it is written
 
     Returns
     -------
@@ -125,50 +191,11 @@ def track_stream(
         If standard input or output is closed, or the state cannot be used or kept.
     """
     stream = open_streams()
-    chosen = online_engine(model, engine)
-    options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
+    answers.warm_up()
+    nobody = answers.people()  # answers rows before it is known by whom
 
-    def answering(lines: Lines, are_detections: bool | None) -> tuple[Lines, Answering, Restore]:
-        """Who answers; what the first row is decides where nobody has said it."""
-        if are_detections is None:
-            lines, are_detections = _first_is_detection(lines, refuse)
-        if not are_detections:
-            ahead = None if horizon is None else times_ahead(*horizon)
-            forecasts = None if ahead is None else FrameForecasts(ahead)
-            behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
-
-            def restore_one(
-                key: Any, saved: Any
-            ) -> OnlineSmoother | FrameForecasts | FrameBehaviour | Conversations:
-                if ahead is not None and key == FORECASTS:
-                    return FrameForecasts.from_state(ahead, saved)
-                if asked is not None and key == BEHAVIOUR:
-                    return FrameBehaviour.restore(saved, asked)
-                if model.has_groups and key == CONVERSATIONS:
-                    return Conversations.from_state(saved, model)
-                if type(key) is not int:
-                    raise ValueError(f"a person {str(key)[:40]!r}")
-                return OnlineSmoother.from_state(saved, model, **options)
-
-            make = partial(OnlineSmoother, model, **options)
-            conversations = Conversations(model) if model.has_groups else None
-            people = People(make, fps, listener.note, forecasts, behaviour, bounds, conversations)
-            return lines, people, restore_one
-
-        def restore(_: Any, saved: Any) -> Frame:
-            return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options), asked)
-
-        forget = associate == "always"
-        more: dict[str, Any] = {"forget": forget, "horizon": horizon, "asked": asked}
-        scenes = Scenes(lambda: OnlineTracker(model, **options), fps, listener.note, **more)
-        return lines, scenes, restore
-
-    def tell(row: dict[str, Any]) -> None:
+    def tell(row: Row) -> None:
         give(row if names.are_native else names.restored(row))
-        if copy is not None:
-            copy(names.since_then(row))
-
-    nobody = People(partial(OnlineSmoother, model, **options), fps)
 
     def refuse(number: int, line: bytes) -> None:
         for row in nobody.answers(number, line):
@@ -176,50 +203,42 @@ def track_stream(
         listener.answered(nobody)
         listener.all_answered()
 
-    def answered_by(lines: Lines, people: Answering, saving: Saving | None, there: Lines) -> tuple[int, int]:
-        """Answer the lines, after those that were refused before it was known by whom."""
-        rows, wrong = _answer(lines, people, saving, listener, tell, _is_here(there))
-        return rows + nobody.rows, wrong + nobody.rows
-
-    known = {"never": False, "always": True}.get(associate)
-    told = asked is not None or model.has_groups
-    warm_up(model, chosen, behaviour=told, forecasts=horizon is not None)
-    if state is None:
-        there = lines_of(stream, 1)
-        lines, names = names.beginning(there, refuse, listener.note)
-        lines, rows, _ = answering(names.native_lines(lines), known)
-        return answered_by(lines, rows, None, there)
-    with closing(StateFile(state, save_every)) as file:
-        settings = settings_of(model, chosen, lag, fps, camera)
-        incoming: Lines = iter(())
+    with nullcontext() if state is None else closing(StateFile(state, save_every)) as file:
+        saved = saved_settings(file) if file is not None and file.entries else None
+        incoming: Lines = iter(())  # rows are read once it is known how many of them a state has
         lines = incoming
-        if file.entries:
-            saved = saved_settings(file)
-            known = bool(saved.get("detections")) if known is None else known
-            names = names.going_on(saved)
-        else:
+        if saved is None:
             incoming = lines_of(stream, 1)
             lines, names = names.beginning(incoming, refuse, listener.note)
             lines = names.native_lines(lines)
-        lines, rows, restore = answering(lines, known)
-        # Rows that were refused before anything was kept count.
-        rows.rows, rows.line = nobody.rows, nobody.line
-        # GTSAM does not give away what iSAM2 knows: it has to see every row again.
-        every = None if chosen == "isam2" else save_every
-        settings |= {"detections": True} if isinstance(rows, Scenes) else {}
-        settings |= {} if horizon is None else {"forecast": list(horizon)}
-        settings |= {} if asked is None else asked.settings()
-        settings |= {} if names.are_native else names.settings()
-        saving = Saving(file, rows, settings, every)
-        if file.entries:
-            _go_on(saving, rows, restore, state, len(file.entries), listener, tell)
-            incoming = lines_of(stream, rows.line + 1)
-            lines = names.native_lines(incoming)
         else:
+            names = names.going_on(saved)
+        are_detections = {"never": False, "always": True}.get(answers.associate)
+        if are_detections is None and saved is not None:
+            are_detections = bool(saved.get("detections"))
+        elif are_detections is None:
+            lines, are_detections = _first_is_detection(lines, refuse)
+        people = answers.scenes(listener.note) if are_detections else answers.people(listener.note)
+        saving = None
+        if file is not None:
+            # Rows that were refused before anything was kept count.
+            people.rows, people.line = nobody.rows, nobody.line
+            settings = answers.settings() | ({"detections": True} if are_detections else {})
+            settings |= {} if names.are_native else names.settings()
+            # GTSAM does not give away what iSAM2 knows: it has to see every row again.
+            every = None if answers.chosen_engine == "isam2" else save_every
+            saving = Saving(file, people, settings, every)
+        if saving is not None and saved is None:
             saving.begin()
-        answered = answered_by(lines, rows, saving, incoming)
-        saving.finish()
-    return answered
+        elif saving is not None:
+            restore = answers.restored_scene if are_detections else answers.restored_person
+            _go_on(saving, people, restore, listener, tell)
+            incoming = lines_of(stream, people.line + 1)
+            lines = names.native_lines(incoming)
+        rows, wrong = _answer(lines, people, saving, listener, tell, _is_here(incoming))
+        if saving is not None:
+            saving.finish()
+    return rows + nobody.rows, wrong + nobody.rows
 
 
 def _first_is_detection(lines: Lines, refuse: Refuse) -> tuple[Lines, bool]:
@@ -231,22 +250,14 @@ def _first_is_detection(lines: Lines, refuse: Refuse) -> tuple[Lines, bool]:
 def _go_on(
     saving: Saving,
     people: Answering,
-    restore: Restore,
-    state: Path,
-    entries: int,
+    restore: Callable[[Any, Any], Any],
     listener: Listener,
-    tell: Callable[[dict[str, Any]], None],
+    tell: Callable[[Row], None],
 ) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
-    with progress_bar(entries, "rows") as advance:
+    with listener.progress(saving.entries, "rows") as advance:
         again = saving.resume(restore, advance)
-    if listener.went_on is not None:
-        listener.went_on(people.rows, people.line, len(again))
-    lines = "" if people.line == people.rows else f" (the last is line {people.line})"
-    last = f"; the answer to row {people.rows} is given again" if again else ""
-    if len(again) > 1:
-        last = f"; the answers to rows {people.rows - len(again) + 1} to {people.rows} are given again"
-    console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
+    listener.went_on(people.rows, people.line, len(again))
     for answers in again:
         for row in answers:
             tell(row)
@@ -319,22 +330,20 @@ class Incoming:
         return self._lines.popleft()
 
     def is_here(self) -> bool:
-        """Whether the next line need not be waited for."""
+        """Return True if the next line need not be waited for."""
         return bool(self._lines)
 
 
 def _is_here(lines: Lines) -> Callable[[], bool]:
-    """Whether the next of some lines need not be waited for; where nobody knows, it may have to."""
+    """Return a test of whether the next line is there already; False where nobody knows."""
     return lines.is_here if isinstance(lines, Incoming) else lambda: False
 
 
-def lines_of(stream: IO[bytes], first: int) -> Incoming:
-    """The lines of a stream that are not blank, with their numbers; the next one has the number ``first``."""
-    return Incoming(stream, first)
+lines_of = Incoming
 
 
 def open_streams() -> IO[bytes]:
-    """Where rows come from, when there is somewhere for the answers to go too.
+    """Open standard input, given that standard output is open too.
 
     Raises
     ------
@@ -367,19 +376,3 @@ def give(answer: dict[str, Any]) -> None:
         gone = isinstance(error, BrokenPipeError)
         found = "that its reader went away" if gone else error.strerror or str(error)
         raise InputError(found, "a place for the answers", path="standard output") from error
-
-
-def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False, forecasts: bool = False) -> None:
-    """Load, or compile, what an engine calls, so that no answer waits for it.
-
-    Parameters
-    ----------
-    behaviour : whether groups and attention are to be told, or the model asks for groups
-    forecasts : whether forecasts are to be told
-    """
-    if engine == "chain" or model.has_modes:
-        make_online_ready(model, engine)
-    if behaviour:
-        make_ready(warm.ONLINE, warm.online_rehearsal())
-    if forecasts:
-        make_ready(warm.FORECASTS, warm.forecast_rehearsal())

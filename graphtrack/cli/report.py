@@ -3,37 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console
-
-_SHOWN = "What is shown beside the tracks"
-
-
-def _table(name: str, what: str) -> typer.models.OptionInfo:
-    return typer.Option(name, help=what, show_default=False, rich_help_panel=_SHOWN)
+from graphtrack.cli.console import emit
 
 
 def report(
     inputs: options.Inputs,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Page to write (.html).")],
+    output: options.OutputPath,
     reading: options.SceneReading,
-    observations: Annotated[
-        list[Path] | None,
-        _table("--observations", "What the tracks were estimated from; repeat for more files."),
-    ] = None,
-    groups: Annotated[Path | None, _table("--groups", "What 'graphtrack groups' wrote.")] = None,
-    attention: Annotated[Path | None, _table("--attention", "What 'graphtrack attention' wrote.")] = None,
-    places: Annotated[
-        Path | None, _table("--places", "The places that 'graphtrack attention' was given.")
-    ] = None,
-    forecast: Annotated[Path | None, _table("--forecast", "What 'graphtrack forecast' wrote.")] = None,
-    title: Annotated[str, typer.Option("--title", help="At the top of the page.")] = "Tracks",
+    observations: list[Path] | None = None,
+    groups: Path | None = None,
+    attention: Path | None = None,
+    places: Path | None = None,
+    forecast: Path | None = None,
+    title: str = "Tracks",
 ) -> None:
-    """Write the HTML report of tracks that are there already, with groups, looks and forecasts."""
+    """Write the HTML report of tracks that are there already, with groups, looks and forecasts.
+
+    Parameters
+    ----------
+    output : Page to write (.html).
+    title : At the top of the page.
+
+    What is shown beside the tracks
+    -------------------------------
+    observations : What the tracks were estimated from; repeat for more files.
+    groups : What 'graphtrack groups' wrote.
+    attention : What 'graphtrack attention' wrote.
+    places : The places that 'graphtrack attention' was given.
+    forecast : What 'graphtrack forecast' wrote.
+    """
     from graphtrack.report.page import write_report
 
     tables = {"--groups": groups, "--attention": attention, "--places": places, "--forecast": forecast}
@@ -52,4 +52,4 @@ def report(
         places=places,
         title=title,
     )
-    console.print(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB", markup=False)
+    emit(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB")

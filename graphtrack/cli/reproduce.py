@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, input_warnings_as_notes, print_table, progress_bar
+from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, progress_bar, write_json
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,36 +16,31 @@ if TYPE_CHECKING:
     from graphtrack.evaluation.reproduce.experiment import Table
 
 BESIDE = Path("..") / "shared" / "data"
-"""Where recordings are looked for when nobody says where they are."""
+"""Folder of recordings when none is given."""
 
 RECORDINGS = ("mocap", "salsa", "caviar")
 """The folders of recordings that the experiments read."""
 
 
 def reproduce(
-    name: Annotated[
-        str,
-        typer.Argument(
-            help="baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-network, "
-            "chen-joint, chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, gaits, honesty, meetings, "
-            "strangers, unseen-people, or all.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for figures (PNG) and tables (JSON).")],
+    name: Annotated[str, typer.Argument()],
+    out: Path,
     json_path: options.Json = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few tracks, for a first look.")] = False,
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            "--data",
-            envvar="GRAPHTRACK_DATA",
-            help="Folder with mocap, salsa and caviar in it; else ../shared/data if that is there.",
-        ),
-    ] = None,
+    quick: bool = False,
+    data: Annotated[Path | None, typer.Option(envvar="GRAPHTRACK_DATA")] = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Run an experiment of the papers again: tables with their numbers beside ours, and a page of figures."""
+    """Run an experiment of the papers again: tables with their numbers beside ours, and a page of figures.
+
+    Parameters
+    ----------
+    name : baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-network, chen-joint,
+        chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, gaits, honesty, meetings, strangers,
+        unseen-people, or all.
+    out : Folder for figures (PNG) and tables (JSON).
+    quick : Few tracks, for a first look.
+    data : Folder with mocap, salsa and caviar in it; else ../shared/data if that is there.
+    """
     from graphtrack.evaluation.reproduce import Settings, all_experiments
 
     experiments = all_experiments()
@@ -67,18 +60,16 @@ def reproduce(
     )
     options.make_folder(out)
     if folder is None:
-        console.print("no recordings: simulated people only; --data names a folder of them", markup=False)
+        emit("no recordings: simulated people only; --data names a folder of them")
     settings = Settings(quick=quick, seed=seed, data=folder)
     tables: list[Table] = []
     for experiment in chosen.values():
-        console.print(f"{experiment.name}: {experiment.source}", markup=False)
+        emit(f"{experiment.name}: {experiment.source}")
         with input_warnings_as_notes(), progress_bar(experiment.work(settings), "parts") as advance:
             found = experiment.run(settings, advance)
         write(found, out, experiment.quick if quick else "")
         tables += found.tables
-    if json_path is not None:
-        write_tables(json_path, tables)
-        console.print(f"wrote {json_path}", markup=False)
+    write_json(json_path, [table.to_dict() for table in tables])
 
 
 def write(found: Reproduction, folder: Path, quick: str = "") -> None:
@@ -93,22 +84,13 @@ def write(found: Reproduction, folder: Path, quick: str = "") -> None:
     for table in found.tables:
         print_table(table.title, table.records())
     for note in found.notes:
-        console.print(f"  {note}", markup=False)
+        emit(f"  {note}")
     if found.figure is None:
         return
     if quick:
-        console.print(f"  --quick: {quick}. So few prove nothing: it shows that it runs.", markup=False)
+        emit(f"  --quick: {quick}. So few prove nothing: it shows that it runs.")
     page, numbers = folder / f"{found.name}.png", folder / f"{found.name}.json"
     with atomic_path(page) as temporary:
         found.figure.savefig(temporary, format="png", dpi=120)
-    write_tables(numbers, found.tables)
-    console.print(f"wrote {page} and {numbers}", markup=False)
-
-
-def write_tables(path: Path, tables: Sequence[Table]) -> None:
-    """Tables as JSON: title, columns and rows of each."""
-    from graphtrack.io import atomic_path
-
-    text = json.dumps([table.to_dict() for table in tables], indent=1, ensure_ascii=False)
-    with atomic_path(path) as temporary:
-        Path(temporary).write_text(text, encoding="utf-8")
+    emit(f"wrote {page}")
+    write_json(numbers, [table.to_dict() for table in found.tables])

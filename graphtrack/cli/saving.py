@@ -1,4 +1,4 @@
-"""How a stream of rows can be gone on with: what is kept of it in a state file, and how it comes back."""
+"""Saving a stream of rows in a state file, and resuming it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graphtrack.model import Model
 
 
 class Answering(Protocol):
-    """What answers the rows of a stream, and has members whose states are kept one by one."""
+    """Protocol of classes that answer rows and have members whose states are saved one by one."""
 
     rows: int
     line: int
@@ -29,13 +29,13 @@ class Answering(Protocol):
         """The people who are followed."""
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input."""
+        """Answers to a line of input."""
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """What is to be said after each of some lines, the same as one by one."""
+        """Answers to each of some lines, the same as one by one."""
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is to be said when no more rows come."""
+        """Answers when no more rows come."""
 
 
 class Saving:
@@ -79,6 +79,11 @@ class Saving:
         if file.entries:
             with self._told_of_the_file():
                 _check_settings(_header_of(file.entries)["settings"], settings)
+
+    @property
+    def entries(self) -> int:
+        """Number of values in the file."""
+        return len(self._file.entries)
 
     def begin(self) -> None:
         """Make the file of a stream that has no rows yet."""
@@ -132,7 +137,7 @@ class Saving:
         self._file.append(rows if len(rows) > 1 else rows[0])
 
     def tend(self) -> None:
-        """What is due after an answer: one more person, or the next writing of all."""
+        """Do the work due after an answer: pack one more person, or begin the next writing of all."""
         if self._left is not None:
             if self._left:
                 self._pack(next(iter(self._left)))
@@ -258,7 +263,7 @@ def saved_settings(file: StateFile) -> dict[str, Any]:
 def settings_of(
     model: Model, engine: str, lag: float | None, fps: float | None, camera: GroundCamera | None
 ) -> dict[str, Any]:
-    """What the answers to rows depend on, as a flat dictionary of JSON-able values.
+    """Settings that the answers to rows depend on, as a flat dictionary of JSON-able values.
 
     Parameters
     ----------

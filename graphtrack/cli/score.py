@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_reading, print_table
+from graphtrack.cli.console import emit, print_reading, print_table, write_json
+from graphtrack.cli.groups import score_tables
+from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,51 +23,13 @@ if TYPE_CHECKING:
 
 
 def score(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Files with estimated tracks, one a sequence, or a folder of them.",
-            metavar="ESTIMATES...",
-            show_default=False,
-        ),
-    ],
+    inputs: Annotated[list[Path], typer.Argument(metavar="ESTIMATES...")],
     reading: options.CameraReading,
-    truth: Annotated[
-        list[Path],
-        typer.Option(
-            "--truth",
-            help="File with the true tracks, or a folder of files named as the estimates are; repeat for "
-            "more files.",
-            show_default=False,
-        ),
-    ],
-    metres: Annotated[
-        float | None,
-        typer.Option(
-            "--metres",
-            help="How far apart on the ground a match may be; 1 by default.",
-            show_default=False,
-        ),
-    ] = None,
-    iou: Annotated[
-        float | None,
-        typer.Option(
-            "--iou",
-            help="Match boxes in the image instead, that overlap so much (intersection over union, such as "
-            "0.5).",
-            show_default=False,
-        ),
-    ] = None,
+    truth: list[Path],
+    metres: float | None = None,
+    iou: float | None = None,
     json_path: options.Json = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            "--report",
-            help="Write an HTML report too: figures, replay, and a timeline with every switch; of one "
-            "sequence, on the ground.",
-            show_default=False,
-        ),
-    ] = None,
+    report: Path | None = None,
 ) -> None:
     """Judge tracks against the truth: HOTA, IDF1, MOTA, switches; errors of states, and if intervals hold.
 
@@ -74,25 +37,30 @@ def score(
     forecasts and of groups are judged, too.
 
     The names of files, without their endings, are those of the sequences.
+
+    Parameters
+    ----------
+    inputs : Files with estimated tracks, one a sequence, or a folder of them.
+    truth : File with the true tracks, or a folder of files named as the estimates are; repeat for more files.
+    metres : How far apart on the ground a match may be; 1 by default.
+    iou : Match boxes in the image instead, that overlap so much (intersection over union, such as 0.5).
+    report : Write an HTML report too: figures, replay, and a timeline with every switch; of one sequence, on
+        the ground.
     """
-    from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
     from graphtrack.evaluation.states import summary
     from graphtrack.evaluation.tracking.judge import judge, threshold_of
-    from graphtrack.io import atomic_path
     from graphtrack.io.groups import is_group_table
     from graphtrack.io.pairs import paired_files
 
+    unused: dict[str, object] = {"--metres": metres, "--iou": iou, "--report": report}
     if any(is_group_table(path) for path in inputs):
-        from graphtrack.cli.groups import score_tables
-
-        for name, given in {"--metres": metres, "--iou": iou, "--report": report}.items():
-            if given is not None:
-                raise InputError(f"{name} with groups", "a table of groups and the true ones alone")
+        options.refuse(unused, "with groups", "a table of groups and the true ones alone")
         score_tables(inputs, truth, json_path)
         return
     if are_forecasts(inputs):
-        unused = {"--metres": metres, "--iou": iou, "--report": report, "--select": reading.select}
-        score_forecasts(inputs, truth, reading, json_path, unused)
+        unused |= {"--select": reading.select}
+        options.refuse(unused, "with forecasts", "what is for tracks with tracks alone")
+        score_forecasts(inputs, truth, reading, json_path)
         return
     threshold = threshold_of(metres, iou)
     if report is not None and threshold.measure == "iou":
@@ -111,11 +79,7 @@ def score(
         print_states(states)
     if report is not None:
         _write_report(report, found, *read[0])
-    if json_path is not None:
-        with atomic_path(json_path) as temporary:
-            content = found.to_dict() | ({} if states is None else {"states": states.to_dict()})
-            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)
+    write_json(json_path, found.to_dict() | ({} if states is None else {"states": states.to_dict()}))
 
 
 def _read(
@@ -125,7 +89,7 @@ def _read(
     kept: list[tuple[TrackSet, TrackSet]],
     errors: list[TrackErrors],
 ) -> Iterator[Pair]:
-    """What is compared of each pair of files, as they are read, with the errors of the people in both.
+    """Read and compare each pair of files, with the errors of the people in both.
 
     Of one pair the tracks are kept.
     """
@@ -171,7 +135,7 @@ def _write_report(path: Path, found: TrackingScore, estimates: TrackSet, truth: 
         events=judged.events,
     )
     write_report(path, page)
-    console.print(f"report: {path}", markup=False)
+    emit(f"report: {path}")
 
 
 def _boxes(path: Path, reading: options.CameraReading) -> Rows:
@@ -197,7 +161,7 @@ def print_score(found: TrackingScore) -> None:
     print_table(f"Tracks and identities, {found.threshold}", rows(SHARES))
     print_table("Counted", rows(COUNTS))
     for note in found.notes:
-        console.print(f"  note: {note}", markup=False)
+        emit(f"  note: {note}")
 
 
 def print_states(found: StateScore) -> None:
@@ -222,7 +186,7 @@ def print_states(found: StateScore) -> None:
             [{name: row.get(name, "–") for name in headings} for row in rows],
         )
     for note in found.notes:
-        console.print(f"  note: {note}", markup=False)
+        emit(f"  note: {note}")
 
 
 def _named(line: SequenceScore) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_table
+from graphtrack.cli.console import emit, print_table, write_json
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
@@ -18,13 +17,7 @@ if TYPE_CHECKING:
 
 
 def are_forecasts(inputs: Sequence[Path]) -> bool:
-    """Whether files are tables of forecasts.
-
-    Raises
-    ------
-    InputError
-        If only some are.
-    """
+    """Return True if files are tables of forecasts."""
     from graphtrack.behaviour.forecast.table import is_forecast
 
     files = [path for path in inputs if path.is_file()]
@@ -39,23 +32,12 @@ def score_forecasts(
     truth: list[Path],
     reading: options.CameraReading,
     json_path: Path | None,
-    unused: Mapping[str, object],
 ) -> None:
-    """Judge forecasts, say how good they are, and write it.
-
-    Raises
-    ------
-    InputError
-        For options that mean nothing here, and for what cannot be judged.
-    """
+    """Judge forecasts, say how good they are, and write it."""
     from graphtrack.behaviour.forecast.table import read_forecasts
     from graphtrack.evaluation.forecasts import judge_forecasts
-    from graphtrack.io import atomic_path
     from graphtrack.io.pairs import paired_files
 
-    for name, given in unused.items():
-        if given is not None:
-            raise InputError(f"{name} with forecasts", "what is for tracks with tracks alone")
     options.check_outputs({"--json": json_path}, reading.inputs([*inputs, *truth]))
     found: dict[str, ForecastScore] = {}
     for name, (table, true) in paired_files(inputs, truth).items():
@@ -73,16 +55,11 @@ def score_forecasts(
         curve = [{"should hold": level, "holds": round(share, 3)} for level, share in one.reliability.items()]
         print_table(f"{name}: reliability of circles", curve)
         drawn = "; best of 20 drawn from the table's Gaussian, for it has no samples" if one.drawn else ""
-        console.print(
+        emit(
             f"{name}: {counted(one.forecasts, 'forecast')} judged, {one.left_out} left out because the truth "
-            f"does not reach{drawn}",
-            markup=False,
+            f"does not reach{drawn}"
         )
-    if json_path is not None:
-        content = {name: one.to_dict() for name, one in found.items()}
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(_finite(content), indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)
+    write_json(json_path, _finite({name: one.to_dict() for name, one in found.items()}))
 
 
 def _rows(name: str, one: ForecastScore) -> list[dict[str, object]]:

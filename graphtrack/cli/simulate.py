@@ -2,74 +2,80 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console
+from graphtrack.cli.console import emit
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 from graphtrack.simulation import WALKING_PACE
 
-PositionNoise = Annotated[
-    float | None, typer.Option("--position-noise", help="1-σ of the noise on each axis, metres.")
-]
-BodyKappa = Annotated[
-    float | None, typer.Option("--body-kappa", help="von Mises concentration of the body's noise.")
-]
-HeadKappa = Annotated[
-    float | None, typer.Option("--head-kappa", help="von Mises concentration of the head's noise.")
-]
+
+@dataclass(frozen=True)
+class Noise:
+    """Options of noise that is added to what is exact.
+
+    Noise
+    -----
+    position_noise : 1-σ of the noise on each axis, metres.
+    body_kappa : von Mises concentration of the body's noise.
+    head_kappa : von Mises concentration of the head's noise.
+    """
+
+    position_noise: float | None = None
+    body_kappa: float | None = None
+    head_kappa: float | None = None
+
+    @property
+    def given(self) -> dict[str, float | None]:
+        """As `graphtrack.simulation.degrade.add_noise` and `detector.detect` take it."""
+        return {
+            "position_std": self.position_noise,
+            "body_kappa": self.body_kappa,
+            "head_kappa": self.head_kappa,
+        }
+
+    @property
+    def is_none(self) -> bool:
+        """Return True if nothing is added."""
+        return all(one is None for one in self.given.values())
 
 
 def simulate(
     output: options.Output,
-    model: Annotated[
-        str,
-        typer.Option("--model", help="A preset or a model file (.toml)."),
-    ] = "joint",
-    tracks: Annotated[int, typer.Option("--tracks", min=1, help="People.")] = 10,
-    steps: Annotated[int, typer.Option("--steps", min=1, help="Frames of each.")] = 200,
-    fps: Annotated[float, typer.Option("--fps", help="Frames a second.")] = 10.0,
-    missing: Annotated[
-        float, typer.Option("--missing", min=0.0, max=1.0, help="Share of frames unseen.")
-    ] = 0.0,
-    pace: Annotated[
-        float,
-        typer.Option(
-            "--pace",
-            help="How fast people go, m/s, the median; 0: as the model has it, ever faster.",
-        ),
-    ] = WALKING_PACE,
-    glances: Annotated[float, typer.Option("--glances", help="How often a minute people look aside.")] = 0.0,
-    scenario: Annotated[
-        bool, typer.Option("--scenario", help="The demo's six scripted people instead, who need no model.")
-    ] = False,
-    scene: Annotated[
-        Literal["party"] | None,
-        typer.Option(
-            "--scene",
-            help="A party instead: people in conversations and alone, who look at each other, without noise.",
-            show_default=False,
-        ),
-    ] = None,
-    groups: Annotated[
-        Path | None,
-        typer.Option(
-            "--groups", help="Write who is in conversation at the party (.csv).", show_default=False
-        ),
-    ] = None,
-    looks: Annotated[
-        Path | None,
-        typer.Option(
-            "--looks", help="Write who looks at whom at the party (.csv); -1: nobody.", show_default=False
-        ),
-    ] = None,
+    model: str = "joint",
+    tracks: Annotated[int, typer.Option(min=1)] = 10,
+    steps: Annotated[int, typer.Option(min=1)] = 200,
+    fps: float = 10.0,
+    missing: Annotated[float, typer.Option(min=0.0, max=1.0)] = 0.0,
+    pace: float = WALKING_PACE,
+    glances: float = 0.0,
+    scenario: bool = False,
+    scene: Literal["party"] | None = None,
+    groups: Path | None = None,
+    looks: Path | None = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Simulate people from the model, with their truth, and write the table."""
+    """Simulate people from the model, with their truth, and write the table.
+
+    Parameters
+    ----------
+    model : A preset or a model file (.toml).
+    tracks : People.
+    steps : Frames of each.
+    fps : Frames a second.
+    missing : Share of frames unseen.
+    pace : How fast people go, m/s, the median; 0: as the model has it, ever faster.
+    glances : How often a minute people look aside.
+    scenario : The demo's six scripted people instead, who need no model.
+    scene : A party instead: people in conversations and alone, who look at each other, without noise.
+    groups : Write who is in conversation at the party (.csv).
+    looks : Write who looks at whom at the party (.csv); -1: nobody.
+    """
     import numpy as np
 
     from graphtrack.io import write
@@ -109,87 +115,39 @@ def simulate(
             glances=glances,
         )
     write(found, output)
-    console.print(
-        f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames; {what}",
-        markup=False,
-    )
-
-
-_DETECTOR = "What a detector gets wrong"
+    emit(f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames; {what}")
 
 
 def add_noise(
     inputs: options.Inputs,
     output: options.Output,
     reading: options.Reading,
-    position_noise: PositionNoise = None,
-    body_kappa: BodyKappa = None,
-    head_kappa: HeadKappa = None,
-    every: Annotated[
-        float | None,
-        typer.Option(
-            "--every",
-            help="Seconds between frames: the recording is sampled so, straight on between its rows.",
-            show_default=False,
-            rich_help_panel=_DETECTOR,
-        ),
-    ] = None,
-    missed: Annotated[
-        float,
-        typer.Option(
-            "--missed", help="Probability that a person is missed in a frame.", rich_help_panel=_DETECTOR
-        ),
-    ] = 0.0,
-    occlude_share: Annotated[
-        float,
-        typer.Option(
-            "--occlude-share",
-            help="Share of the people who are hidden once, at a random time.",
-            rich_help_panel=_DETECTOR,
-        ),
-    ] = 0.0,
-    occlude_seconds: Annotated[
-        float, typer.Option("--occlude-seconds", help="For how long.", rich_help_panel=_DETECTOR)
-    ] = 2.0,
-    clutter: Annotated[
-        float,
-        typer.Option(
-            "--clutter",
-            help="False detections a frame, anywhere in the box around all people.",
-            rich_help_panel=_DETECTOR,
-        ),
-    ] = 0.0,
-    clutter_count: Annotated[
-        Literal["poisson", "fixed"],
-        typer.Option(
-            "--clutter-count",
-            help="So many on average (poisson), or in each frame (fixed).",
-            rich_help_panel=_DETECTOR,
-        ),
-    ] = "poisson",
-    anonymous: Annotated[
-        bool,
-        typer.Option(
-            "--anonymous",
-            help="Leave out who is who and what is true, and shuffle each frame; --truth-output keeps the "
-            "truth. Written as .csv, .parquet or .ndjson.",
-            rich_help_panel=_DETECTOR,
-        ),
-    ] = False,
-    truth_output: Annotated[
-        Path | None,
-        typer.Option(
-            "--truth-output",
-            help="Write where everybody is in the same frames here, for 'graphtrack score'.",
-            show_default=False,
-            rich_help_panel=_DETECTOR,
-        ),
-    ] = None,
+    noise: Noise,
+    every: float | None = None,
+    missed: float = 0.0,
+    occlude_share: float = 0.0,
+    occlude_seconds: float = 2.0,
+    clutter: float = 0.0,
+    clutter_count: Literal["poisson", "fixed"] = "poisson",
+    anonymous: bool = False,
+    truth_output: Path | None = None,
     seed: options.Seed = 0,
 ) -> None:
     """Take exact tracks as the truth and write noisy observations of them, the truth beside.
 
     False detections are tracks of their own, of one row each, with the label "false".
+
+    What a detector gets wrong
+    --------------------------
+    every : Seconds between frames: the recording is sampled so, straight on between its rows.
+    missed : Probability that a person is missed in a frame.
+    occlude_share : Share of the people who are hidden once, at a random time.
+    occlude_seconds : For how long.
+    clutter : False detections a frame, anywhere in the box around all people.
+    clutter_count : So many on average (poisson), or in each frame (fixed).
+    anonymous : Leave out who is who and what is true, and shuffle each frame; --truth-output keeps the truth.
+        Written as .csv, .parquet or .ndjson.
+    truth_output : Write where everybody is in the same frames here, for 'graphtrack score'.
     """
     import numpy as np
 
@@ -198,8 +156,7 @@ def add_noise(
     from graphtrack.simulation.detector import Detector, detect, summary_of
 
     detector = Detector(missed, occlude_share, occlude_seconds, clutter, clutter_count)
-    given = (position_noise, body_kappa, head_kappa, every)
-    if detector.is_perfect and not anonymous and all(one is None for one in given):
+    if detector.is_perfect and not anonymous and noise.is_none and every is None:
         raise InputError(
             "no noise",
             "at least one of --position-noise, --body-kappa, --head-kappa, --every, --missed, "
@@ -214,22 +171,14 @@ def add_noise(
         options.check_outputs({}, table=truth_output)
     tracks = reading.tracks(inputs)
     rng = np.random.default_rng(seed)
-    found = detect(
-        tracks,
-        detector,
-        every=every,
-        position_std=position_noise,
-        body_kappa=body_kappa,
-        head_kappa=head_kappa,
-        rng=rng,
-    )
+    found = detect(tracks, detector, every=every, **noise.given, rng=rng)
     if anonymous:
         write_table(found.anonymous(rng), output)
     else:
         write(found.observed, output)
     if every is not None:
-        console.print(f"  note: {found.truth.summary.notes[-1]}", markup=False)
-    console.print(f"wrote {output}: {summary_of(found)}", markup=False)
+        emit(f"  note: {found.truth.summary.notes[-1]}")
+    emit(f"wrote {output}: {summary_of(found)}")
     if truth_output is not None:
         write(found.truth, truth_output)
-        console.print(f"wrote {truth_output}: the truth", markup=False)
+        emit(f"wrote {truth_output}: the truth")

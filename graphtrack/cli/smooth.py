@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import time
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
 from graphtrack.cli.dataset import check_streamed, is_streamed, smooth_streamed
-from graphtrack.cli.of_tables import OfTables
 from graphtrack.display import counted, duration
 
 if TYPE_CHECKING:
     from graphtrack.tracks import TrackSet
-
-_LARGE = "Data sets larger than memory"
 
 
 def smooth(
@@ -26,68 +22,32 @@ def smooth(
     output: options.Output,
     reading: options.SceneReading,
     model: options.BestModelName = None,
-    engine: Annotated[
-        str,
-        typer.Option(
-            "--engine",
-            metavar="<auto|chain|gtsam>",
-            help="auto takes chain, which is compiled, where it can; isam2 and fixed-lag are for track.",
-        ),
-    ] = "auto",
+    engine: Annotated[str, typer.Option(metavar="<auto|chain|gtsam>")] = "auto",
     trust: options.TrustNoise = None,
-    fill: Annotated[
-        bool | None,
-        typer.Option(
-            "--fill/--no-fill",
-            help="Estimate the frames between a person's rows that the table leaves out. [default: fill]",
-            show_default=False,
-        ),
-    ] = None,
-    resample: Annotated[
-        float | None,
-        typer.Option(
-            "--resample", metavar="HZ", help="Estimates at so many frames a second.", show_default=False
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs",
-            min=1,
-            help="Tracks at a time: threads (chain; by default one for each processor) or processes (gtsam).",
-            show_default=False,
-        ),
-    ] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="Write an HTML report here too.")] = None,
-    stream: Annotated[
-        bool | None,
-        typer.Option(
-            "--stream/--no-stream",
-            help="Parquet track by track, in bounded memory, as folders and files of 512 MB are.",
-            show_default=False,
-            rich_help_panel=_LARGE,
-        ),
-    ] = None,
-    batch_frames: Annotated[
-        int,
-        typer.Option(
-            "--batch-frames",
-            min=1,
-            help="Person-frames held at a time when streaming.",
-            rich_help_panel=_LARGE,
-        ),
-    ] = 100_000,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            "--cluster",
-            metavar="ADDRESS|local",
-            help="Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.",
-            rich_help_panel=_LARGE,
-        ),
-    ] = None,
+    fill: bool | None = None,
+    resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1)] = None,
+    report: Path | None = None,
+    stream: bool | None = None,
+    batch_frames: Annotated[int, typer.Option(min=1)] = 100_000,
+    cluster: Annotated[str | None, typer.Option(metavar="ADDRESS|local")] = None,
 ) -> None:
-    """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
+    """Smooth tracks offline: positions, velocities, body and head, with their uncertainties.
+
+    Parameters
+    ----------
+    engine : auto takes chain, which is compiled, where it can; isam2 and fixed-lag are for track.
+    fill : Estimate the frames between a person's rows that the table leaves out. [default: fill]
+    resample : Estimates at so many frames a second.
+    jobs : Tracks at a time: threads (chain; by default one for each processor) or processes (gtsam).
+    report : Write an HTML report here too.
+
+    Data sets larger than memory
+    ----------------------------
+    stream : Parquet track by track, in bounded memory, as folders and files of 512 MB are.
+    batch_frames : Person-frames held at a time when streaming.
+    cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
+    """
     from graphtrack.gaps import at_times, with_times_at
     from graphtrack.inference.chain.engine import fit_lanes
     from graphtrack.inference.offline import engine_of, solve_tracks
@@ -105,15 +65,12 @@ def smooth(
     chosen = Model.named(model)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
-        unused: dict[str, object] = {
-            "--report": report,
-            "--class": reading.classes,
-            "--image-scale": reading.image_scale,
-        }
-        unused["--fill"], unused["--resample"] = fill, resample
-        unused["--trust"] = trust not in (None, "declared")
-        unused |= {options.option_name(one.name): getattr(reading, one.name) for one in fields(OfTables)}
-        unused["--format"] = reading.format not in (None, "parquet")
+        unused = {"--report": report, "--fill": fill, "--resample": resample}
+        unused |= {"--trust": trust not in (None, "declared")}
+        streamed = ("fps", "select", "format", "associate", *options.CAMERA)
+        given = reading.given().items()
+        unused |= {options.option_name(name): value for name, value in given if name not in streamed}
+        unused |= {"--format": reading.format not in (None, "parquet")}
         smooth_streamed(
             check_streamed(inputs, output, unused),
             output,
@@ -134,7 +91,7 @@ def smooth(
         tracks = with_times_at(tracks, resample)
     observed, chosen, said = trusted(tracks, chosen, trust or "check")
     for line in said:
-        console.print(f"  note: {line}", markup=False)
+        emit(f"  note: {line}")
     in_lanes = fit_lanes(observed.tracks, chosen)
     make_solver_ready(chosen, solver, tracks.camera, in_lanes)
     start = time.perf_counter()
@@ -147,26 +104,23 @@ def smooth(
     if good:
         write(estimates if resample is None else at_times(estimates, resample, origin), output)
     unconverged = [result for result in good if not result.converged]
-    console.print(
+    emit(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "
         f"{duration(seconds)}; model {chosen.preset}, engine {solver}, "
-        f"{len(good) - len(unconverged)} converged",
-        markup=False,
+        f"{len(good) - len(unconverged)} converged"
     )
     for result in unconverged:
-        console.print(
-            f"  track {result.track.track_id}: not converged in {result.iterations} steps", markup=False
-        )
+        emit(f"  track {result.track.track_id}: not converged in {result.iterations} steps")
     if report is not None and good:
         from graphtrack.report.build import tracking_report
         from graphtrack.report.html import write_report
 
         write_report(report, tracking_report(estimates, tracks, title="Smoothed tracks"))
-        console.print(f"report: {report}", markup=False)
+        emit(f"report: {report}")
     if good:
-        console.print(f"wrote {output}", markup=False)
+        emit(f"wrote {output}")
     for failure in bad:
-        console.print(f"error: track {failure.track_id}: {failure.reason}", markup=False)
+        emit(f"error: track {failure.track_id}: {failure.reason}")
     if bad:
         raise typer.Exit(BAD_INPUT)
 
@@ -181,9 +135,7 @@ def _without_gaps(tracks: TrackSet) -> TrackSet:
         share = 100.0 * tracks.n_frames / found.n_frames
         there = f"{tracks.n_frames:,} of {found.n_frames:,} frames have rows ({share:.1f} %)"
         said = f"{there}; the others are filled"
-        console.print(f"  note: {said}", markup=False)
+        emit(f"  note: {said}")
     if left:
-        console.print(
-            f"  note: {counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled", markup=False
-        )
+        emit(f"  note: {counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled")
     return found

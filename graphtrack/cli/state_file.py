@@ -31,7 +31,6 @@ _MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
 _MARK_LENGTH = 76
 _BEGINNING = b"graphtrack-state "
 _DIGEST_LENGTH = 32
-_VERSION_1 = re.compile(rb'[0-9a-f]{8} \{"graphtrack state":1,')
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
 _REMEDY = "the file as it was written; without the file a stream starts from nothing"
 
@@ -142,7 +141,7 @@ class StateFile:
 
     @property
     def is_replacing(self) -> bool:
-        """Whether a new content is still being written."""
+        """Return True if a new content is still being written."""
         return not self._idle.is_set()
 
     def append(self, value: Any) -> None:
@@ -166,7 +165,7 @@ class StateFile:
                 self._since.append(text)
 
     def mark(self) -> None:
-        """What is added from now on comes after the next new content too."""
+        """Have lines that are added from now on follow the next new content too."""
         with self._mutex:
             self._since = []
 
@@ -226,13 +225,12 @@ class StateFile:
             stream.seek(0)
             first = stream.read(_MARK_LENGTH)
             mark = _MARK.fullmatch(first)
-            version = int(mark[1]) if mark else 1 if _VERSION_1.match(first) else None
-            if version is None:
+            if mark is None:
                 raise InputError("no saved state", _EXPECTED, path=self.path)
+            version = int(mark[1])
             if version != VERSION:
                 expected = f"version {VERSION}; without the file a stream starts from nothing"
                 raise InputError(f"a state of version {version}", expected, path=self.path)
-            assert mark is not None
             flushed, size = int(mark[2]), os.fstat(file).st_size
             if size < flushed:
                 found = f"a file that was cut off ({size} of at least {flushed} bytes)"
@@ -347,7 +345,7 @@ def remove(path: Path) -> bool:
         try:
             # A link may lead to any file. One that is being made has no first line yet.
             first = os.pread(file, _MARK_LENGTH, 0)
-            if place == final and not first.startswith(_BEGINNING) and not _VERSION_1.match(first):
+            if place == final and not first.startswith(_BEGINNING):
                 raise InputError("no saved state", _EXPECTED, path=path)
             place.unlink()
             if place == final:
@@ -387,7 +385,7 @@ def _locked(place: Path, path: Path, flags: int) -> int | None:
 
 
 def _is_at(file: int, place: Path) -> bool:
-    """Whether an open file still has this name."""
+    """Return True if an open file still has this name."""
     try:
         return os.path.samestat(os.fstat(file), place.stat())
     except FileNotFoundError:

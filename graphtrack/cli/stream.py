@@ -3,38 +3,24 @@
 from __future__ import annotations
 
 import math
-from codecs import BOM_UTF8
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
-from graphtrack.bounds import APPEARANCE, INPUT
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import wrapped
 from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.io.json_lines import plain_cells
-from graphtrack.io.readers.ndjson import Pairs, identity, parse_line, read_cells
+from graphtrack.io.readers.ndjson import Pairs, parse_line, read_cells
 from graphtrack.model import Observation
-from graphtrack.table.schema import in_order, numeric, unknown
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, STATE
-
-LONGEST_LINE = 1 << 20
-"""Bytes of a line; longer ones are refused."""
-
-_CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
-_ANSWER = tuple(f"{name}_deg" if name in _CLASSES else name for name in STATE)
-_NUMBERS = (*_ANSWER, *(f"{name}_std_deg" if name in _CLASSES else f"{name}_std" for name in STATE))
-_NAMED = 100
-"""Unknown keys that are told before it is enough."""
+from graphtrack.streaming.protocol import Told, error_row, estimate_row, observation_of, text_of
 
 
 @dataclass(frozen=True)
 class StreamBounds:
-    """How much a stream with identities may hold.
+    """Bounds of a stream with identities.
 
     Attributes
     ----------
@@ -86,9 +72,9 @@ class People:
         conversations: Conversations | None = None,
     ) -> None:
         self._bounds, self._looked = bounds, -math.inf
-        self._forecasts, self._waiting = forecasts, dict[int, _Waiting]()
+        self._waiting = dict[int, _Waiting]()
         self._make, self._fps, self._told = make, fps, Told(note)
-        of_scene = {BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
+        of_scene = {FORECASTS: forecasts, BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
         self.members: dict[Any, Any] = {key: one for key, one in of_scene.items() if one is not None}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda track_id: None
@@ -98,11 +84,11 @@ class People:
         return self.answers(number, line)[-1]
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input: of a frame that it ends, and its `answer`."""
+        """Answers to a line of input: those of a frame that it ends, and its `answer`."""
         return self.answers_together([(number, line)])[0]
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """What is to be said after each of some lines, the same as one by one.
+        """Answers to each of some lines, the same as one by one.
 
         Rows that follow each other and are of different people are worked in by few calls into compiled code.
         """
@@ -155,15 +141,14 @@ class People:
     def _told_before(
         self, track_id: int, observation: Observation, estimate: Estimate
     ) -> list[dict[str, Any]]:
-        """What is told of the frame that a row ends."""
+        """Groups, looks and forecasts of the frame that a row ends."""
         found: list[dict[str, Any]] = []
         if CONVERSATIONS in self.members:
             self.members[CONVERSATIONS].estimated(track_id, estimate)
-        if self._forecasts is not None:
-            found = self._changing_forecasts().take(track_id, observation, estimate)
-        if BEHAVIOUR in self.members:
-            self.before_change(BEHAVIOUR)
-            found = merged(self.members[BEHAVIOUR].take(track_id, observation, estimate), found)
+        for key in (FORECASTS, BEHAVIOUR):
+            if key in self.members:
+                self.before_change(key)
+                found = merged(self.members[key].take(track_id, observation, estimate), found)
         return found
 
     def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
@@ -205,153 +190,10 @@ class People:
                 del self.members[one]
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is to be said when no more rows come: what is told of the last frame."""
-        rows = [] if self._forecasts is None else self._changing_forecasts().finish()
-        if BEHAVIOUR in self.members:
-            self.before_change(BEHAVIOUR)
-            rows = merged(self.members[BEHAVIOUR].finish(), rows)
+        """Answers when no more rows come: those of the last frame."""
+        rows: list[dict[str, Any]] = []
+        for key in (FORECASTS, BEHAVIOUR):
+            if key in self.members:
+                self.before_change(key)
+                rows = merged(self.members[key].finish(), rows)
         return rows
-
-    def _changing_forecasts(self) -> FrameForecasts:
-        """The forecasts, those of a state that is gone on with first, about to change."""
-        self.before_change(FORECASTS)
-        if FORECASTS not in self.members:
-            self.members[FORECASTS] = self._forecasts
-        found: FrameForecasts = self.members[FORECASTS]
-        return found
-
-
-class Told:
-    """Tells of keys that nothing is read from, once each.
-
-    Parameters
-    ----------
-    note : is told
-    known : keys that are none of the native table, and are read
-    """
-
-    def __init__(self, note: Callable[[str], None], known: Collection[str] = ()) -> None:
-        self._note, self._known = note, known
-        self._unknown: set[str] = set()
-
-    def __call__(self, pairs: Pairs) -> None:
-        """Look at the keys of a line."""
-        for name in _unknown(tuple([name for name, _ in pairs])):
-            if name not in self._unknown and name not in self._known and len(self._unknown) < _NAMED:
-                self._unknown.add(name)
-                more = "; no further ones will be told" if len(self._unknown) == _NAMED else ""
-                self._note(f"ignored key {name[:100]!r}{more}")
-
-
-@lru_cache(64)
-def _unknown(names: tuple[str, ...]) -> list[str]:
-    return unknown(names)
-
-
-def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
-    """What is said of a line that cannot be used."""
-    told = InputError(error.found, error.expected, line=number, column=error.column)
-    return {**identity(pairs), "line": number, "error": str(told)}
-
-
-def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
-    """What a row says that was seen; angles in radians.
-
-    Raises
-    ------
-    InputError
-        Without a time.
-    """
-    t = cells.get("t")
-    if t is None:
-        if fps is None:
-            raise InputError("no t", "seconds, or a frame rate (--fps)", column="t")
-        t = cells["frame"] / fps
-    get = cells.get
-    body, head = get("body_deg"), get("head_deg")
-    return Observation(
-        t,
-        cells["frame"],
-        _pair(cells, "x", "y"),
-        get("pos_std"),
-        _pair(cells, "u", "v"),
-        None if body is None else _angle(body),
-        get("body_kappa"),
-        None if head is None else _angle(head),
-        get("head_kappa"),
-        _classes(cells, "body"),
-        _classes(cells, "head"),
-        get("score"),
-        _inputs(cells),
-    )
-
-
-def _classes(cells: dict[str, Any], name: str) -> tuple[float, ...] | None:
-    if f"{name}_p0" not in cells:
-        return None
-    return tuple([cells[f"{name}_p{k}"] for k in range(_CLASSES[name])])
-
-
-@lru_cache(64)
-def _of_inputs(names: tuple[str, ...]) -> list[str]:
-    """Those of a row's keys that are an input's; most rows of a stream have the same keys."""
-    return [name for name in names if name.startswith((INPUT, APPEARANCE))]
-
-
-def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
-    given = _of_inputs(tuple(cells))
-    if not given:
-        return {}
-    numbers: dict[str, float] = {}
-    arrays: dict[str, tuple[float, ...]] = {}
-    for name in in_order(given):
-        column = numeric(name)
-        assert column is not None
-        key = column.field.removeprefix(INPUT)
-        if column.index:
-            arrays[key] = (*arrays.get(key, ()), cells[name])
-        else:
-            numbers[key] = cells[name]
-        if key in numbers and key in arrays:
-            raise InputError(f"a key {name.removesuffix('_0')} beside {name}", "one of the two", column=name)
-    return {**numbers, **arrays}
-
-
-def _angle(degrees: float) -> float:
-    angle = math.radians(degrees)
-    return angle if -math.pi < angle <= math.pi else wrapped(angle)
-
-
-def _pair(cells: dict[str, Any], first: str, second: str) -> tuple[float, float] | None:
-    return (cells[first], cells[second]) if first in cells else None
-
-
-def text_of(line: bytes) -> str:
-    """A line as text; InputError if it is too long or none."""
-    if len(line) > LONGEST_LINE:
-        raise InputError(f"more than {LONGEST_LINE} bytes", "a shorter line")
-    try:
-        return line.decode("utf-8-sig" if line.startswith(BOM_UTF8) else "utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"the byte 0x{line[error.start]:02x}", "UTF-8 text") from error
-
-
-def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
-    """An estimate with the columns of the native table; null where nothing is known."""
-    # A row is written for every row that comes: plain numbers are quicker than arrays of two.
-    variance = estimate.covariance.diagonal().tolist()
-    std = [math.sqrt(one) if one >= 0.0 else math.nan for one in variance]
-    position, velocity = estimate.position.tolist(), estimate.velocity.tolist()
-    row: dict[str, Any] = {"track_id": track_id, "frame": estimate.frame, "t": estimate.t}
-    values = (*position, *velocity, math.degrees(estimate.body), math.degrees(estimate.head))
-    spread = (*std[:4], math.degrees(std[4]), math.degrees(std[5]))
-    for name, value in zip(_NUMBERS, values + spread, strict=True):
-        row[name] = value if math.isfinite(value) else None
-    if math.isfinite(estimate.aligned_p):
-        row["aligned_p"] = estimate.aligned_p
-        row["gait_offset_deg"] = math.degrees(estimate.gait_offset)
-        row["glance_p"] = estimate.glance_p
-    row["status"] = estimate.status
-    if estimate.reason:
-        row["reason"] = estimate.reason
-    return row

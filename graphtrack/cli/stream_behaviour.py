@@ -20,12 +20,12 @@ from graphtrack.model import Observation
 from graphtrack.saved import from_text, real, to_text, whole
 
 BEHAVIOUR = "behaviour"
-"""What groups and attention are called among the members of a stream whose states are kept."""
+"""Name of groups and attention among the members of a stream whose states are kept."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What answers tell besides estimates.
+    """Groups and attention that answers hold besides estimates.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Asked:
     places: tuple[Place, ...] = ()
 
     def settings(self) -> dict[str, Any]:
-        """What the answers depend on, as JSON-able data; nothing where nothing is asked."""
+        """Settings that the answers depend on, as JSON-able data; nothing where nothing is asked."""
         found: dict[str, Any] = {}
         if self.groups:
             found["groups"] = True
@@ -61,7 +61,7 @@ class SceneBehaviour:
         return self._groups.t
 
     def columns(self, t: float, people: Told) -> dict[int, dict[str, Any]]:
-        """What is said of each person of a frame, by track id, ascending."""
+        """Columns of each person of a frame, by track id, ascending."""
         return self.columns_of(people_told(t, people))
 
     def columns_of(self, people: People) -> dict[int, dict[str, Any]]:
@@ -78,7 +78,7 @@ class SceneBehaviour:
         return rows
 
     def state(self) -> dict[str, Any]:
-        """What going on takes, as JSON-able data; see `restore`."""
+        """Return the state as JSON-able data; see `restore`."""
         attention = None if self._attention is None else self._attention.state()
         return {"groups": self._groups.state(), "attention": attention}
 
@@ -131,7 +131,7 @@ class FrameBehaviour:
         return rows
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is told of the frame that has ended, a row for each person; later rows of it do not count."""
+        """Rows of the frame that has ended, one for each person; later rows of it do not count."""
         if not self._people:
             return []
         told = self._scene.columns_of(people_at(self._t, self._frame, self._people))
@@ -140,7 +140,7 @@ class FrameBehaviour:
         return [{"track_id": one, **of_frame, **columns} for one, columns in told.items()]
 
     def state(self) -> dict[str, Any]:
-        """What going on takes, as JSON-able data; see `restore`."""
+        """Return the state as JSON-able data; see `restore`."""
         people = [[one, to_text(np.array(numbers))] for one, numbers in self._people.items()]
         t = None if math.isinf(self._t) else self._t
         return {BEHAVIOUR: self._scene.state(), "t": t, "frame": self._frame, "people": people}

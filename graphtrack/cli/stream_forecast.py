@@ -15,14 +15,14 @@ from graphtrack.model import Observation
 from graphtrack.saved import real, whole
 
 FORECASTS = "forecasts"
-"""What forecasts are called among the members of a stream whose states are kept."""
+"""Name of forecasts among the members of a stream whose states are kept."""
 
 STEP = 0.4
 """Seconds between the times ahead that are told, where the horizon is no shorter."""
 
 
 def told(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
-    """What is said of each person of a forecast: a dictionary for each time ahead."""
+    """Forecasts of each person: a dictionary for each time ahead."""
     variance = forecast.covariance
     columns = {
         "x": forecast.position[..., 0],

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
-from graphtrack.cli.stream import text_of
 from graphtrack.errors import InputError
 from graphtrack.io.layout import Layout
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.io.tables.synonyms import with_synonyms
+from graphtrack.streaming.protocol import text_of
 from graphtrack.table.moments import DAY, NANOSECONDS_IN
 from graphtrack.table.schema import is_column
 
@@ -51,7 +51,7 @@ def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] 
 
 @dataclass(frozen=True)
 class StreamNames:
-    """What a stream calls its columns, and the unit of its times.
+    """Names of a stream's columns, and the unit of its times.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class StreamNames:
 
     @property
     def are_native(self) -> bool:
-        """Whether nothing is called or measured otherwise than in the native table."""
+        """Return True if nothing is called or measured otherwise than in the native table."""
         return not self.columns and self._leaves_times
 
     @property
@@ -151,7 +151,7 @@ class StreamNames:
         return self.columns.get(key, key)
 
     def settings(self) -> dict[str, Any]:
-        """What the answers depend on, for a state."""
+        """Settings that the answers depend on, for a state."""
         found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
         found |= {ORIGIN: self.origin} if self.origin else {}
         return found | ({KNOWN: True} if self.are_known else {})
@@ -205,19 +205,6 @@ class StreamNames:
         count = round(value * (1e9 / self.unit), 0 if self.unit == 1 else _DIGITS)
         whole = self.origin // self.unit
         return int(count) + whole if float(count).is_integer() else count + whole
-
-    def since_then(self, answer: Mapping[str, Any]) -> dict[str, Any]:
-        """An answer under the native table's names, in seconds from where the stream's times count from."""
-        return self._later(answer) if self.origin else dict(answer)
-
-    def _later(self, answer: Mapping[str, Any]) -> dict[str, Any]:
-        found = dict(answer)
-        for key, value in answer.items():
-            if isinstance(value, list):
-                found[key] = [self._later(one) if isinstance(one, Mapping) else one for one in value]
-            elif key in _TIMES and _is_number(value):
-                found[key] = value + self.origin / 1e9
-        return found
 
 
 def _is_number(value: Any) -> bool:

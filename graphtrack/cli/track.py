@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, console, progress_bar
-from graphtrack.cli.showing import Showing
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
+from graphtrack.display import counted, duration
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.remote import place_of
 
@@ -24,120 +23,60 @@ if TYPE_CHECKING:
 
 
 def track(
-    input: Annotated[
-        str,
-        typer.Argument(help="File with tracks, or - for NDJSON rows on standard input.", show_default=False),
-    ],
+    input: Annotated[str, typer.Argument()],
     reading: options.SceneReading,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="File to write: .csv, .csv.gz, .parquet, .ndjson, .txt (MOT), .nc and others (graphtrack "
-            "formats); with -, none.",
-        ),
-    ] = None,
+    output: options.OutputPath | None = None,
     model: options.BestModelName = None,
-    engine: Annotated[
-        Literal["auto", "chain", "fixed-lag", "isam2"],
-        typer.Option(
-            "--engine",
-            help="chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; isam2: GTSAM's incremental "
-            "smoother; auto: chain where it can be.",
-        ),
-    ] = "auto",
-    lag: Annotated[
-        str,
-        typer.Option(
-            "--lag",
-            metavar="SECONDS|none",
-            help="History that is kept open, to be estimated anew; none: all of it, with isam2.",
-        ),
-    ] = "2",
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            "--state",
-            help="With -: keep in this file what going on takes, and go on from it. A row is in it before it "
-            "is answered.",
-            dir_okay=False,
-        ),
-    ] = None,
-    save_every: Annotated[
-        float,
-        typer.Option(
-            "--save-every",
-            metavar="SECONDS",
-            min=0.1,
-            max=86400.0,
-            help="Seconds between flushings of --state to the disk: what is lost if the power fails. A kill "
-            "loses nothing.",
-        ),
-    ] = 10.0,
-    forecast: Annotated[
-        float | None,
-        typer.Option(
-            "--forecast",
-            metavar="SECONDS",
-            help="With -: tell where people will be, every 0.4 s up to so many seconds ahead.",
-            show_default=False,
-        ),
-    ] = None,
-    groups: Annotated[
-        bool, typer.Option("--groups", help="With -: tell who stands in conversation, or walks, with whom.")
-    ] = False,
-    attention: Annotated[
-        bool, typer.Option("--attention", help="With -: tell who looks at whom, and at which --places.")
-    ] = False,
+    engine: Literal["auto", "chain", "fixed-lag", "isam2"] = "auto",
+    lag: Annotated[str, typer.Option(metavar="SECONDS|none")] = "2",
+    state: Annotated[Path | None, typer.Option(dir_okay=False)] = None,
+    save_every: Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=86400.0)] = 10.0,
+    forecast: options.Seconds | None = None,
+    groups: bool = False,
+    attention: bool = False,
     places: options.Places = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="With -: show the answers in Rerun as they come.")
-    ] = False,
-    showing: Showing = Showing(),
-    trust: Annotated[
-        Literal["declared", "check"],
-        typer.Option(
-            "--trust",
-            help="Of a file with tracks: check, a note says in the end where the data contradict the noise "
-            "that it or the model declares; declared, nothing is checked.",
-        ),
-    ] = "declared",
-    person: Annotated[
-        int | None,
-        typer.Option(
-            "--person",
-            metavar="ID",
-            help="With --view: whose series are drawn; by default theirs who come first.",
-            show_default=False,
-        ),
-    ] = None,
 ) -> None:
-    """Track online: the estimate at each frame from what came before it alone."""
-    from graphtrack.display import duration
+    """Track online: the estimate at each frame from what came before it alone.
+
+    Parameters
+    ----------
+    input : File with tracks, or - for NDJSON rows on standard input.
+    output : File to write: .csv, .csv.gz, .parquet, .ndjson, .txt (MOT), .nc and others (graphtrack formats);
+        with -, none.
+    engine : chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; isam2: GTSAM's incremental
+        smoother; auto: chain where it can be.
+    lag : History that is kept open, to be estimated anew; none: all of it, with isam2.
+
+    Streams: with - as the input
+    ----------------------------
+    state : Keep in this file what going on takes, and go on from it. A row is in it before it is answered.
+    save_every : Seconds between flushings of --state to the disk: what is lost if the power fails. A kill
+        loses nothing.
+    forecast : Tell where people will be, every 0.4 s up to so many seconds ahead.
+    groups : Tell who stands in conversation, or walks, with whom.
+    attention : Tell who looks at whom, and at which --places.
+    places : CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).
+    """
     from graphtrack.inference.online import OnlineSmoother
     from graphtrack.inference.online_engines import check_lag, online_engine
     from graphtrack.inference.recorded import track_online
     from graphtrack.io import write
     from graphtrack.model import Model
-    from graphtrack.trust import trusted
 
     options.check_outputs(
-        {"--output": output, "--state": state, "--save": showing.save},
+        {"--output": output, "--state": state},
         {**reading.inputs([] if input == "-" else [place_of(input)], model), "--places": places},
         table=output,
     )
-    _check_view(view, {"--save": showing.save, "--connect": showing.connect, "--person": person}, input)
     chosen = Model.named(model)
     kept = _seconds(lag)
     if reading.associate == "repair":
         raise InputError("--associate repair", "graphtrack smooth: to repair tracks is to look ahead")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
-        _refuse_with_stream({"output": output, "trust": trust == "check"} | reading.given())
+        _refuse_with_stream({"output": output} | reading.given())
         horizon, asked = horizon_of(forecast), asked_of(groups, attention, places)
-        shown = (showing, person) if view else None
-        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked, shown)
+        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked)
         return
     if forecast is not None:
         raise InputError("--forecast with a file", "graphtrack forecast, which writes a table")
@@ -154,8 +93,6 @@ def track(
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
-        if trust == "check":
-            raise InputError("--trust check", "tracks: these rows have no identities")
         _track_detections(rows, output, chosen, engine, kept)
         return
     tracks = reading.tracks([place_of(input)], rows)
@@ -169,18 +106,14 @@ def track(
     estimates = tracks.with_tracks(found)
     if found:
         write(estimates, output)
-        console.print(
+        emit(
             f"tracked {len(found)} people, {estimates.n_frames} person-frames in {duration(seconds)} "
             f"({1e3 * seconds / estimates.n_frames:.2f} ms each); "
             f"engine {online_engine(chosen, engine)}, model {chosen.preset}\n"
-            f"wrote {output}",
-            markup=False,
+            f"wrote {output}"
         )
-    # What is tracked at a frame cannot have waited for it: it is said, and not corrected.
-    for line in trusted(tracks, chosen, trust)[2]:
-        console.print(f"  note: {line}", markup=False)
     for track_id in unseen:
-        console.print(f"error: {SolveError(track_id, NO_POSITION)}", markup=False)
+        emit(f"error: {SolveError(track_id, NO_POSITION)}")
     if unseen:
         raise typer.Exit(BAD_INPUT)
 
@@ -192,7 +125,6 @@ def _track_detections(
     from graphtrack.association.recorded import track_rows
     from graphtrack.association.tracker import OnlineTracker
     from graphtrack.cli.console import print_summary
-    from graphtrack.display import duration
     from graphtrack.inference.online_engines import online_engine
     from graphtrack.io import write
 
@@ -203,12 +135,11 @@ def _track_detections(
     seconds = time.perf_counter() - start
     write(tracks, output)
     print_summary(tracks, str(rows.path))
-    console.print(
+    emit(
         f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {duration(seconds)} "
         f"({1e3 * seconds / len(rows):.2f} ms each); "
         f"engine {online_engine(model, engine)}, model {model.preset}\n"
-        f"wrote {output}",
-        markup=False,
+        f"wrote {output}"
     )
 
 
@@ -245,15 +176,7 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
 
-def _check_view(view: bool, given: Mapping[str, object], input: str) -> None:
-    if view and input != "-":
-        raise InputError("--view with a file", "graphtrack view, on the file that --output writes")
-    alone = next((name for name, value in given.items() if value is not None and not view), None)
-    if alone is not None:
-        raise InputError(f"{alone} alone", "--view beside it")
-
-
-_OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate", "columns", "time_unit")
+_OF_A_STREAM = ("fps", "homography", "associate", "columns", "time_unit")
 
 
 def _refuse_with_stream(given: Mapping[str, object]) -> None:
@@ -271,42 +194,37 @@ def _track_stream(
     save_every: float,
     horizon: tuple[float, float] | None,
     asked: Asked | None,
-    shown: tuple[Showing, int | None] | None,
 ) -> None:
-    from graphtrack.cli.live import Listener, print_note, track_stream
+    from graphtrack.cli.live import MOST_TOGETHER, Answers, Listener, track_stream
     from graphtrack.cli.stream_names import StreamNames
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_homography
 
     given = reading.options()
-    layout = given.layout()
-    camera = None
-    if reading.homography is not None:
-        camera = GroundCamera.from_homography(read_homography(reading.homography))
-    with ExitStack() as stack:
-        pipe = None
-        if shown is not None:
-            from graphtrack.cli.view_pipe import ViewPipe
+    layout, plane = given.layout(), reading.homography
+    camera = None if plane is None else GroundCamera.from_homography(read_homography(plane))
+    answers = Answers(model, engine, lag, given.fps, camera, given.associate, horizon, asked)
 
-            showing, person = shown
-            pipe = ViewPipe(showing.target(), person, print_note)
-            stack.callback(pipe.close)
-        rows, wrong = track_stream(
-            model,
-            engine=engine,
-            lag=lag,
-            fps=given.fps,
-            camera=camera,
-            state=state,
-            save_every=save_every,
-            associate=given.associate,
-            horizon=horizon,
-            asked=asked,
-            names=StreamNames() if layout is None else StreamNames.of(layout),
-            copy=pipe,
-            # Rows that are kept one by one are given again one by one.
-            listener=Listener() if state is None else Listener(most_together=1),
-        )
+    def went_on(row: int, line: int, again: int) -> None:
+        lines = "" if line == row else f" (the last is line {line})"
+        last = f"; the answer to row {row} is given again" if again else ""
+        if again > 1:
+            last = f"; the answers to rows {row - again + 1} to {row} are given again"
+        emit(f"going on from {state}, after {counted(row, 'row')}{lines}{last}")
+
+    rows, wrong = track_stream(
+        answers,
+        state=state,
+        save_every=save_every,
+        names=StreamNames() if layout is None else StreamNames.of(layout),
+        # Rows that are kept one by one are given again one by one.
+        listener=Listener(
+            lambda text: emit(f"note: {text}"),
+            went_on,
+            progress=progress_bar,
+            most_together=MOST_TOGETHER if state is None else 1,
+        ),
+    )
     if wrong:
-        console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)
+        emit(f"error: {wrong} of {rows} rows could not be used")
         raise typer.Exit(BAD_INPUT)

@@ -2,139 +2,104 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console
-from graphtrack.cli.showing import Showing
+from graphtrack.cli.console import emit
+from graphtrack.cli.track import horizon_of
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from graphtrack.behaviour.forecast.recorded import Forecasts
-    from graphtrack.behaviour.groups import Groups
-    from graphtrack.tracks import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
 
-_SHOWN = "What is shown beside the tracks"
 _FIND = "find"
 
 
 def view(
     inputs: options.Inputs,
     reading: options.SceneReading,
-    showing: Showing,
-    video: Annotated[
-        Path | None,
-        typer.Option(
-            "--video",
-            metavar="VIDEO|FOLDER",
-            help="The video, or a folder of images, whose frames the tracks count.",
-            exists=True,
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            "--boxes",
-            help="People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default those of "
-            "the input, where it has any.",
-            exists=True,
-            dir_okay=False,
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    groups: Annotated[
-        str | None,
-        typer.Option(
-            "--groups",
-            metavar="FILE|find",
-            help="What 'graphtrack groups' wrote, or find: they are found now.",
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    forecast: Annotated[
-        str | None,
-        typer.Option(
-            "--forecast",
-            metavar="FILE|SECONDS",
-            help="What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.",
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    person: Annotated[
-        int | None,
-        typer.Option(
-            "--person",
-            metavar="ID",
-            help="Whose series are drawn; by default theirs who have most rows.",
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
+    showing: options.Showing,
+    video: Annotated[Path | None, typer.Option(metavar="VIDEO|FOLDER", exists=True)] = None,
+    boxes: options.InputFile | None = None,
+    groups: Annotated[str | None, typer.Option(metavar="FILE|find")] = None,
+    forecast: Annotated[str | None, typer.Option(metavar="FILE|SECONDS")] = None,
+    person: Annotated[int | None, typer.Option(metavar="ID")] = None,
 ) -> None:
-    """Show tracks in Rerun: ground, video and series of one person on one time line."""
+    """Show tracks in Rerun: ground, video and series of one person on one time line.
+
+    With - as the file, the answers of `graphtrack track -` are shown as they come on standard input.
+
+    What is shown beside the tracks
+    -------------------------------
+    video : The video, or a folder of images, whose frames the tracks count.
+    boxes : People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default those of the input,
+        where it has any.
+    groups : What 'graphtrack groups' wrote, or find: they are found now.
+    forecast : What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.
+    person : Whose series are drawn; by default theirs who have most rows.
+    """
+    from graphtrack.behaviour.forecast.recorded import forecast as predict
+    from graphtrack.behaviour.groups import groups as find_groups
     from graphtrack.viewer.shown import view as show
 
+    if [str(path) for path in inputs] == ["-"]:
+        given: dict[str, object] = {
+            "--video": video,
+            "--boxes": boxes,
+            "--groups": groups,
+            "--forecast": forecast,
+        }
+        given |= {options.option_name(name): value for name, value in reading.given().items()}
+        _show_stream(showing, person, given)
+        return
     showing.target()
-    files = {"--groups": _file(groups, _is_word), "--forecast": _file(forecast, _is_number)}
+    ahead = _number(forecast)
+    files = {
+        "--groups": None if groups is None or groups == _FIND else Path(groups),
+        "--forecast": None if forecast is None or ahead is not None else Path(forecast),
+    }
     options.check_outputs({"--save": showing.save}, {**reading.inputs(inputs), "--boxes": boxes, **files})
     tracks = reading.tracks(inputs)
+    horizon = horizon_of(ahead)
     show(
         tracks,
         save=showing.save,
         connect=showing.connect,
-        groups=_groups(tracks, groups),
-        forecast=_forecast(tracks, forecast),
+        groups=find_groups(tracks) if groups == _FIND else files["--groups"],
+        forecast=files["--forecast"]
+        if horizon is None
+        else predict(tracks, horizon=horizon[0], step=horizon[1]),
         video=video,
         boxes=_boxes(inputs, boxes, reading, video),
         person=person,
     )
     if showing.save is not None:
         size = showing.save.stat().st_size / 1e6
-        console.print(f"wrote {showing.save}: {size:.1f} MB; to see it: rerun {showing.save}", markup=False)
+        emit(f"wrote {showing.save}: {size:.1f} MB; to see it: rerun {showing.save}")
 
 
-def _is_word(text: str) -> bool:
-    return text == _FIND
+def _show_stream(showing: options.Showing, person: int | None, given: Mapping[str, object]) -> None:
+    """Show answers on standard input."""
+    from graphtrack.viewer.live import show_stream
+
+    options.refuse(given, "with -", "answers of graphtrack track -, as they are")
+    target = showing.target()
+    options.check_outputs({"--save": showing.save})
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream ends in its own way, and then this does
+    show_stream(sys.stdin.fileno(), target, person)
 
 
-def _is_number(text: str) -> bool:
+def _number(text: str | None) -> float | None:
     try:
-        float(text)
+        return None if text is None else float(text)
     except ValueError:
-        return False
-    return True
-
-
-def _file(given: str | None, is_other: Callable[[str], bool]) -> Path | None:
-    return None if given is None or is_other(given) else Path(given)
-
-
-def _groups(tracks: TrackSet, given: str | None) -> Groups | Path | None:
-    if given is None or not _is_word(given):
-        return None if given is None else Path(given)
-    from graphtrack.behaviour.groups import groups
-
-    return groups(tracks)
-
-
-def _forecast(tracks: TrackSet, given: str | None) -> Forecasts | Path | None:
-    if given is None or not _is_number(given):
-        return None if given is None else Path(given)
-    from graphtrack.behaviour.forecast.recorded import forecast
-    from graphtrack.cli.track import horizon_of
-
-    horizon, step = horizon_of(float(given)) or (0.0, 0.0)
-    return forecast(tracks, horizon=horizon, step=step)
+        return None
 
 
 def _boxes(

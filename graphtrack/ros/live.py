@@ -26,7 +26,7 @@ _GONE = 5.0
 """Seconds without a sight of somebody with a name after which they are forgotten."""
 
 _KEPT = 30 * SECOND
-"""How long transforms are kept."""
+"""Nanoseconds for which transforms are kept."""
 
 _JUMP = SECOND
 """By how much stamps may go back, as messages overtake each other; further back a new recording begins."""
@@ -47,7 +47,7 @@ _CHANNELS = {
 
 @dataclass(frozen=True)
 class Told:
-    """What is known after a message.
+    """State of all people after a message.
 
     Attributes
     ----------

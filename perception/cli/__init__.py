@@ -1,5 +1,8 @@
 """The command line: thin; it parses, calls and prints."""
 
-from perception.cli.main import main
+from graphtrack.cli.main import run
 
-__all__ = ["main"]
+
+def main() -> None:
+    """Entry point of the command line."""
+    run("perception.cli.commands", "perception")

@@ -9,68 +9,44 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from graphtrack.cli.console import console, print_table, progress_bar
-from graphtrack.cli.options import Seed
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, print_table, progress_bar
 from graphtrack.display import counted
-from perception.cli.common import (
-    FILE,
-    Calibration,
-    Fps,
-    Homography,
-    check_places,
-    frame_rate,
-    print_skipped,
-    read_camera,
-)
-from perception.cli.own_networks import stamp_of
+from perception.cli.common import CameraOptions, check_places, print_skipped
 from perception.cli.searching import PeopleSearch, search_journals
+from perception.cli.teaching import package_models
 
 if TYPE_CHECKING:
     from perception.storage import ModelCard
 
 
 def adapt(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Videos or folders of images, all of one camera.", metavar="VIDEO|FOLDER...", exists=True
-        ),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.npz).")],
-    boxes: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--boxes",
-            help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for "
-            "each recording in their order; without it people are detected.",
-            **FILE,
-        ),
-    ] = None,
-    homography: Homography = None,
-    calibration: Calibration = None,
-    fps: Fps = None,
-    write_model: Annotated[
-        Path | None,
-        typer.Option(
-            "--write-model",
-            help="Write the graph's model file (.toml) that goes with these models, for `graphtrack smooth "
-            "--model`.",
-        ),
-    ] = None,
-    seed: Seed = 0,
+    sources: Annotated[list[Path], typer.Argument(metavar="VIDEO|FOLDER...", exists=True)],
+    output: options.OutputPath,
+    camera: CameraOptions,
+    boxes: Annotated[list[Path] | None, typer.Option(exists=True, dir_okay=False)] = None,
+    write_model: Path | None = None,
+    seed: options.Seed = 0,
 ) -> None:
     """Let a camera teach itself how bodies and heads point, from people who surely walk.
 
     `perception observe --models` uses the file.
+
+    Parameters
+    ----------
+    sources : Videos or folders of images, all of one camera.
+    output : Model file to write (.npz).
+    boxes : MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for each
+        recording in their order; without it people are detected.
+    write_model : Write the graph's model file (.toml) that goes with these models, for `graphtrack smooth
+        --model`.
     """
     from graphtrack.errors import InputError
     from graphtrack.model import Model
     from perception.adaptation.adapting import Recording, adapted
-    from perception.adaptation.learning import PackageModels
     from perception.adaptation.recording import check_camera
     from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
-    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 
     if output.suffix != ".npz":
         raise InputError(f"--output {output.name}", "a name that ends in .npz")
@@ -83,47 +59,42 @@ def adapt(
     # A search that was broken off goes on: each recording has journals of its own.
     places = [output if k == 0 else output.with_name(f"{output.name}.{k}") for k in range(len(sources))]
     journals = [path for place in places for path in search_journals(place)]
-    inputs = {"--boxes": boxes, "--homography": homography, "--calibration": calibration}
+    inputs = {"--boxes": boxes, **camera.files}
     outputs = {"--output": output, "--write-model": write_model, "the journals of --output": journals}
     for source in sources:
         check_places(outputs, None, source, inputs)
-    camera = read_camera(homography, calibration)
-    if camera is None:
+    on_ground = camera.on_ground()
+    if on_ground is None:
         raise InputError("no camera", "--calibration or --homography: where people go is seen on the ground")
     opened = [FrameSource.open(source) for source in sources]
     for frames in opened:
-        check_camera(camera, frames.size())
+        check_camera(on_ground, frames.size())
     refused: dict[str, None] = {}
     refuse = refused.setdefault
-    asked = stamp_of(homography), stamp_of(calibration)
-    package = PackageModels(
-        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
-    )
     rng = np.random.default_rng(seed)
     recordings = []
     with ExitStack() as searches:
         for frames, place, of_recording in zip(opened, places, given, strict=True):
-            rate = frame_rate(frames, fps)
+            rate = camera.rate(frames)
             if of_recording is None:
-                search = PeopleSearch(frames, camera, rate, place, asked, one_size=True)
+                search = PeopleSearch(frames, on_ground, rate, place, camera.stamps, one_size=True)
                 people = searches.enter_context(search).people(refuse)
             else:
                 people = read_boxes(of_recording, refuse)
             recordings.append(Recording(frames, people, rate))
-        found = adapted(recordings, camera, package, rng, progress_bar, refuse)
+        found = adapted(recordings, on_ground, package_models(), rng, progress_bar, refuse)
         found.models.save(output)
         if write_model is not None:
             found.models.graph(Model.named(None)).save(write_model)
     print_skipped(list(refused))
-    console.print(
+    emit(
         f"learned from {len(found.labels)} boxes of {found.people} people who "
-        f"surely walk, of {counted(found.labels.tracks, 'track')}",
-        markup=False,
+        f"surely walk, of {counted(found.labels.tracks, 'track')}"
     )
     print_figures(found.models.card)
     share = found.models.class_outlier_probability
-    console.print(f"the graph is to take {share:.0%} of the class likelihoods for nothing", markup=False)
-    console.print(f"wrote {output}" + ("" if write_model is None else f" and {write_model}"), markup=False)
+    emit(f"the graph is to take {share:.0%} of the class likelihoods for nothing")
+    emit(f"wrote {output}" + ("" if write_model is None else f" and {write_model}"))
 
 
 def print_figures(card: ModelCard) -> None:
@@ -148,5 +119,5 @@ def print_figures(card: ModelCard) -> None:
     errors = ", ".join(
         f"{part} {card.figures[f'{part}_expected_calibration_error']:.3f}" for part in ("body", "head")
     )
-    console.print(f"expected calibration error: {errors}", markup=False)
-    console.print(f"fails with: {card.fails_when}", markup=False)
+    emit(f"expected calibration error: {errors}")
+    emit(f"fails with: {card.fails_when}")

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
-from graphtrack.cli.console import console
-from graphtrack.cli.options import Seed
-from perception.cli.common import FILE, VideoOrFolder, check_places, print_skipped
+from graphtrack.cli import options
+from graphtrack.cli.console import emit
+from perception.cli.common import VideoOrFolder, check_places, print_skipped
 
 if TYPE_CHECKING:
     from perception.ground.calibrating import FoundView
@@ -23,19 +22,19 @@ PersonHeight = Annotated[
 
 def calibrate(
     source: VideoOrFolder,
-    boxes: Annotated[
-        Path,
-        typer.Option(
-            "--boxes", help="MOT text or CAVIAR XML with people's boxes, with identities or without.", **FILE
-        ),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Calibration to write (.ci).")],
+    boxes: options.InputFile,
+    output: options.OutputPath,
     person_height: PersonHeight = 1.7,
-    seed: Seed = 0,
+    seed: options.Seed = 0,
 ) -> None:
     """Find out how a camera looks at the ground, from how high people's boxes are at each place.
 
     `--calibration` takes the file. Of the frames only the size is used.
+
+    Parameters
+    ----------
+    boxes : MOT text or CAVIAR XML with people's boxes, with identities or without.
+    output : Calibration to write (.ci).
     """
     from perception.detection.boxes import read_boxes
     from perception.ground.calibrating import CalibrationParameters, found_view
@@ -50,20 +49,19 @@ def calibrate(
     found.write(output)
     print_skipped(list(refused))
     print_view(found)
-    console.print(f"wrote {output}", markup=False)
+    emit(f"wrote {output}")
 
 
 def print_view(found: FoundView) -> None:
-    """How the camera looks at the ground, and how sure that is."""
+    """Print the view of the camera on the ground, with its uncertainty."""
     view, std = found.view, found.std
-    console.print(
+    emit(
         f"from {found.boxes} boxes of {found.people} people, of which {100 * found.inliers:.0f} % agree:\n"
         f"  focal length {view.focal:.0f} ± {std['focal']:.0f} pixels, "
         f"{np.degrees(view.tilt):.1f} ± {np.degrees(std['tilt']):.1f}° down, "
         f"roll {np.degrees(view.roll):.1f} ± {np.degrees(std['roll']):.1f}°, "
         f"{view.height:.2f} ± {std['height']:.2f} m above the ground\n"
-        f"  distances on the ground ± {100 * found.distance_std:.0f} %",
-        markup=False,
+        f"  distances on the ground ± {100 * found.distance_std:.0f} %"
     )
     for note in found.notes:
-        console.print(f"  note: {note}", markup=False)
+        emit(f"  note: {note}")

@@ -1,28 +1,30 @@
-"""The application and its commands."""
+"""The program perception: its commands by their names."""
 
 from __future__ import annotations
 
-import typer
+from graphtrack.cli.options import program_of
+from perception.cli.adapt import adapt
+from perception.cli.calibrate import calibrate
+from perception.cli.evaluate import evaluate
+from perception.cli.follow import follow
+from perception.cli.observe import observe
+from perception.cli.report import report
+from perception.cli.simulate import simulate
+from perception.cli.train import card, sheet, train
 
-from perception.cli import adapt, calibrate, evaluate, follow, observe, report, simulate, train
-
-app = typer.Typer(
-    name="perception", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+app = program_of(
+    "perception",
+    "From video to the observations that graphtrack smooths.",
+    {
+        "adapt": adapt,
+        "calibrate": calibrate,
+        "report": report,
+        "observe": observe,
+        "follow": follow,
+        "simulate": simulate,
+        "train": train,
+        "evaluate": evaluate,
+        "card": card,
+        "contact-sheet": sheet,
+    },
 )
-
-
-@app.callback()
-def start() -> None:
-    """From video to the observations that graphtrack smooths."""
-
-
-app.command("adapt")(adapt.adapt)
-app.command("calibrate")(calibrate.calibrate)
-app.command("report")(report.report)
-app.command("observe")(observe.observe)
-app.command("follow")(follow.follow)
-app.command("simulate")(simulate.simulate)
-app.command("train")(train.train)
-app.command("evaluate")(evaluate.evaluate)
-app.command("card")(train.card)
-app.command("contact-sheet")(train.sheet)

@@ -1,16 +1,17 @@
-"""What `perception observe` and `perception follow` share: options, checks of places, and what they say."""
+"""Options that commands on video share, checks of places, and what the commands say."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from graphtrack.cli.console import console, progress_bar
-from graphtrack.cli.options import check_outputs
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, progress_bar
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
 _SHOWN = 5
 _FPS = 25.0
-FILE = {"exists": True, "dir_okay": False}
-"""Of options that name a file to read."""
 
 VideoOrFolder = Annotated[
     Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
@@ -29,27 +28,66 @@ VideoOrFolder = Annotated[
 Boxes = Annotated[
     Path | None,
     typer.Option(
-        "--boxes",
         help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
         "people are detected.",
-        **FILE,
+        exists=True,
+        dir_okay=False,
     ),
 ]
-Homography = Annotated[
-    Path | None,
-    typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.", **FILE),
-]
-Calibration = Annotated[
-    Path | None, typer.Option("--calibration", help="Camera calibration (.ci), of a fisheye too.", **FILE)
-]
-Fps = Annotated[
-    float | None,
-    typer.Option("--fps", min=0.1, help=f"Frames a second, if not the video's (else {_FPS:g})."),
-]
 Render = Annotated[
-    Path | None,
-    typer.Option("--render", help="Draw it all: a video .mp4 or .avi, or else a folder of images."),
+    Path | None, typer.Option(help="Draw it all: a video .mp4 or .avi, or else a folder of images.")
 ]
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Options that say how a camera looks at the ground, and how often.
+
+    Camera
+    ------
+    homography : File with 3×3 numbers: image → ground in metres.
+    calibration : Camera calibration (.ci), of a fisheye too.
+    fps : Frames a second, if not the video's (else 25).
+    """
+
+    homography: options.InputFile | None = None
+    calibration: options.InputFile | None = None
+    fps: Annotated[float | None, typer.Option(min=0.1)] = None
+
+    @property
+    def files(self) -> dict[str, Path | None]:
+        """The files to read, by the names of their options."""
+        return {"--homography": self.homography, "--calibration": self.calibration}
+
+    @property
+    def stamps(self) -> tuple[object, object]:
+        """Identity of the files' contents: path, size and time."""
+        return stamp_of(self.homography), stamp_of(self.calibration)
+
+    def rate(self, frames: FrameSource) -> float:
+        """Frames a second: those that are asked for, or else the video's."""
+        return self.fps or frames.fps or _FPS
+
+    def on_ground(self) -> GroundCamera | None:
+        """The camera; None if the options name none."""
+        from graphtrack.geometry.camera import GroundCamera
+        from graphtrack.io.cameras import read_calibration, read_homography
+
+        if self.homography is not None and self.calibration is not None:
+            raise InputError("--homography and --calibration", "one of them")
+        if self.calibration is not None:
+            return read_calibration(self.calibration)
+        if self.homography is None:
+            return None
+        return GroundCamera.from_homography(read_homography(self.homography))
+
+
+def stamp_of(path: Path | None) -> object:
+    """Identity of a file's content: path, size and time."""
+    if path is None:
+        return None
+    state = path.stat()
+    return str(path), state.st_size, state.st_mtime_ns
 
 
 def check_places(
@@ -67,11 +105,6 @@ def check_places(
     outputs, inputs, table : as there, besides the two that follow
     render : a video or a folder of images to write
     source : a video or a folder of images to read
-
-    Raises
-    ------
-    InputError
-        As there.
     """
     from perception.images.drawing.output import check_render, is_video
     from perception.images.frames import FrameSource
@@ -79,17 +112,12 @@ def check_places(
     if render is not None:
         check_render(render)
     in_folder = render is not None and not is_video(render)
-    check_outputs(
+    options.check_outputs(
         {**outputs, "--render": None if in_folder else render},
         {"the input": FrameSource.files(source), **inputs},
         folders={"--render": render if in_folder else None},
         table=table,
     )
-
-
-def frame_rate(frames: FrameSource, fps: float | None) -> float:
-    """Frames a second: those that are asked for, or else the video's."""
-    return fps or frames.fps or _FPS
 
 
 @contextmanager
@@ -113,43 +141,25 @@ def decoded_frames(
         yield decoded
 
 
-def read_camera(homography: Path | None, calibration: Path | None) -> GroundCamera | None:
-    """The camera that the options name; None if they name none.
-
-    Raises
-    ------
-    InputError
-        If both are given, or the file cannot be used.
-    """
-    from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.io.cameras import read_calibration, read_homography
-
-    if homography is not None and calibration is not None:
-        raise InputError("--homography and --calibration", "one of them")
-    if calibration is not None:
-        return read_calibration(calibration)
-    return None if homography is None else GroundCamera.from_homography(read_homography(homography))
-
-
 def in_time(count: int, seconds: float) -> str:
-    """How long so many frames took."""
+    """Describe the time that so many frames took."""
     return f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)"
 
 
 def print_skipped(reasons: Sequence[str]) -> None:
     """Say what was left out: the first few reasons, and how many more there are."""
     for reason in reasons[:_SHOWN]:
-        console.print(f"  skipped: {reason}", markup=False)
+        emit(f"  skipped: {reason}")
     if len(reasons) > _SHOWN:
-        console.print(f"  skipped: {len(reasons) - _SHOWN} more", markup=False)
+        emit(f"  skipped: {len(reasons) - _SHOWN} more")
 
 
 def print_camera_note(camera: GroundCamera | None) -> None:
     """Say what positions are if no camera is known."""
     if camera is None:
-        console.print("  note: no camera is known: positions are pixels times a scale", markup=False)
+        emit("  note: no camera is known: positions are pixels times a scale")
 
 
 def print_written(output: Path, render: Path | None) -> None:
     """Say where everything is."""
-    console.print(f"wrote {output}" + ("" if render is None else f" and {render}"), markup=False)
+    emit(f"wrote {output}" + ("" if render is None else f" and {render}"))

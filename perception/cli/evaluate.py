@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
-from graphtrack.cli.console import console, print_table, progress_bar
-from graphtrack.cli.options import Json, Seed, check_outputs
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, print_table, progress_bar, write_json
+
+if TYPE_CHECKING:
+    from graphtrack.evaluation.reproduce.experiment import Table
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
 _REAL = ("sigma-pi", "heads", "lobby", "street", "people")
@@ -21,55 +24,45 @@ Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
 
 
 def evaluate(
-    tables: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="pose (errors and calibration of all classifiers; Baxter et al. 2014, Fig. 3), "
-            "localisation (Chen et al. 2011, Table 1), "
-            "recognition (Ba & Odobez 2003, Tables 1-3), joint (Chen et al. 2011, Table 2), "
-            "published (Chen et al.'s perception as printed "
-            "beside ours), keypoints (body and head by keypoints); these by default. Of recordings in "
-            "--data: sigma-pi (Yan et al.'s tracker on CAVIAR's people), heads (Ba & Odobez's "
-            "trackers on Town Centre's "
-            "heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), "
-            "people (found in Town Centre: how often detections are right).",
-            metavar="[TABLE]...",
-        ),
-    ] = None,
-    count: Annotated[int, typer.Option("--count", min=50, help="Rendered images to judge on.")] = 600,
-    train: Annotated[
-        int,
-        typer.Option("--train", min=100, help="Rendered images to train on: localisation, published."),
-    ] = 400,
-    clips: Annotated[int, typer.Option("--clips", min=1, help="Rendered clips of the table joint.")] = 2,
-    head_pose: Annotated[
-        str, typer.Option("--head-pose", help="Classifier of the table joint.")
-    ] = "deep_belief",
-    plot: Annotated[
-        Path | None, typer.Option("--plot", help="Picture of reliability and confusion to write (.png).")
-    ] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            "--data",
-            envvar="GRAPHTRACK_DATA",
-            help="Folder with caviar and towncentre in it, for tables of recordings; else ../shared/data.",
-        ),
-    ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each person: sigma-pi.")] = 10,
-    heads: Annotated[int, typer.Option("--heads", min=1, help="Heads of the table heads.")] = 6,
-    json_path: Json = None,
-    seed: Seed = 1000,
+    tables: Annotated[list[str] | None, typer.Argument(metavar="[TABLE]...")] = None,
+    count: Annotated[int, typer.Option(min=50)] = 600,
+    train: Annotated[int, typer.Option(min=100)] = 400,
+    clips: Annotated[int, typer.Option(min=1)] = 2,
+    head_pose: str = "deep_belief",
+    plot: Path | None = None,
+    data: Annotated[Path | None, typer.Option(envvar="GRAPHTRACK_DATA")] = None,
+    seeds: Annotated[int, typer.Option(min=1)] = 10,
+    heads: Annotated[int, typer.Option(min=1)] = 6,
+    json_path: options.Json = None,
+    seed: options.Seed = 1000,
 ) -> None:
-    """Judge the package's models on rendered people whom they were not trained on, as the papers do."""
-    from graphtrack.cli.reproduce import BESIDE, write_tables
+    """Judge the package's models on rendered people whom they were not trained on, as the papers do.
+
+    Parameters
+    ----------
+    tables : pose (errors and calibration of all classifiers; Baxter et al. 2014, Fig. 3), localisation (Chen
+        et al. 2011, Table 1), recognition (Ba & Odobez 2003, Tables 1-3), joint (Chen et al. 2011, Table 2),
+        published (Chen et al.'s perception as printed beside ours), keypoints (body and head by keypoints);
+        these by default. Of recordings in --data: sigma-pi (Yan et al.'s tracker on CAVIAR's people), heads
+        (Ba & Odobez's trackers on Town Centre's heads), lobby (adapted to CAVIAR's lobby), street (adapted to
+        Town Centre, by every method), people (found in Town Centre: how often detections are right).
+    count : Rendered images to judge on.
+    train : Rendered images to train on: localisation, published.
+    clips : Rendered clips of the table joint.
+    head_pose : Classifier of the table joint.
+    plot : Picture of reliability and confusion to write (.png).
+    data : Folder with caviar and towncentre in it, for tables of recordings; else ../shared/data.
+    seeds : Runs of each person: sigma-pi.
+    heads : Heads of the table heads.
+    """
+    from graphtrack.cli.reproduce import BESIDE
     from graphtrack.errors import InputError
     from graphtrack.evaluation.reproduce.experiment import Table
 
     for name in tables or ():
         if name not in (*_TABLES, *_REAL):
             raise InputError(f"table {name!r}", f"one of {', '.join((*_TABLES, *_REAL))}")
-    check_outputs({"--plot": plot, "--json": json_path})
+    options.check_outputs({"--plot": plot, "--json": json_path})
     wanted = tables or _TABLES
     if plot is not None and "pose" not in wanted:
         raise InputError("--plot without the table pose", "pose among the tables")
@@ -87,24 +80,16 @@ def evaluate(
         "published": lambda rng: _published_forms(count, train, rng, show),
         "keypoints": lambda rng: _keypoints(count, rng, show),
     }
-    for name, make in makers.items():
-        if name in wanted:
-            make(np.random.default_rng(seed))  # a table is the same alone and among others
-    if set(_REAL) & set(wanted):
-        recordings = data if data is not None else BESIDE
-        if "sigma-pi" in wanted:
-            _sigma_pi(recordings / "caviar", seeds, seed, show)
-        if "heads" in wanted:
-            _heads(recordings / "towncentre", heads, seed, show)
-        if "lobby" in wanted:
-            _lobby(recordings / "caviar", seed, show)
-        if "street" in wanted:
-            _street(recordings / "towncentre", seed, show)
-        if "people" in wanted:
-            _people(recordings / "towncentre", seed, show)
-    if json_path is not None:
-        write_tables(json_path, shown)
-        console.print(f"wrote {json_path}", markup=False)
+    recordings = data if data is not None else BESIDE
+    for name in (*_TABLES, *_REAL):
+        if name not in wanted:
+            continue
+        if name in makers:
+            makers[name](np.random.default_rng(seed))  # a table is the same alone and among others
+        else:
+            for table in _of_recordings(name, recordings, seeds, heads, seed):
+                show(table.title, table.records())
+    write_json(json_path, [table.to_dict() for table in shown])
 
 
 def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -> None:
@@ -159,7 +144,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -
         figure = reliability_figure(scores, degrees)
         with atomic_path(plot) as temporary:
             figure.savefig(temporary, format="png", dpi=110)
-        console.print(f"wrote {plot}", markup=False)
+        emit(f"wrote {plot}")
 
 
 def _localisation(count: int, train: int, rng: np.random.Generator, show: Show) -> None:
@@ -249,49 +234,37 @@ def _joint(count: int, head_pose: str, rng: np.random.Generator, show: Show) -> 
         blank = dict.fromkeys(rows[0], "")
         rows.append({**blank, "estimate": f"paper, {name}", "group": "online", **of_paper})
     show(f"Mean errors on {count} rendered clips, heads by {head_pose} (Chen et al. 2011, Table 2)", rows)
-    console.print("  the paper's separate filtering is joint-body (κ₂ = 0); ±: standard error", markup=False)
+    emit("  the paper's separate filtering is joint-body (κ₂ = 0); ±: standard error")
 
 
-def _sigma_pi(folder: Path, seeds: int, seed: int, show: Show) -> None:
-    from perception.evaluation.real_trackers import people_of, sigma_pi_table
+def _of_recordings(name: str, data: Path, seeds: int, heads: int, seed: int) -> list[Table]:
+    """The tables of a name that are made of recordings, with a progress bar."""
+    town, caviar = data / "towncentre", data / "caviar"
+    if name == "sigma-pi":
+        from perception.evaluation.real_trackers import people_of, sigma_pi_table
 
-    people = people_of(folder)
-    with progress_bar(len(people) * seeds, "runs") as advance:
-        tables = sigma_pi_table(people, seeds, seed, advance)
-    for table in tables:
-        show(table.title, table.records())
+        people = people_of(caviar)
+        with progress_bar(len(people) * seeds, "runs") as advance:
+            return sigma_pi_table(people, seeds, seed, advance)
+    if name == "heads":
+        from perception.evaluation.real_heads import heads_table
 
+        with progress_bar(heads, "heads") as advance:
+            return [heads_table(town, heads, seed, advance)]
+    if name == "lobby":
+        from perception.evaluation.adapted_lobby import adapted_table, sequences_of
 
-def _heads(folder: Path, count: int, seed: int, show: Show) -> None:
-    from perception.evaluation.real_heads import heads_table
+        sequences = sequences_of(caviar)
+        with progress_bar(len(sequences), "sequences") as advance:
+            return [adapted_table(sequences, seed, advance)]
+    if name == "street":
+        from perception.evaluation.adapted_street import METHODS, PARTS, methods_table
 
-    with progress_bar(count, "heads") as advance:
-        table = heads_table(folder, count, seed, advance)
-    show(table.title, table.records())
-
-
-def _lobby(folder: Path, seed: int, show: Show) -> None:
-    from perception.evaluation.adapted_lobby import adapted_table, sequences_of
-
-    sequences = sequences_of(folder)
-    with progress_bar(len(sequences), "sequences") as advance:
-        table = adapted_table(sequences, seed, advance)
-    show(table.title, table.records())
-
-
-def _street(folder: Path, seed: int, show: Show) -> None:
-    from perception.evaluation.adapted_street import METHODS, PARTS, methods_table
-
-    with progress_bar(PARTS + len(METHODS), "steps") as advance:
-        table = methods_table(folder, seed, advance)
-    show(table.title, table.records())
-
-
-def _people(folder: Path, seed: int, show: Show) -> None:
+        with progress_bar(PARTS + len(METHODS), "steps") as advance:
+            return [methods_table(town, seed, advance)]
     from perception.evaluation.found_people import reliability_table
     from perception.images.frames import FrameSource
 
-    count = len(FrameSource.open(folder / "frames_001_150" / "img1").numbers())
+    count = len(FrameSource.open(town / "frames_001_150" / "img1").numbers())
     with progress_bar(count, "frames") as advance:
-        table = reliability_table(folder, seed, advance)
-    show(table.title, table.records())
+        return [reliability_table(town, seed, advance)]

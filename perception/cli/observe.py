@@ -3,119 +3,121 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from graphtrack.cli.console import console
+from graphtrack.cli import options
+from graphtrack.cli.console import emit
 from graphtrack.display import counted
+from graphtrack.errors import InputError
 from perception.cli.common import (
-    FILE,
     Boxes,
-    Calibration,
-    Fps,
-    Homography,
+    CameraOptions,
     Render,
     VideoOrFolder,
     check_places,
     decoded_frames,
-    frame_rate,
     in_time,
     print_camera_note,
     print_skipped,
     print_written,
-    read_camera,
+    stamp_of,
 )
 from perception.cli.own_networks import (
-    Detector,
-    InputSize,
-    Keypoints,
-    LeastScore,
-    PersonClass,
+    NetworkOptions,
+    OwnNetworks,
     find_keypoints,
-    keypoint_files,
-    own_networks,
     say_how_far,
-    stamp_of,
     with_their_keypoints,
 )
 from perception.cli.searching import PeopleSearch, key_of, search_journals
 from perception.cli.teaching import check_adapt, forget, stamp_of_camera, teach
 
 if TYPE_CHECKING:
-    from perception.images.frames import Frame, FrameSource
+    from graphtrack.geometry.camera import GroundCamera
+    from perception.detection.boxes import PersonBox
+    from perception.images.frames import FrameSource
     from perception.observe.identified import SeenTracks
+    from perception.observe.live import LiveObserver
+    from perception.observe.pipeline import Models
     from perception.observe.seen import SeenFrame
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """Options of the models that look at bodies and heads.
+
+    Models of bodies and heads
+    --------------------------
+    head_pose : deep_belief, templates or exemplars.
+    head_pose_model : A model of your own (.npz).
+    body_pose_model : A model of your own (.npz).
+    head_localiser_model : A model of your own (.npz).
+    camera_models : What the camera has taught itself (.npz, of `perception adapt`).
+    adapt : Let the camera teach itself first, as `perception adapt` does.
+    """
+
+    head_pose: str = "deep_belief"
+    head_pose_model: options.InputFile | None = None
+    body_pose_model: options.InputFile | None = None
+    head_localiser_model: options.InputFile | None = None
+    camera_models: Annotated[Path | None, typer.Option("--models", exists=True, dir_okay=False)] = None
+    adapt: bool = False
+
+    @property
+    def parts(self) -> tuple[Path | None, ...]:
+        """The files of models for one part each."""
+        return self.head_pose_model, self.body_pose_model, self.head_localiser_model
+
+    @property
+    def files(self) -> dict[str, Path | None]:
+        """The files to read, by the names of their options."""
+        names = ("--head-pose-model", "--body-pose-model", "--head-localiser-model", "--models")
+        return dict(zip(names, (*self.parts, self.camera_models), strict=True))
+
+    def check(self, keypoints: Path | None) -> None:
+        """Refuse models beside each other that have the same part."""
+        from perception.models import HEAD_POSE
+
+        if self.head_pose not in HEAD_POSE:
+            raise InputError(f"--head-pose {self.head_pose}", " or ".join(HEAD_POSE))
+        has_parts = any(path is not None for path in self.parts)
+        if self.camera_models is not None and has_parts:
+            raise InputError("--models beside a model for one of its parts", "one of them")
+        if keypoints is not None and (has_parts or self.camera_models is not None):
+            raise InputError("--keypoints beside a model for body or head", "one of them")
+
+    def load(self, *, appearance: bool, has_keypoints: bool) -> Models:
+        """The models."""
+        from perception.adaptation.models import CameraModels
+        from perception.models import load_classifier, load_head_localiser, load_keypoint_pose
+        from perception.observe.pipeline import Models
+
+        return Models(
+            load_head_localiser(self.head_localiser_model),
+            load_classifier("body_pose", self.body_pose_model),
+            load_classifier(self.head_pose, self.head_pose_model),
+            appearance=appearance,
+            of_camera=None if self.camera_models is None else CameraModels.load(self.camera_models),
+            of_keypoints=load_keypoint_pose() if has_keypoints else None,
+        )
 
 
 def observe(
     source: VideoOrFolder,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="File to write: .csv, .csv.gz, .parquet or .ndjson; - for NDJSON rows on standard output, "
-            "frame by frame.",
-        ),
-    ],
+    output: options.OutputPath,
+    camera: CameraOptions,
+    network: NetworkOptions,
+    model: ModelOptions,
     boxes: Boxes = None,
-    homography: Homography = None,
-    calibration: Calibration = None,
-    fps: Fps = None,
-    head_pose: Annotated[
-        str, typer.Option("--head-pose", help="deep_belief, templates or exemplars.")
-    ] = "deep_belief",
-    head_pose_model: Annotated[
-        Path | None, typer.Option("--head-pose-model", help="A model of your own (.npz).", **FILE)
-    ] = None,
-    body_pose_model: Annotated[
-        Path | None, typer.Option("--body-pose-model", help="A model of your own (.npz).", **FILE)
-    ] = None,
-    head_localiser_model: Annotated[
-        Path | None, typer.Option("--head-localiser-model", help="A model of your own (.npz).", **FILE)
-    ] = None,
-    camera_models: Annotated[
-        Path | None,
-        typer.Option(
-            "--models", help="What the camera has taught itself (.npz, of `perception adapt`).", **FILE
-        ),
-    ] = None,
-    adapt: Annotated[
-        bool,
-        typer.Option("--adapt", help="Let the camera teach itself first, as `perception adapt` does."),
-    ] = False,
-    write_boxes_to: Annotated[
-        Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
-    ] = None,
-    detector: Detector = None,
-    keypoints: Keypoints = None,
-    person_class: PersonClass = None,
-    input_size: InputSize = None,
-    least_score: LeastScore = None,
+    write_boxes_to: Annotated[Path | None, typer.Option("--write-boxes")] = None,
     render: Render = None,
-    causal: Annotated[
-        bool | None,
-        typer.Option(
-            "--causal/--whole-track",
-            help="Choose heads from what came before alone, or along whole tracks, and find people by each "
-            "frame alone, or by what all frames teach; the former with -o -, else the latter.",
-            show_default=False,
-        ),
-    ] = None,
-    appearance: Annotated[
-        bool | None,
-        typer.Option(
-            "--appearance/--no-appearance",
-            help="Write what people look like (appearance_0 ...), by which they are told apart; on for boxes "
-            "without identities, else off.",
-            show_default=False,
-        ),
-    ] = None,
+    causal: Annotated[bool | None, typer.Option("--causal/--whole-track")] = None,
+    appearance: bool | None = None,
 ) -> None:
     """Find people and say where they are and how their bodies and heads point, frame by frame.
 
@@ -123,175 +125,181 @@ def observe(
     of the table, whose ids are -1: `graphtrack smooth` finds out who is who.
 
     A run that was broken off goes on where it was when it is called again in the same way.
+
+    Parameters
+    ----------
+    output : File to write: .csv, .csv.gz, .parquet or .ndjson; - for NDJSON rows on standard output, frame by
+        frame.
+    write_boxes_to : Write the detected boxes here, as MOT text.
+    causal : Choose heads from what came before alone, or along whole tracks, and find people by each frame
+        alone, or by what all frames teach; the former with -o -, else the latter.
+    appearance : Write what people look like (appearance_0 ...), by which they are told apart; on for boxes
+        without identities, else off.
     """
-    from graphtrack.errors import InputError
-    from graphtrack.io import write
-    from graphtrack.io.reading import check_table_name, write_table
-    from perception.adaptation.models import CameraModels
-    from perception.cli.observe_stream import observe_stream
-    from perception.detection.boxes import Detections, read_boxes, write_boxes
-    from perception.images.drawing.output import is_video
+    from graphtrack.io.reading import check_table_name
+    from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
-    from perception.models import HEAD_POSE, load_classifier, load_head_localiser, load_keypoint_pose
-    from perception.observe import pipeline
-    from perception.observe.detections import to_detections
-    from perception.observe.identified import to_tracks
-    from perception.observe.journal import FrameJournal
     from perception.observe.live import LiveObserver
 
-    if head_pose not in HEAD_POSE:
-        raise InputError(f"--head-pose {head_pose}", " or ".join(HEAD_POSE))
-    own_models = (head_pose_model, body_pose_model, head_localiser_model)
-    if camera_models is not None and any(path is not None for path in own_models):
-        raise InputError("--models beside a model for one of its parts", "one of them")
-    if keypoints is not None and any(path is not None for path in (*own_models, camera_models)):
-        raise InputError("--keypoints beside a model for body or head", "one of them")
-    if boxes is not None and detector is not None:
-        raise InputError("--detector beside --boxes", "one of them: given boxes are not detected")
-    if boxes is not None and write_boxes_to is not None:
-        raise InputError("--write-boxes beside --boxes", "one of them: given boxes are not detected")
+    model.check(network.keypoints)
+    for name, path in (("--detector", network.detector), ("--write-boxes", write_boxes_to)):
+        if boxes is not None and path is not None:
+            raise InputError(f"{name} beside --boxes", "one of them: given boxes are not detected")
     streamed = str(output) == "-"
-    if adapt:
-        check_adapt(streamed, homography or calibration, (*own_models, camera_models, keypoints))
+    if model.adapt:
+        given_models = (*model.parts, model.camera_models, network.keypoints)
+        check_adapt(streamed, camera.homography or camera.calibration, given_models)
     if streamed:
         _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
-    points_so_far = output.with_name(f"{output.name}.keypoints")
-    known_so_far = output.with_name(f"{output.name}.journal")
-    taught_so_far = output.with_name(f"{output.name}.camera.npz")
+    places: dict[str, Path | Sequence[Path] | None] = {
+        "--output": output,
+        "the journals of --output": [*search_journals(output), *_places(output)],
+        "--write-boxes": write_boxes_to,
+    }
     check_places(
-        {}
-        if streamed
-        else {
-            "--output": output,
-            "the journals of --output": [
-                *search_journals(output),
-                points_so_far,
-                known_so_far,
-                taught_so_far,
-            ],
-            "--write-boxes": write_boxes_to,
-        },
+        {} if streamed else places,
         render,
         source,
-        {
-            "--boxes": boxes,
-            "--homography": homography,
-            "--calibration": calibration,
-            "--head-pose-model": head_pose_model,
-            "--body-pose-model": body_pose_model,
-            "--head-localiser-model": head_localiser_model,
-            "--models": camera_models,
-            "--detector": detector,
-            "--keypoints": keypoint_files(keypoints),
-        },
+        {"--boxes": boxes, **camera.files, **model.files, **network.files},
         table=None if streamed else output,
     )
     frames = FrameSource.open(source)
-    rate = frame_rate(frames, fps)
     refused: dict[str, None] = {}  # what cannot be decoded may be told twice
-    refuse = refused.setdefault
-    networks = own_networks(frames, detector, keypoints, person_class, input_size, least_score)
-    given = None if boxes is None else read_boxes(boxes, refuse)
-    pointed = given is None and networks.makes_boxes  # boxes are made of keypoints
+    networks = network.load(frames)
+    given = None if boxes is None else read_boxes(boxes, refused.setdefault)
     identified = given is not None and (not given or given[0].identified)
     if not (identified or streamed):
         check_table_name(output)
-    models = pipeline.Models(
-        load_head_localiser(head_localiser_model),
-        load_classifier("body_pose", body_pose_model),
-        load_classifier(head_pose, head_pose_model),
-        appearance=not identified if appearance is None else appearance,
-        of_camera=None if camera_models is None else CameraModels.load(camera_models),
-        of_keypoints=load_keypoint_pose() if networks.has_keypoints else None,
-    )
-    camera = read_camera(homography, calibration)
-    models = models.seeing(camera, frames.size)
+    looks = not identified if appearance is None else appearance
+    models = model.load(appearance=looks, has_keypoints=networks.has_keypoints)
+    ground, rate = camera.on_ground(), camera.rate(frames)
+    models = models.seeing(ground, frames.size)
     if streamed:
-        observer = LiveObserver(models, camera, rate, identified=identified)
-        observe_stream(frames, given, observer, refused, networks)
-        return
-    one_size = render is not None and is_video(render)
-    asked_of = stamp_of(homography), stamp_of(calibration), networks.asked
-    search = PeopleSearch(
-        frames,
-        camera,
-        rate,
-        output,
-        asked_of,
-        causal=bool(causal),
-        one_size=one_size,
-        detector=networks.detector,
-    )
-    points = FrameJournal(
-        points_so_far,
-        key_of(frames.stamp(), networks.asked),
-        Detections.to_record,
-        Detections.from_record,
-    )
-    people = given if given is not None or pointed else search.people(refuse)
-    if networks.has_keypoints:
-        numbers = None if people is None else {item.frame for item in people}
-        found = find_keypoints(frames, networks, numbers, points, refuse, one_size=one_size)
-        people = with_their_keypoints(people, found, refuse)
-    assert people is not None
-    if given is None and write_boxes_to is not None:
-        write_boxes(people, write_boxes_to)
-    own = [stamp_of(path) for path in (*own_models, camera_models)]
-    if adapt and camera is not None:
-        asked = key_of(frames.stamp(), rate, people, stamp_of_camera(camera))
-        taught, _ = teach(taught_so_far, asked, frames, people, camera, rate, refuse)
-        models, own = replace(models, of_camera=taught).seeing(camera, frames.size), [asked]
-    looked = time.perf_counter()
-    leaning = None if models.view is None else stamp_of_camera(camera)
-    key = key_of(frames.stamp(), head_pose, own, people, models.appearance, networks.has_keypoints, leaning)
-    journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
-    journal.open()
-    say_how_far(journal)
-    # Where people were detected, nothing new is to be found in frames without any.
-    looked_at = search.found.keys() | points.frames.keys()
-    empty = set() if boxes is not None else looked_at - {item.frame for item in people}
-    try:
-        with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
-            count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
-        seen = journal.frames, models.head_classes, camera, rate
-        observed = to_tracks(*seen, causal=bool(causal)) if identified or render is not None else None
-        alone = None if identified else to_detections(*seen, causal=bool(causal))
-    except InputError:  # the same command would end in the same way
+        _stream(frames, given, LiveObserver(models, ground, rate, identified=identified), refused, networks)
+    else:
+        run = _Run(frames, rate, ground, output, networks, given, identified, bool(causal), render, refused)
+        run.observe(models, model, camera, write_boxes_to)
+
+
+def _places(output: Path) -> list[Path]:
+    """The journals of keypoints and of frames, and what the camera learned, while a run goes on."""
+    return [output.with_name(f"{output.name}.{name}") for name in ("keypoints", "journal", "camera.npz")]
+
+
+@dataclass
+class _Run:
+    """A run on a whole recording; what it knows so far stays beside the output."""
+
+    frames: FrameSource
+    rate: float
+    camera: GroundCamera | None
+    output: Path
+    networks: OwnNetworks
+    given: list[PersonBox] | None
+    identified: bool
+    causal: bool
+    render: Path | None
+    refused: dict[str, None]
+
+    def observe(
+        self, models: Models, model: ModelOptions, camera: CameraOptions, write_boxes_to: Path | None
+    ) -> None:
+        """Find people, look at them, and write the table."""
+        from perception.detection.boxes import Detections, write_boxes
+        from perception.images.drawing.output import is_video
+        from perception.observe import pipeline
+        from perception.observe.detections import to_detections
+        from perception.observe.identified import to_tracks
+        from perception.observe.journal import FrameJournal
+
+        frames, refuse = self.frames, self.refused.setdefault
+        points_place, frames_place, taught_place = _places(self.output)
+        one_size = self.render is not None and is_video(self.render)
+        search = PeopleSearch(
+            frames,
+            self.camera,
+            self.rate,
+            self.output,
+            (*camera.stamps, self.networks.asked),
+            causal=self.causal,
+            one_size=one_size,
+            detector=self.networks.detector,
+        )
+        to, of = Detections.to_record, Detections.from_record
+        points = FrameJournal(points_place, key_of(frames.stamp(), self.networks.asked), to, of)
+        people = self.given
+        if people is None and not self.networks.makes_boxes:  # else boxes are made of keypoints
+            people = search.people(refuse)
+        if self.networks.has_keypoints:
+            numbers = None if people is None else {item.frame for item in people}
+            found = find_keypoints(frames, self.networks, numbers, points, refuse, one_size=one_size)
+            people = with_their_keypoints(people, found, refuse)
+        assert people is not None
+        if write_boxes_to is not None:
+            write_boxes(people, write_boxes_to)
+        own: list[object] = [stamp_of(path) for path in (*model.parts, model.camera_models)]
+        if model.adapt and self.camera is not None:
+            asked = key_of(frames.stamp(), self.rate, people, stamp_of_camera(self.camera))
+            taught, _ = teach(taught_place, asked, frames, people, self.camera, self.rate, refuse)
+            models, own = replace(models, of_camera=taught).seeing(self.camera, frames.size), [asked]
+        looked = time.perf_counter()
+        leaning = None if models.view is None else stamp_of_camera(self.camera)
+        asked_of = (model.head_pose, own, people, models.appearance, self.networks.has_keypoints, leaning)
+        key = key_of(frames.stamp(), *asked_of)
+        journal = FrameJournal(
+            frames_place, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
+        )
+        journal.open()
+        say_how_far(journal)
+        # Where people were detected, nothing new is to be found in frames without any.
+        looked_at = search.found.keys() | points.frames.keys()
+        empty = set() if self.given is not None else looked_at - {item.frame for item in people}
+        known = frozenset(journal.frames.keys() | empty)
+        seen = journal.frames, models.head_classes, self.camera, self.rate
+        try:
+            left = frames.count - len(known)
+            with decoded_frames(frames, lambda k: k not in known, left, one_size=one_size) as decoded:
+                count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
+            drawn = self.identified or self.render is not None
+            observed = to_tracks(*seen, causal=self.causal) if drawn else None
+            alone = None if self.identified else to_detections(*seen, causal=self.causal)
+        except InputError:  # the same command would end in the same way
+            for one in (journal, search, points):
+                one.close(remove=True)
+            forget(taught_place, model.adapt)
+            raise
+        finally:
+            journal.close(remove=False)
+        seconds = time.perf_counter() - looked
+        if self.render is not None:  # what is drawn stays in memory
+            assert observed is not None
+            _render(frames, observed, journal.frames, self.render, self.rate)
+        if alone is not None:
+            from graphtrack.io.reading import write_table
+
+            write_table(alone.columns, self.output)
+            left_out, said = alone.refused, counted(len(alone.number), "detection")
+        else:
+            from graphtrack.io import write
+
+            assert observed is not None
+            people_seen = observed.tracks
+            write(people_seen, self.output)
+            left_out = people_seen.summary.refused
+            said = f"{counted(people_seen.n_frames, 'person-frame')} in {counted(len(people_seen), 'track')}"
         for one in (journal, search, points):
             one.close(remove=True)
-        forget(taught_so_far, adapt)
-        raise
-    finally:
-        journal.close(remove=False)
-    seconds = time.perf_counter() - looked
-    if render is not None:  # what is drawn stays in memory
-        assert observed is not None
-        _render(frames, observed, journal.frames, render, rate)
-    if alone is not None:
-        write_table(alone.columns, output)
-        left_out = alone.refused
-        said = counted(len(alone.number), "detection")
-    else:
-        assert observed is not None
-        people_seen = observed.tracks
-        write(people_seen, output)
-        left_out = people_seen.summary.refused
-        said = f"{counted(people_seen.n_frames, 'person-frame')} in {counted(len(people_seen), 'track')}"
-    for one in (journal, search, points):
-        one.close(remove=True)
-    forget(taught_so_far, adapt)
-    print_skipped(list(refused))
-    for reason, times in left_out.items():
-        console.print(f"  refused {times}: {reason}", markup=False)
-    print_camera_note(camera)
-    console.print(f"observed {said}; {in_time(count, seconds)}", markup=False)
-    print_written(output, render)
+        forget(taught_place, model.adapt)
+        print_skipped(list(self.refused))
+        for reason, times in left_out.items():
+            emit(f"  refused {times}: {reason}")
+        print_camera_note(self.camera)
+        emit(f"observed {said}; {in_time(count, seconds)}")
+        print_written(self.output, self.render)
 
 
 def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -> None:
     """Refuse what cannot be had of frames that are gone when the next comes."""
-    from graphtrack.errors import InputError
-
     for name, path in files.items():
         if path is not None:
             raise InputError(f"{name} with -o -", "a file as the output: rows are given away as they come")
@@ -299,22 +307,33 @@ def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -
         raise InputError("--whole-track with -o -", "a file as the output: rows are given before the rest")
 
 
-@contextmanager
-def _decoded(
-    frames: FrameSource, known: Collection[int] = (), *, unit: str = "frames", one_size: bool = False
-) -> Iterator[Iterator[Frame]]:
-    """The frames but the known ones, with a progress bar.
+def _stream(
+    frames: FrameSource,
+    boxes: list[PersonBox] | None,
+    observer: LiveObserver,
+    refused: dict[str, None],
+    networks: OwnNetworks,
+) -> None:
+    """Give the rows of every frame as soon as it was looked at; what was left out is told in the end."""
+    from graphtrack.cli.live import give
+    from perception.observe.live import (
+        boxes_of_keypoints,
+        boxes_with_keypoints,
+        detected_boxes,
+        given_boxes,
+        observe_live,
+    )
 
-    Parameters
-    ----------
-    one_size : whether a frame of another size than the first is an `InputError`
-    """
-    known = frozenset(known)
-    count = frames.count - len(known)
-    with decoded_frames(
-        frames, lambda number: number not in known, count, unit=unit, one_size=one_size
-    ) as decoded:
-        yield decoded
+    if boxes is None and networks.makes_boxes:
+        find = boxes_of_keypoints(networks.look)
+    else:
+        find = detected_boxes(observer.camera, networks.detector) if boxes is None else given_boxes(boxes)
+        if networks.has_keypoints:
+            find = boxes_with_keypoints(find, networks.look)
+    for row in observe_live(frames.where(lambda number: True), find, observer, refused.setdefault):
+        give(row)
+    print_skipped(list(refused))
+    print_camera_note(observer.camera)
 
 
 def _render(
@@ -326,7 +345,8 @@ def _render(
 
     people, camera = people_by_frame(observed, seen), observed.tracks.camera
     assert camera is not None
-    with pictures(path, fps) as write_picture, _decoded(frames, unit="frames drawn") as decoded:
+    every = decoded_frames(frames, lambda number: True, frames.count, unit="frames drawn")
+    with pictures(path, fps) as write_picture, every as decoded:
         for frame in decoded:
             if frame.image is not None:
                 shown = draw_people(frame.image, frame.number, people.get(frame.number, ()), camera)

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from graphtrack.cli.console import console
+from graphtrack.cli import options
+from graphtrack.cli.console import emit
 from graphtrack.display import counted
 from graphtrack.errors import InputError
-from perception.cli.common import FILE, decoded_frames, in_time
+from perception.cli.common import decoded_frames, in_time, stamp_of
 
 if TYPE_CHECKING:
     from perception.detection.boxes import Detections, PersonBox
@@ -24,39 +25,10 @@ if TYPE_CHECKING:
     from perception.images.pixels import Image
     from perception.observe.journal import FrameJournal
 
-Detector = Annotated[
-    Path | None,
-    typer.Option("--detector", help="A YOLO network of your own (.onnx), in place of the package's.", **FILE),
-]
-Keypoints = Annotated[
-    Path | None,
-    typer.Option(
-        "--keypoints",
-        help="A YOLO-pose network (.onnx), or keypoints as COCO, OpenPose or MMPose write them (.json, or a "
-        "folder with one for each frame): body and head by them, and boxes where none are given.",
-        exists=True,
-    ),
-]
-PersonClass = Annotated[
-    str | None,
-    typer.Option("--person-class", help="Name or number of the network's class of people, if not person."),
-]
-InputSize = Annotated[
-    str | None,
-    typer.Option(
-        "--input-size",
-        help="Size of the network's input, such as 640 or 1280x736, if its file leaves it open.",
-    ),
-]
-LeastScore = Annotated[
-    float | None,
-    typer.Option("--least-score", min=0.0, max=1.0, help="Of people whom networks find (else 0.25)."),
-]
-
 
 @dataclass(frozen=True, eq=False)
 class OwnNetworks:
-    """What the options name.
+    """Networks and keypoints that the options name.
 
     Attributes
     ----------
@@ -73,12 +45,12 @@ class OwnNetworks:
 
     @property
     def has_keypoints(self) -> bool:
-        """Whether body and head are told by keypoints."""
+        """Return True if body and head are told by keypoints."""
         return self.pose is not None or self.known is not None
 
     @property
     def makes_boxes(self) -> bool:
-        """Whether the boxes of people are those of their keypoints, where none are given."""
+        """Return True if the boxes of people are those of their keypoints, where none are given."""
         return self.has_keypoints and self.detector is None
 
     def look(self, frame: int, image: Image) -> Detections:
@@ -91,87 +63,76 @@ class OwnNetworks:
         return self.known.get(frame) or Detections(np.empty((0, 4)), np.empty(0))
 
 
-def keypoint_files(keypoints: Path | None) -> list[Path]:
-    """The files that `--keypoints` reads."""
-    if keypoints is None or not keypoints.is_dir():
-        return [] if keypoints is None else [keypoints]
-    return sorted(keypoints.glob("*.json"))
+@dataclass(frozen=True)
+class NetworkOptions:
+    """Options of networks of one's own, and of keypoints of others.
 
-
-def own_networks(
-    frames: FrameSource,
-    detector: Path | None,
-    keypoints: Path | None,
-    person_class: str | None,
-    input_size: str | None,
-    least_score: float | None,
-) -> OwnNetworks:
-    """Load what the options name.
-
-    Raises
-    ------
-    InputError
-        If it cannot be used, or an option says something of a network where there is none.
+    Networks and keypoints of your own
+    ----------------------------------
+    detector : A YOLO network of your own (.onnx), in place of the package's.
+    keypoints : A YOLO-pose network (.onnx), or keypoints as COCO, OpenPose or MMPose write them (.json, or a
+        folder with one for each frame): body and head by them, and boxes where none are given.
+    person_class : Name or number of the network's class of people, if not person.
+    input_size : Size of the network's input, such as 640 or 1280x736, if its file leaves it open.
+    least_score : Of people whom networks find (else 0.25).
     """
-    from perception.detection.pointed import found_by_frame
-    from perception.pose.keypoints.files import read_keypoints
 
-    is_network = keypoints is not None and keypoints.suffix.lower() == ".onnx" and keypoints.is_file()
-    said = {"--person-class": person_class, "--input-size": input_size, "--least-score": least_score}
-    for name, value in said.items():
-        if value is not None and detector is None and not is_network:
-            raise InputError(f"{name} without a network", "--detector, or --keypoints with a network (.onnx)")
-    parameters = _parameters(person_class, input_size, least_score)
-    networks = [
-        _network(path, pose, parameters) for path, pose in ((detector, False), (keypoints, True))
-        if path is not None and (is_network or not pose)
-    ]  # fmt: skip
-    known = None
-    if keypoints is not None and not is_network:
-        known = found_by_frame(read_keypoints(keypoints, frames.frame_of))
-    stamps = [stamp_of(path) for path in (detector, keypoints if is_network else None)]
-    return OwnNetworks(
-        networks[0] if detector is not None else None,
-        networks[-1] if is_network else None,
-        known,
-        (*stamps, parameters, keypoints is not None),
-    )
+    detector: options.InputFile | None = None
+    keypoints: Annotated[Path | None, typer.Option(exists=True)] = None
+    person_class: str | None = None
+    input_size: str | None = None
+    least_score: Annotated[float | None, typer.Option(min=0.0, max=1.0)] = None
 
+    @property
+    def files(self) -> dict[str, Path | list[Path] | None]:
+        """The files to read, by the names of their options."""
+        points: Path | list[Path] | None = self.keypoints
+        if self.keypoints is not None and self.keypoints.is_dir():
+            points = sorted(self.keypoints.glob("*.json"))
+        return {"--detector": self.detector, "--keypoints": points}
 
-def _network(path: Path, pose: bool, parameters: NetworkParameters) -> YoloNetwork:
-    from perception.detection.yolo import YoloNetwork
+    def load(self, frames: FrameSource) -> OwnNetworks:
+        """Load what the options name."""
+        from perception.detection.pointed import found_by_frame
+        from perception.detection.yolo import YoloNetwork
+        from perception.pose.keypoints.files import read_keypoints
 
-    return YoloNetwork(path, pose=pose, parameters=parameters)
+        points = self.keypoints
+        pose_file = points if points and points.suffix.lower() == ".onnx" and points.is_file() else None
+        for name in ("person_class", "input_size", "least_score"):
+            if getattr(self, name) is not None and self.detector is None and pose_file is None:
+                expected = "--detector, or --keypoints with a network (.onnx)"
+                raise InputError(f"{options.option_name(name)} without a network", expected)
+        parameters = self._parameters()
 
+        def network(path: Path | None, pose: bool) -> YoloNetwork | None:
+            return None if path is None else YoloNetwork(path, pose=pose, parameters=parameters)
 
-def _parameters(
-    person_class: str | None, input_size: str | None, least_score: float | None
-) -> NetworkParameters:
-    from perception.detection.yolo import NetworkParameters
+        known = None
+        if points is not None and pose_file is None:
+            known = found_by_frame(read_keypoints(points, frames.frame_of))
+        asked = (stamp_of(self.detector), stamp_of(pose_file), parameters, points is not None)
+        return OwnNetworks(network(self.detector, False), network(pose_file, True), known, asked)
 
-    size = None
-    if input_size is not None:
-        sides = re.fullmatch(r"(\d{2,4})(?:[x×](\d{2,4}))?", input_size)
-        if sides is None:
-            raise InputError(f"--input-size {input_size}", "columns, or columns x rows, such as 1280x736")
-        size = (int(sides[1]), int(sides[2] or sides[1]))
-    if least_score is None:
-        return NetworkParameters(size, person_class)
-    return NetworkParameters(size, person_class, least_score)
+    def _parameters(self) -> NetworkParameters:
+        from perception.detection.yolo import NetworkParameters
 
-
-def stamp_of(path: Path | None) -> object:
-    """What tells a file from what it is after a change."""
-    if path is None:
-        return None
-    state = path.stat()
-    return str(path), state.st_size, state.st_mtime_ns
+        size = None
+        if self.input_size is not None:
+            sides = re.fullmatch(r"(\d{2,4})(?:[x×](\d{2,4}))?", self.input_size)
+            if sides is None:
+                expected = "columns, or columns x rows, such as 1280x736"
+                raise InputError(f"--input-size {self.input_size}", expected)
+            size = (int(sides[1]), int(sides[2] or sides[1]))
+        if self.least_score is None:
+            return NetworkParameters(size, self.person_class)
+        return NetworkParameters(size, self.person_class, self.least_score)
 
 
 def say_how_far(journal: FrameJournal[Any]) -> None:
     """Say how much of it is known, if anything is."""
     if journal.frames:
-        console.print(f"going on after {counted(len(journal.frames), 'frame')}", markup=False)
+        emit(f"going on after {counted(len(journal.frames), 'frame')}")
 
 
 def find_keypoints(
@@ -210,7 +171,7 @@ def find_keypoints(
                     count += 1
     finally:
         journal.close(remove=False)
-    console.print(f"looked for keypoints in {in_time(count, time.perf_counter() - start)}", markup=False)
+    emit(f"looked for keypoints in {in_time(count, time.perf_counter() - start)}")
     return journal.frames
 
 

@@ -10,22 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import typer
 
-from graphtrack.cli.console import console, progress_bar
-from graphtrack.cli.options import Seed
-from graphtrack.cli.showing import Connect, Save, Showing
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, progress_bar
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 from perception.cli.calibrate import PersonHeight
-from perception.cli.common import (
-    Boxes,
-    Calibration,
-    Fps,
-    Homography,
-    VideoOrFolder,
-    decoded_frames,
-    frame_rate,
-    read_camera,
-)
+from perception.cli.common import Boxes, CameraOptions, VideoOrFolder, decoded_frames
+from perception.cli.observe import ModelOptions
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -41,35 +32,29 @@ _SHOWN = 10
 
 def report(
     source: VideoOrFolder,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder to write, or to go on with.", metavar="FOLDER")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER")],
+    camera: CameraOptions,
+    showing: options.Showing,
     boxes: Boxes = None,
-    homography: Homography = None,
-    calibration: Calibration = None,
-    fps: Fps = None,
-    adapt: Annotated[
-        bool, typer.Option("--adapt/--no-adapt", help="Let the camera teach itself body and head first.")
-    ] = True,
-    method: Annotated[
-        Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"],
-        typer.Option(
-            "--method",
-            help="smoother: the graph, whole tracks. particle: the joint particle filter, from the past; "
-            "ffbs: the same, whole tracks. chain, isam2, fixed-lag: the graph, from the past.",
-        ),
-    ] = "smoother",
+    adapt: Annotated[bool, typer.Option("--adapt/--no-adapt")] = True,
+    method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: PersonHeight = 1.7,
-    seed: Seed = 0,
-    view: Annotated[bool, typer.Option("--view", help="Show it in Rerun in the end.")] = False,
-    save: Save = None,
-    connect: Connect = None,
+    seed: options.Seed = 0,
+    view: bool = False,
 ) -> None:
     """Everything in one call: who is where, how they move and point, as a table, a video and a page.
 
     Without a camera the view is found out from the boxes, as `perception calibrate` does.
 
     A run that was broken off, or is called again with other options, does only what is not done yet.
+
+    Parameters
+    ----------
+    output : Folder to write, or to go on with.
+    adapt : Let the camera teach itself body and head first.
+    method : smoother: the graph, whole tracks. particle: the joint particle filter, from the past; ffbs: the
+        same, whole tracks. chain, isam2, fixed-lag: the graph, from the past.
+    view : Show it in Rerun in the end.
     """
     from graphtrack.io.places import check_distinct
     from perception.adaptation.recording import check_camera
@@ -77,40 +62,38 @@ def report(
     from perception.images.frames import FrameSource
     from perception.report.folder import FILES, STAGES, ReportFolder, check_folder
 
-    showing = Showing(save, connect)
     if view:
         showing.target()
-    elif save is not None or connect is not None:
-        raise InputError("--save" if connect is None else "--connect", "--view beside it")
+    elif showing.save is not None or showing.connect is not None:
+        raise InputError("--save" if showing.connect is None else "--connect", "--view beside it")
     check_folder(output)
     inputs = {
         "the input": FrameSource.files(source),
         "--boxes": boxes,
-        "--homography": homography,
-        "--calibration": calibration,
+        **camera.files,
     }
     written = [output / name for name in (*FILES.values(), STAGES)]
-    check_distinct({"--output": written, "--save": save}, inputs, to_make=[output])
+    check_distinct({"--output": written, "--save": showing.save}, inputs, to_make=[output])
     frames = FrameSource.open(source)
-    camera = read_camera(homography, calibration)
-    if camera is not None:
-        check_camera(camera, frames.size())
+    known = camera.on_ground()
+    if known is not None:
+        check_camera(known, frames.size())
     given = None if boxes is None else read_boxes(boxes)
-    folder = ReportFolder(output, _STAGES, lambda words: console.print(words, markup=False))
+    folder = ReportFolder(output, _STAGES, lambda words: emit(words))
     folder.open()
-    run = _Run(folder, frames, frame_rate(frames, fps), camera, person_height, seed)
-    run.assume(_of_rate(frames, run.rate, fps))
+    run = _Run(folder, frames, camera.rate(frames), known, person_height, seed)
+    run.assume(_of_rate(frames, run.rate, camera.fps))
     run.find_people(boxes, given)
-    run.find_ground(calibration or homography)
+    run.find_ground(camera.calibration or camera.homography)
     run.teach(adapt)
     run.observe()
     run.estimate(method)
     run.draw()
     run.write_page(source.name)
     for line in run.assumed:
-        console.print(f"  note: {line}", markup=False)
+        emit(f"  note: {line}")
     names = ", ".join(name for name in FILES.values() if (output / name).is_file())
-    console.print(f"wrote {output}: {names}", markup=False)
+    emit(f"wrote {output}: {names}")
     if view:
         run.view(showing)
 
@@ -235,8 +218,6 @@ class _Run:
     def observe(self) -> None:
         """Stage 4: what is seen of everybody, and who is who."""
         from graphtrack.io import write
-        from perception.adaptation.models import CameraModels
-        from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
         from perception.observe.detections import to_detections
         from perception.observe.estimates import associated, numbered
@@ -248,18 +229,14 @@ class _Run:
 
         def work(key: str) -> list[str]:
             refused: dict[str, None] = {}
-            models = pipeline.Models(
-                load_head_localiser(),
-                load_classifier("body_pose"),
-                load_classifier(HEAD_POSE[0]),
-                appearance=not identified,
-                of_camera=CameraModels.load(taught) if taught.is_file() else None,
-            ).seeing(self.camera, self.frames.size)
+            chosen = ModelOptions(camera_models=taught if taught.is_file() else None)
+            models = chosen.load(appearance=not identified, has_keypoints=False)
+            models = models.seeing(self.camera, self.frames.size)
             encode, decode = pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
             journal = FrameJournal(place.with_name(f"{place.name}.journal"), key, encode, decode)
             journal.open()
             if journal.frames:
-                console.print(f"  going on after {counted(len(journal.frames), 'frame')}", markup=False)
+                emit(f"  going on after {counted(len(journal.frames), 'frame')}")
             known = frozenset(journal.frames)
             count = self.frames.count - len(known)
             try:
@@ -340,7 +317,7 @@ class _Run:
 
         self.folder.stage("page", (title, lines), ("above", "assumptions", "page"), work)
 
-    def view(self, showing: Showing) -> None:
+    def view(self, showing: options.Showing) -> None:
         """Show it all in Rerun."""
         from graphtrack.behaviour.groups import groups
         from graphtrack.viewer.shown import view
@@ -358,7 +335,7 @@ class _Run:
             boxes=boxes_shown(people),
         )
         if showing.save is not None:
-            console.print(f"wrote {showing.save}; to see it: rerun {showing.save}", markup=False)
+            emit(f"wrote {showing.save}; to see it: rerun {showing.save}")
 
     def _read(self, name: str) -> TrackSet:
         from graphtrack.io import read
@@ -383,7 +360,7 @@ def found_people(
 
 
 def _told(refused: Sequence[str] | dict[str, None]) -> list[str]:
-    """What was left out: the first few, and how many more there are."""
+    """List the first few reasons, and how many more there are."""
     reasons = list(refused)
     more = [f"skipped: {len(reasons) - _SHOWN} more"] if len(reasons) > _SHOWN else []
     return [f"skipped: {reason}" for reason in reasons[:_SHOWN]] + more

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from graphtrack.cli.console import console
+from graphtrack.cli.console import emit
 from graphtrack.display import counted
 from perception.cli.common import decoded_frames, in_time
 from perception.cli.own_networks import say_how_far
@@ -29,7 +29,7 @@ Refuse = Callable[[str], object]
 
 
 def key_of(*asked: object) -> str:
-    """What tells one run from another."""
+    """Key of a run, from all that its result depends on."""
     return hashlib.sha256(repr(asked).encode()).hexdigest()
 
 
@@ -102,10 +102,9 @@ class PeopleSearch:
             self.close(remove=False)
         count = len(journal.frames) - count
         spent = (time.process_time() - started) / max(count, 1)
-        console.print(
+        emit(
             f"looked for people in {in_time(count, time.perf_counter() - before)}, "
-            f"{spent:.2f} s of processor time each",
-            markup=False,
+            f"{spent:.2f} s of processor time each"
         )
         return boxes_of(journal.frames)
 
@@ -197,7 +196,7 @@ class PeopleSearch:
     def _candidates(
         self, camera: GroundCamera, numbers: list[int], backgrounds: Backgrounds, refuse: Refuse
     ) -> tuple[GroundSearch | None, dict[int, Candidates]]:
-        """Where people may be in the frames that are learned from."""
+        """Candidates for people in the frames that are learned from."""
         from perception.detection.rescoring import learning_frames
 
         wanted = frozenset(learning_frames(numbers, self.fps))
@@ -219,16 +218,12 @@ class PeopleSearch:
 
         found = taught(candidates, camera, self.fps, np.random.default_rng(0))
         if found is None:
-            console.print(
+            emit(
                 "  note: too few people surely walk: detections are not taught by this recording, and their "
-                "scores are no probabilities of it",
-                markup=False,
+                "scores are no probabilities of it"
             )
         else:
-            console.print(
-                f"taught by {counted(found.boxes, 'detection')} of {found.people} people who surely walk",
-                markup=False,
-            )
+            emit(f"taught by {counted(found.boxes, 'detection')} of {found.people} people who surely walk")
         return found
 
 

@@ -9,16 +9,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.cli.console import console, progress_bar
+from graphtrack.cli.console import emit, progress_bar
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
+    from perception.adaptation.learning import PackageModels
     from perception.adaptation.models import CameraModels
     from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
 
 _KEY = "recording"
-"""What the card of such a file has besides: which recording it learned from."""
+"""Key in the card of such a file: the recording it learned from."""
+
+
+def package_models() -> PackageModels:
+    """The package's models that look while a camera teaches itself."""
+    from perception.adaptation.learning import PackageModels
+    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+
+    return PackageModels(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
 
 
 def teach(
@@ -36,36 +45,27 @@ def teach(
 
     None, where too few people surely walk. What is learned is written to ``path``, and taken from there when
     it was learned with the same ``key`` before.
-
-    Raises
-    ------
-    InputError
-        If the camera is of another image size, or the place cannot be written to.
     """
     from perception.adaptation.adapting import Recording, adapted
-    from perception.adaptation.learning import PackageModels, TooFewWalkers
+    from perception.adaptation.learning import TooFewWalkers
     from perception.adaptation.models import CameraModels
-    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 
     if path.is_file():
         known = CameraModels.load(path)
         if known.card.parameters.get(_KEY) == key:
             return known, _sentence(known)
-    package = PackageModels(
-        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
-    )
     rng = np.random.default_rng(seed)
     try:
         recordings = [Recording(frames, people, rate)]
-        models = adapted(recordings, camera, package, rng, progress_bar, refuse).models
+        models = adapted(recordings, camera, package_models(), rng, progress_bar, refuse).models
     except TooFewWalkers as error:
         sentence = f"the camera does not teach itself, the package's models look: {error.found}"
-        console.print(f"  note: {sentence}", markup=False)
+        emit(f"  note: {sentence}")
         return None, sentence
     models.card = replace(models.card, parameters={**models.card.parameters, _KEY: key})
     models.save(path)
     sentence = _sentence(models)
-    console.print(sentence, markup=False)
+    emit(sentence)
     return models, sentence
 
 
@@ -94,7 +94,7 @@ def forget(taught: Path, adapt: bool) -> None:
 
 
 def stamp_of_camera(camera: GroundCamera | None) -> object:
-    """What tells one camera from another."""
+    """Identity of a camera."""
     if camera is None:
         return None
     values = (camera.homography, camera.intrinsics, camera.distortion, camera.centre_on_ground)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from graphtrack.cli.console import console, printable, progress_bar
-from graphtrack.cli.options import Seed, check_outputs
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, printable, progress_bar
 
 Name = Annotated[
     str,
@@ -21,47 +21,30 @@ Name = Annotated[
 
 def train(
     name: Name,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.npz).")],
-    images: Annotated[
-        Path | None,
-        typer.Option(
-            "--images", help="Folder of your images; without it, rendered ones.", exists=True, file_okay=False
-        ),
-    ] = None,
-    labels: Annotated[
-        Path | None,
-        typer.Option(
-            "--labels",
-            help="CSV with a column image and pan_deg, tilt_deg (head pose), body_deg (body_pose), "
-            "or left, top, width, height (head_localiser).",
-            exists=True,
-            dir_okay=False,
-        ),
-    ] = None,
-    count: Annotated[
-        int | None,
-        typer.Option(
-            "--count",
-            min=100,
-            help="Rendered images, or skeletons, to train on, if not as many as the package's model.",
-        ),
-    ] = None,
-    as_published: Annotated[
-        bool,
-        typer.Option(
-            "--as-published",
-            help="body_pose, templates or head_localiser as Chen, Heili & Odobez (2011) printed them; "
-            "exemplars or head_exemplars as Ba & Odobez (2003) did.",
-        ),
-    ] = False,
-    seed: Seed = 0,
+    output: options.OutputPath,
+    images: Annotated[Path | None, typer.Option(exists=True, file_okay=False)] = None,
+    labels: options.InputFile | None = None,
+    count: Annotated[int | None, typer.Option(min=100)] = None,
+    as_published: bool = False,
+    seed: options.Seed = 0,
 ) -> None:
-    """Train a model on your labelled images, or on rendered ones."""
+    """Train a model on your labelled images, or on rendered ones.
+
+    Parameters
+    ----------
+    output : Model file to write (.npz).
+    images : Folder of your images; without it, rendered ones.
+    labels : CSV with a column image and pan_deg, tilt_deg (head pose), body_deg (body_pose), or left, top,
+        width, height (head_localiser).
+    count : Rendered images, or skeletons, to train on, if not as many as the package's model.
+    as_published : body_pose, templates or head_localiser as Chen, Heili & Odobez (2011) printed them;
+        exemplars or head_exemplars as Ba & Odobez (2003) did.
+    """
     from graphtrack.errors import InputError
     from perception.images.frames import FrameSource
     from perception.training.models import COUNTS, train_on_files, train_on_rendered
 
-    check_outputs(
+    options.check_outputs(
         {"--output": output},
         {"--labels": labels, "an image of --images": None if images is None else FrameSource.files(images)},
     )
@@ -76,14 +59,19 @@ def train(
                 name, images=count, seed=seed, as_published=as_published, advance=advance
             )
     model.save(output)
-    console.print(model.card.text(), markup=False)
-    console.print(f"wrote {output}", markup=False)
+    emit(model.card.text())
+    emit(f"wrote {output}")
 
 
 def card(
-    model: Annotated[str, typer.Argument(help="Name of a model of the package, or a model file.")],
+    model: Annotated[str, typer.Argument()],
 ) -> None:
-    """Print a model's card: what it was trained on, how good it is, when it fails."""
+    """Print a model's card: what it was trained on, how good it is, when it fails.
+
+    Parameters
+    ----------
+    model : Name of a model of the package, or a model file.
+    """
     from perception.models import NAMES, model_path
     from perception.storage import load_model
 
@@ -91,19 +79,26 @@ def card(
 
 
 def sheet(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write (.png).")],
-    size: Annotated[int, typer.Option("--size", min=8, max=96, help="Height of a head in pixels.")] = 32,
-    rows: Annotated[int, typer.Option("--rows", min=1, max=40, help="Heads at each of twelve pans.")] = 6,
-    seed: Seed = 0,
+    output: options.OutputPath,
+    size: Annotated[int, typer.Option(min=8, max=96)] = 32,
+    rows: Annotated[int, typer.Option(min=1, max=40)] = 6,
+    seed: options.Seed = 0,
 ) -> None:
-    """Draw rendered heads at twelve pans, to look at."""
+    """Draw rendered heads at twelve pans, to look at.
+
+    Parameters
+    ----------
+    output : Picture to write (.png).
+    size : Height of a head in pixels.
+    rows : Heads at each of twelve pans.
+    """
     import cv2
     import numpy as np
 
     from graphtrack.io import atomic_path
     from perception.synthetic import HeadVariation, contact_sheet, make_heads
 
-    check_outputs({"--output": output})
+    options.check_outputs({"--output": output})
     pans = np.arange(-180, 180, 30)
     heads = make_heads(
         12 * rows,
@@ -114,4 +109,4 @@ def sheet(
     picture = contact_sheet(heads.images, 12, titles=[f"{pan}" for pan in pans])
     with atomic_path(output) as temporary:
         temporary.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-    console.print(f"wrote {output}", markup=False)
+    emit(f"wrote {output}")

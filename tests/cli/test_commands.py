@@ -3,10 +3,15 @@
 import subprocess
 import sys
 from functools import partial
+from importlib import import_module
+from inspect import signature
 
 import command
 import pandas as pd
 import pytest
+import typer
+
+from graphtrack.cli.options import command_of
 
 run = partial(command.run, program="graphtrack")
 
@@ -81,3 +86,42 @@ def test_simulate_says_what_it_simulates(tmp_path):
         output = tmp_path / "out.csv"
         done = run("simulate", "-o", output, "--tracks", 1, "--steps", 3, "--model", model)
         assert done.returncode == 0 and done.stderr.endswith(said)
+
+
+@pytest.mark.parametrize("program", ["graphtrack", "perception"])
+def test_every_option_has_a_text_in_the_help(program):
+    group = typer.main.get_command(import_module(f"{program}.cli.commands").app)
+    without = {
+        f"{name} {one.name}"
+        for name, each in group.commands.items()
+        for one in each.params
+        if not getattr(one, "help", None)
+    }
+    assert len(group.commands) > 5 and not without
+
+
+def test_a_docstring_becomes_the_help_and_its_sections_groups_of_options():
+    def walk(far: float, *, fast: bool = False, slowly: bool | None = None) -> None:
+        """Walk.
+
+        Parameters
+        ----------
+        far : Metres to
+            walk.
+
+        Pace
+        ----
+        fast : Run.
+        slowly : Stroll.
+        """
+
+    options = {
+        name: one.annotation.__metadata__[0] for name, one in signature(command_of(walk)).parameters.items()
+    }
+    assert command_of(walk).__doc__ == "Walk."
+    assert {name: (one.help, one.rich_help_panel) for name, one in options.items()} == {
+        "far": ("Metres to walk.", None),
+        "fast": ("Run.", "Pace"),
+        "slowly": ("Stroll.", "Pace"),
+    }
+    assert options["slowly"].param_decls == ("--slowly/--no-slowly",)

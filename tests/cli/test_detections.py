@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 from crossing_people import street
 
 from graphtrack.association.tracker import OnlineTracker
-from graphtrack.cli import live
 from graphtrack.cli.detections import Scenes
-from graphtrack.model import Model
 from graphtrack.scene import SceneParameters
 
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
@@ -115,67 +111,3 @@ def test_what_cannot_be_used_is_told_and_changes_nothing(
     assert told in wrong["error"]
     assert wrong["line"] == len(rows) + 1
     assert [one for one in found if "error" not in one] == undisturbed
-
-
-class Killed(BaseException):
-    """Stands in for a kill: what the file holds at that moment is what the next run finds."""
-
-
-@pytest.mark.parametrize("kills_wanted", [3, pytest.param(100, marks=pytest.mark.slow)])
-def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path: Path, kills_wanted) -> None:
-    named = [row | looks_of(k) for k, row in enumerate(rows_of(4, frames=60, stream="a"))]
-    given = sorted(named + rows_of(5, frames=60), key=lambda row: row["t"])
-    lines, state = [json.dumps(row).encode() + b"\n" for row in given], tmp_path / "state"
-    rng, kills = np.random.default_rng(1), 0
-    told: dict[int, list[str]] = {}
-    now, left = 0, 0
-
-    def rows(stream, first):
-        nonlocal now
-        for now in range(first, len(lines) + 1):
-            yield now, lines[now - 1]
-        now = len(lines) + 1
-
-    def give(answer) -> None:
-        nonlocal left
-        told.setdefault(now, []).append(json.dumps(answer))
-        left -= 1
-        if left == 0:
-            shutil.copy(state, tmp_path / "left")
-            raise Killed
-
-    def track_all() -> None:
-        options = {"engine": "chain", "lag": 0.8, "fps": None, "camera": None}
-        live.track_stream(Model("position"), **options, state=state, save_every=0.02)
-
-    monkeypatch.setattr(live, "lines_of", rows)
-    monkeypatch.setattr(live, "open_streams", lambda: None)
-    monkeypatch.setattr(live, "give", give)
-    track_all()
-    whole, told = told, {}
-    state.unlink()
-    while kills < kills_wanted:
-        left = int(rng.integers(1, 3 + 400 // kills_wanted))
-        try:
-            track_all()
-            break
-        except Killed:
-            data = (tmp_path / "left").read_bytes()
-            if rng.random() < 0.3:  # the kill came while a row was added, which then has no answer
-                data += b"0123456789abcdef0123"[: int(rng.integers(20))]
-            state.write_bytes(data)
-            kills += 1
-            capsys.readouterr()
-            # What is said again of the last row stands in place of what was said of it.
-            told.pop(_last_row(state), None)
-    left = 0
-    track_all()
-    assert kills >= min(kills_wanted, 6)
-    assert told == whole
-
-
-def _last_row(state: Path) -> int:
-    """The last row that a state knows, to which a run that goes on answers once more."""
-    entries = [json.loads(line[33:]) for line in state.read_bytes().split(b"\n")[1:-1]]
-    rows = [entry[0] for entry in entries if isinstance(entry, list)]
-    return rows[-1] if rows else entries[0]["rows"]

@@ -9,16 +9,12 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
 
 import graphtrack as gt
 from graphtrack.cli import main
-from graphtrack.cli.fit import advice
-from graphtrack.learning import Fit
 from graphtrack.learning.fit import _split as split_tracks
 from graphtrack.model import MotionParameters
 
@@ -68,28 +64,6 @@ def test_what_cannot_be_done_is_said_in_one_line(
     assert run(monkeypatch, "fit", "people.csv", *wrong) == 2
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
     assert not (people / "learned.toml").exists()
-
-
-BROKEN = {
-    "preset = 'full'\n[gait]\nbody_allign = 0.3\n": ("gait.body_allign", "body_aligned"),
-    "preset = 'full'\n[gait]\nbody_aligned = 1.3\n": ("gait.body_aligned = 1.3", "[0, 1]"),
-    "preset = 'joint'\n[coupling]\nhead_body_kappa = -1.0\n": (
-        "coupling.head_body_kappa = -1.0",
-        "[0, 1e+06]",
-    ),
-    "preset = 'joint'\n[cuopling]\nhead_body_kappa = 1.0\n": ("'cuopling'", "coupling"),
-}
-
-
-@pytest.mark.parametrize("content", BROKEN)
-def test_a_key_that_is_wrong_is_named_with_what_is_allowed(
-    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], content: str
-) -> None:
-    Path("start.toml").write_text(content, encoding="utf-8")
-    assert run(monkeypatch, "fit", "people.csv", "-o", "learned.toml", "--model", "start.toml") == 2
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert said.startswith("error: start.toml")
-    assert all(part in said for part in BROKEN[content])
 
 
 def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(
@@ -169,9 +143,3 @@ def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(
     worse = "keep the model that it started from (position)"
     assert worse in " ".join(capsys.readouterr().err.split())
     assert worse in (people / "learned.html").read_text(encoding="utf-8")
-
-
-def test_learning_that_helps_gives_no_advice() -> None:
-    found = SimpleNamespace(scores={"learned from": (1.0, 2.0), "held out": (1.0, 1.5)})
-    assert advice(cast(Fit, found)) == []
-    assert advice(cast(Fit, SimpleNamespace(scores={"learned from": (1.0, 2.0)}))) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,8 +16,6 @@ from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.cli import live
-from graphtrack.cli.detections import Scenes
-from graphtrack.cli.stream import People
 from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.inference.online import OnlineSmoother
@@ -88,46 +87,12 @@ def test_what_is_learned_is_written_and_can_be_used(here, monkeypatch):
     assert graphtrack(line).returncode == 0
 
 
-def test_rows_with_identities_are_answered_with_forecasts_when_their_frame_has_ended():
-    rows = [
-        {"track_id": k, "frame": f, "t": 0.4 * f, "x": 0.5 * f, "y": float(k)}
-        for f in range(5)
-        for k in (1, 2)
-    ]
-    people = People(lambda: OnlineSmoother("position"), None, forecasts=FrameForecasts(times_ahead(2.0, 0.4)))
-    found = [
-        one for n, row in enumerate(rows, 1) for one in people.answers(n, json.dumps(row).encode())
-    ] + people.finish()
-    told = [row for row in found if "forecast" in row]
-    assert [(row["track_id"], row["frame"]) for row in told] == [(k, f) for f in range(1, 5) for k in (1, 2)]
-    assert [row["ahead"] for row in told[0]["forecast"]] == [0.4, 0.8, 1.2, 1.6, 2.0]
-    assert list(told[0]["forecast"][0]) == KEYS
-    assert told[-1]["forecast"][0]["x"] == pytest.approx(2.5, abs=0.1)
-    plain = People(lambda: OnlineSmoother("position"), None)
-    others = [row for row in found if "forecast" not in row]
-    assert others == [
-        one for n, row in enumerate(rows, 1) for one in plain.answers(n, json.dumps(row).encode())
-    ]
-
-
 def test_a_late_row_changes_no_forecast():
     forecasts = FrameForecasts(times_ahead(0.8, 0.4))
     smoother = OnlineSmoother("position")
     seen = [gt.Observation(t=0.4 * k, frame=k, position=(0.5 * k, 0.0)) for k in (0, 1, 3, 2, 4)]
     told = [forecasts.take(1, one, smoother.update(one)) for one in seen]
     assert [row["frame"] for rows in told for row in rows] == [1, 3]
-
-
-def test_detections_are_told_with_forecasts():
-    scenes = Scenes(lambda: OnlineTracker("position"), None, horizon=(0.8, 0.4))
-    rows = [{"frame": f, "t": 0.4 * f, "x": 0.5 * f, "y": y} for f in range(8) for y in (0.0, 5.0)]
-    found = [one for n, row in enumerate(rows, 1) for one in scenes.answers(n, json.dumps(row).encode())]
-    last = [row for row in scenes.finish() if "track_id" in row]
-    assert len(last) == 2
-    for row in last:
-        assert row["forecast"][1]["x"] == pytest.approx(4.5, abs=0.2)
-        assert row["forecast"][1]["y"] == pytest.approx(row["y"], abs=0.2)
-    assert found
 
 
 class Killed(BaseException):
@@ -159,7 +124,7 @@ def test_a_stream_with_forecasts_goes_on_as_if_it_had_not_stopped(monkeypatch, t
         end = place
         options = {"engine": "chain", "lag": 1.0, "fps": None, "camera": None, "horizon": (2.0, 0.4)}
         with suppress(Killed):
-            live.track_stream(Model("position"), **options, state=state, save_every=0.01)
+            live.track_stream(live.Answers(Model("position"), **options), state=state, save_every=0.01)
         found = list(answers)
         answers.clear()
         return found
@@ -181,12 +146,11 @@ def test_a_stream_with_forecasts_goes_on_as_if_it_had_not_stopped(monkeypatch, t
 def test_a_state_with_forecasts_is_not_gone_on_with_without_them(here, monkeypatch):
     monkeypatch.setattr(live, "open_streams", lambda: None)
     monkeypatch.setattr(live, "lines_of", lambda stream, first: iter(()))
-    options = {"engine": "chain", "lag": 1.0, "fps": None, "camera": None, "save_every": 60.0}
-    options["state"] = here / "state"
-    live.track_stream(Model("position"), **options, horizon=(2.0, 0.4), associate="never")
+    answers = live.Answers(Model("position"), "chain", 1.0, associate="never", horizon=(2.0, 0.4))
+    live.track_stream(answers, state=here / "state")
     for horizon in (None, (4.0, 0.4)):
         with pytest.raises(InputError, match="forecast"):
-            live.track_stream(Model("position"), **options, horizon=horizon, associate="never")
+            live.track_stream(replace(answers, horizon=horizon), state=here / "state")
 
 
 @pytest.mark.parametrize(
@@ -211,12 +175,6 @@ def test_settings_that_make_no_sense_are_one_line(here, options, told):
     done = graphtrack(f"forecast tracks.csv -o forecast.csv {options}")
     assert done.returncode == 2 and told in done.stderr
     assert not (here / "forecast.csv").exists()
-
-
-@pytest.mark.parametrize("horizon", ["0", "-1", "nan", "86400"])
-def test_horizons_of_a_stream_that_make_no_sense_are_one_line(here, horizon):
-    done = graphtrack(f"track - --forecast {horizon}")
-    assert done.returncode == 2 and "horizon = " in done.stderr
 
 
 def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch):

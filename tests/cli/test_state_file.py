@@ -2,12 +2,14 @@
 
 import json
 import os
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graphtrack.cli import state_file
+from graphtrack.cli.saving import Saving
 from graphtrack.cli.state_file import StateFile, StateInUse, packed, remove
 from graphtrack.errors import InputError
 
@@ -104,14 +106,6 @@ def test_lines_that_are_missing_repeated_moved_or_foreign_are_found(tmp_path_fac
     else:  # nothing but what was never written whole, behind what was
         assert found in (values, [{"rows": 1}, *values[1:]])
     assert (folder / "state").read_bytes() == after
-
-
-def test_a_file_of_the_version_before_is_refused_by_its_version(tmp_path):
-    before = b'0a1b2c3d {"graphtrack state":1,"settings":{},"rows":0,"line":0,"people":0}\n'
-    (tmp_path / "state").write_bytes(before)
-    with pytest.raises(InputError, match="a state of version 1, expected version 2"):
-        StateFile(tmp_path / "state", HOUR)
-    assert (tmp_path / "state").read_bytes() == before
 
 
 def test_a_state_that_is_open_is_not_removed(tmp_path):
@@ -212,3 +206,29 @@ def test_it_is_flushed_from_time_to_time(tmp_path, monkeypatch):
     file.close()
     assert flushed == [path.stat().st_size]
     assert json.loads(path.read_bytes().splitlines()[-1][33:]) == "x"
+
+
+def writings(path, seconds):
+    """Times at which a stream of nobody is written, every ten seconds, after it began at 0."""
+    now, found = 0.0, []
+    nobody = SimpleNamespace(rows=0, line=0, members={}, before_change=None)
+    file = StateFile(path, 3600.0)
+    saving = Saving(file, nobody, {}, 10.0, lambda: now)
+    saving.begin()
+    before = path.stat().st_ino
+    while now < seconds:
+        now += 0.25
+        saving.tend()
+        saving.tend()
+        file.wait()
+        if path.stat().st_ino != before:
+            before = path.stat().st_ino
+            found.append(now)
+    file.close()
+    return found
+
+
+def test_streams_that_begin_together_are_written_at_different_times(tmp_path):
+    first, second = zip(*(writings(tmp_path / f"stream{k}", 20.0)[:2] for k in range(8)), strict=True)
+    assert max(first) <= 10.25 and len(set(first)) >= 5
+    assert all(after - before in (10.0, 10.25) for before, after in zip(first, second, strict=True))

@@ -5,9 +5,10 @@ import json
 import pytest
 
 from graphtrack.cli.live import lines_of
-from graphtrack.cli.stream import LONGEST_LINE, People
+from graphtrack.cli.stream import People
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
+from graphtrack.streaming.protocol import LONGEST_LINE
 
 
 def smoother(**options):

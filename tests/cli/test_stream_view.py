@@ -1,4 +1,4 @@
-"""`graphtrack track - --view`: what is shown is what is answered, and answers are those without it."""
+"""`graphtrack view -`: what is shown is what was answered."""
 
 from __future__ import annotations
 
@@ -11,13 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import TRACK_STREAM, run
+from command import run
 from rerun_recordings import nanoseconds, read_recording
 
-from graphtrack.cli import view_pipe
-from graphtrack.cli.stream_view import LiveView, track_of
-from graphtrack.cli.view_pipe import ViewPipe
-from graphtrack.errors import InputError
+from graphtrack.viewer.live import LiveView, track_of
 from graphtrack.viewer.recording import Target
 
 
@@ -40,20 +37,15 @@ def shown(path: Path, person: int, what: str = "Points2D:positions") -> dict[int
     return read_recording(path)[f"/ground/people/{person}"].get(what, {})
 
 
-def test_every_answer_is_shown_and_none_is_changed(tmp_path: Path) -> None:
-    given = "".join(json.dumps(row) + "\n" for row in rows(40)) + "no JSON\n"
-    command = [*TRACK_STREAM, "--model", "position"]
-
-    def answers(*more: str) -> str:
-        done = subprocess.run([*command, *more], input=given, capture_output=True, text=True, cwd=tmp_path)
-        assert done.returncode == 2 and "1 of 61 rows" in done.stderr  # for the last row
-        return done.stdout
-
-    told = answers("--view", "--save", "run.rrd", "--person", "2")
-    assert told == answers()
+def test_every_answer_is_shown_and_what_is_none_is_passed_over(tmp_path: Path) -> None:
+    lines = [json.dumps(answer(row["track_id"], row["frame"], row["x"])) for row in rows(40)]
+    given = "".join(f"{line}\n" for line in [*lines, "no JSON", "[1]"])
+    command = [sys.executable, "-m", "graphtrack", "view", "-", "--save", "run.rrd", "--person", "2"]
+    done = subprocess.run(command, input=given, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
     found = read_recording(tmp_path / "run.rrd")
     for person in (1, 2):
-        mine = [row for row in map(json.loads, told.splitlines()) if row["track_id"] == person]
+        mine = [row for row in map(json.loads, lines) if row["track_id"] == person]
         positions = found[f"/ground/people/{person}"]["Points2D:positions"]
         assert list(positions) == nanoseconds([row["t"] for row in mine])
         there = [[row["x"], row["y"]] for row in mine]
@@ -140,59 +132,14 @@ def test_an_answer_becomes_a_track_in_radians() -> None:
     assert track.velocity is not None and np.isnan(track.velocity[0, 1])
 
 
-def test_a_window_that_is_slower_misses_answers_and_a_file_does_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    line, count_in = "x" * 999, tmp_path / "count"
-    reader = "import pathlib, sys, time; time.sleep(0.5); count = len(sys.stdin.read().split()); "
-    reader += f"pathlib.Path({str(count_in)!r}).write_text(str(count))"
-    monkeypatch.setattr(view_pipe, "_MOST", 20_000)
-    start = subprocess.Popen
-    monkeypatch.setattr(
-        view_pipe.subprocess,
-        "Popen",
-        lambda arguments, **options: start([sys.executable, "-c", reader], **options),
-    )
-    for target, all_of_them in ((Target(tmp_path / "run.rrd"), True), (Target(connect="rerun://"), False)):
-        notes: list[str] = []
-        pipe = ViewPipe(target, None, notes.append)
-        for _ in range(500):
-            pipe(line)
-        pipe.close()
-        count = int(count_in.read_text())
-        missed = 0 if not notes else int(notes[0].split()[0])
-        assert count + missed == 500 and (missed == 0) == all_of_them
-
-
-def test_a_view_that_fails_is_an_error_in_the_end_and_the_stream_goes_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    start = subprocess.Popen
-    monkeypatch.setattr(
-        view_pipe.subprocess,
-        "Popen",
-        lambda arguments, **options: start([sys.executable, "-c", "raise SystemExit(2)"], **options),
-    )
-    pipe = ViewPipe(Target(), None, lambda note: None)
-    for _ in range(2000):
-        pipe("x" * 999)
-    with pytest.raises(InputError, match="could not be shown"):
-        pipe.close()
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
-    [
-        (("tracks.csv", "--view", "-o", "out.csv"), "graphtrack view"),
-        (("-", "--save", "run.rrd"), "--view beside it"),
-        (("-", "--person", "3"), "--view beside it"),
-        (("-", "--view", "--save", "run.txt"), "the ending .rrd"),
-    ],
+    [(("--save", "run.txt"), "the ending .rrd"), (("--groups", "find"), "--groups with -")],
 )
 def test_a_view_that_makes_no_sense_is_refused(
     options: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    done = run("track", *options, program="graphtrack")
+    done = run("view", "-", *options, program="graphtrack")
     assert done.returncode == 2 and said in done.stderr and not done.stdout
     assert not list(tmp_path.iterdir())

@@ -16,10 +16,10 @@ import graphtrack as gt
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.behaviour.places import Place
-from graphtrack.cli.detections import Frame, Scenes
+from graphtrack.cli.detections import Scenes
 from graphtrack.cli.stream import People
-from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour, merged
-from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
+from graphtrack.cli.stream_behaviour import Asked, FrameBehaviour, SceneBehaviour, merged
+from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.inference.online import OnlineSmoother
 
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
@@ -98,33 +98,6 @@ def test_detections_are_told_with_groups_and_looks() -> None:
         assert {*OF_GROUPS, "attention", "forecast", "identity_p"} <= set(row)
     by_y = {round(row["y"]): row["group"] for row in last}
     assert by_y[0] == by_y[1] >= 0 > by_y[60]
-
-
-def test_going_on_leaves_no_trace() -> None:
-    given = rows(10)
-    whole, part = people_of(), people_of()
-    expected = answers(whole, given) + whole.finish()
-    found = answers(part, given[:17])
-    kept = {key: one.state() for key, one in part.members.items()}
-    kept = json.loads(json.dumps(list(kept.items()), allow_nan=False))
-    for key, state in kept:
-        if key == BEHAVIOUR:
-            part.members[key] = FrameBehaviour.restore(state, ALL)
-        elif key == FORECASTS:
-            part.members[key] = FrameForecasts.from_state(times_ahead(0.8, 0.4), state)
-        else:
-            part.members[key] = OnlineSmoother.from_state(state, "position")
-    found += answers(part, given[17:]) + part.finish()
-    assert found == expected
-    scenes = [Scenes(lambda: OnlineTracker("position"), None, asked=ALL) for _ in range(2)]
-    seen = detections(given)
-    expected = answers(scenes[0], seen) + scenes[0].finish()
-    found = answers(scenes[1], seen[:17])
-    ((name, frame),) = scenes[1].members.items()
-    state = json.loads(json.dumps(frame.state(), allow_nan=False))
-    tracker = OnlineTracker.from_state(state["tracker"], "position")
-    scenes[1].members[name] = Frame.restore(state, tracker, ALL)
-    assert found + answers(scenes[1], seen[17:]) + scenes[1].finish() == expected
 
 
 def test_rows_about_one_person_become_one() -> None:

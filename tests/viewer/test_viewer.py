@@ -15,7 +15,7 @@ from command import run
 from rerun_recordings import nanoseconds, read_recording
 
 import graphtrack as gt
-from graphtrack.cli.showing import Showing
+from graphtrack.cli.options import Showing
 from graphtrack.errors import InputError
 from graphtrack.viewer import recording
 from graphtrack.viewer.layout import Extent

@@ -377,7 +377,7 @@ async def forgotten(request: Request) -> Response:
 
 
 async def health(request: Request) -> Response:
-    """Whether new streams are taken; needs no token."""
+    """Return True if new streams are taken; needs no token."""
     streams: Streams = request.app.state.streams
     return JSONResponse({"status": "ok", "streams": len(streams.names())})
 

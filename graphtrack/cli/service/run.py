@@ -5,12 +5,11 @@ from __future__ import annotations
 import logging
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import uvicorn
 
-from graphtrack.cli.console import console
 from graphtrack.cli.service.app import Streams, application
 from graphtrack.cli.service.metrics import Metrics
 from graphtrack.cli.service.settings import Service
@@ -49,8 +48,8 @@ class Server(uvicorn.Server):
                 signal.signal(one, handler)
 
 
-def run(service: Service, host: str, port: int) -> None:
-    """Serve until SIGTERM or SIGINT.
+def run(service: Service, host: str, port: int, report: Callable[[str], None]) -> None:
+    """Serve until SIGTERM or SIGINT; `report` is given the address once streams are taken.
 
     Raises
     ------
@@ -64,7 +63,7 @@ def run(service: Service, host: str, port: int) -> None:
     logging.getLogger("uvicorn.error").addFilter(_is_ours)
     streams = Streams(service, Metrics())
     config = uvicorn.Config(
-        application(streams, lambda: console.print(said, markup=False, soft_wrap=True)),
+        application(streams, lambda: report(said)),
         http=streams.connections.protocol(),
         log_level="warning",
         access_log=False,

@@ -1,4 +1,4 @@
-"""What a service does, and how much of it."""
+"""Settings and limits of a service."""
 
 from __future__ import annotations
 
@@ -7,58 +7,30 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 
-from graphtrack.cli.stream import LONGEST_LINE, StreamBounds
-from graphtrack.cli.stream_behaviour import Asked
+from graphtrack.cli.live import Answers
 from graphtrack.errors import InputError
-from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.online_engines import OnlineEngine
-from graphtrack.io.options import Associate
-from graphtrack.model import Model
+from graphtrack.streaming.protocol import LONGEST_LINE
 
 STREAM_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
-"""What a stream may be called: it becomes the name of a file."""
-
-
-@dataclass(frozen=True)
-class Answers:
-    """How all streams of a service are answered; as in `graphtrack.cli.live.track_stream`."""
-
-    model: Model
-    engine: OnlineEngine = "auto"
-    lag: float | None = 2.0
-    fps: float | None = None
-    camera: GroundCamera | None = None
-    associate: Associate = "auto"
-    horizon: tuple[float, float] | None = None
-    asked: Asked | None = None
-    save_every: float = 10.0
+"""Pattern of a stream's name, which becomes the name of a file."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a client may ask for.
+    """Limits on clients.
 
     Attributes
     ----------
     streams : at once
-    people : with identities, at once in a stream
-    forget_after : seconds of the stream's own time without a row after which a person is forgotten
     rows_per_second : of a stream; who sends faster is slowed down
     line_bytes : of a row
     patience : seconds that a client may leave answers unread
     """
 
     streams: int = 64
-    people: int = 200
-    forget_after: float = 60.0
     rows_per_second: float = 5000.0
     line_bytes: int = LONGEST_LINE
     patience: float = 30.0
-
-    @property
-    def of_stream(self) -> StreamBounds:
-        """What the stream itself has to keep to."""
-        return StreamBounds(self.people, self.forget_after)
 
 
 _HOST = re.compile(r"\*|(\*\.)?[A-Za-z0-9._-]+|\[?[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*\]?")
@@ -87,6 +59,8 @@ class Service:
 
     Attributes
     ----------
+    answers : how rows are answered
+    save_every : seconds between flushings of states to the disk
     states : folder of the streams' states; None: streams end with their connections
     token : that every request has to bear; None: all are welcome
     """
@@ -96,6 +70,7 @@ class Service:
     states: Path | None = None
     token: str | None = None
     clients: Clients = Clients()
+    save_every: float = 10.0
 
     def state_of(self, name: str) -> Path | None:
         """The file in which a stream is kept."""

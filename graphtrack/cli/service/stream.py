@@ -146,14 +146,14 @@ class Stream:
 
 
 def nothing() -> None:
-    """What a process does that only shows that there can be one."""
+    """Do nothing, in a process that only shows that there can be one."""
 
 
 def prepare(service: Service) -> None:
     """Have the processes' parent ready, with all code loaded; compile what there is none of."""
     os.environ[WARM] = json.dumps(service.answers.model.to_dict())
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are what runs beside each other
-    PROCESSES.set_forkserver_preload(["graphtrack.cli.service.worker"])
+    PROCESSES.set_forkserver_preload([work.__module__])
     first = PROCESSES.Process(target=nothing)
     first.start()
     first.join()
@@ -162,7 +162,7 @@ def prepare(service: Service) -> None:
 async def open_stream(name: str, service: Service, metrics: Metrics) -> Stream:
     """Begin a stream, or go on with it where there is a state."""
     here, there = socket.socketpair()
-    arguments = (there, service.answers, service.limits, service.state_of(name))
+    arguments = (there, service.answers, service.state_of(name), service.save_every)
     process = PROCESSES.Process(target=work, args=arguments, name=f"stream {name}", daemon=True)
     try:
         await asyncio.to_thread(process.start)

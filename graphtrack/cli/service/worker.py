@@ -19,15 +19,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from graphtrack.cli.live import Listener, track_stream, warm_up
+from graphtrack.cli.live import Answers, Listener, track_stream
 from graphtrack.cli.saving import Answering
-from graphtrack.cli.service.settings import Answers, Limits
 from graphtrack.errors import GraphtrackError, InputError
-from graphtrack.inference.online_engines import online_engine
 from graphtrack.model import Model
 
 DONE, ASIDE = b"#", b"!"
-"""How a line begins after the answers to some rows, and one that is none."""
+"""Beginning of a line that counts answered rows, and of one that is no answer."""
 
 PIECE = 1 << 16
 """Bytes that are read at once."""
@@ -49,7 +47,7 @@ class Answered(io.TextIOBase):
 
     @property
     def is_held(self) -> bool:
-        """Whether answers have waited for long."""
+        """Return True if answers have waited for long."""
         return time.monotonic() > self._sent + _HELD
 
     def write(self, text: str, /) -> int:
@@ -95,7 +93,7 @@ class Asking(io.BufferedIOBase):
                 return rows
 
 
-def work(connection: socket.socket, answers: Answers, limits: Limits, state: Path | None) -> None:
+def work(connection: socket.socket, answers: Answers, state: Path | None, save_every: float) -> None:
     """Answer rows from a socket until it says that there are no more.
 
     Where a state is kept, rows that are there together are kept together, and their answers go out before the
@@ -122,20 +120,7 @@ def work(connection: socket.socket, answers: Answers, limits: Limits, state: Pat
 
     listener = Listener(lambda text: aside({"note": text}), went_on, answered, all_answered)
     try:
-        track_stream(
-            answers.model,
-            engine=answers.engine,
-            lag=answers.lag,
-            fps=answers.fps,
-            camera=answers.camera,
-            state=state,
-            save_every=answers.save_every,
-            associate=answers.associate,
-            horizon=answers.horizon,
-            asked=answers.asked,
-            listener=listener,
-            bounds=limits.of_stream,
-        )
+        track_stream(answers, state=state, save_every=save_every, listener=listener)
         said.send()
     except GraphtrackError as error:
         if isinstance(error, InputError) and state is not None and error.path == str(state):
@@ -149,8 +134,7 @@ def work(connection: socket.socket, answers: Answers, limits: Limits, state: Pat
 
 
 if WARM in os.environ:  # in the parent of the processes, once
-    _model = Model.from_dict(json.loads(os.environ[WARM]))
-    warm_up(_model, online_engine(_model, "auto"))
+    Answers(Model.from_dict(json.loads(os.environ[WARM]))).warm_up()
     # What is here by now is in the memory of all streams as long as none of them writes to it; their
     # collectors would.
     gc.collect()

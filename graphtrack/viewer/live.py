@@ -1,23 +1,18 @@
-"""`graphtrack track - --view`: a process of its own shows the answers, so that rows do not wait for it."""
+"""Answers of a stream, shown as they come."""
 
 from __future__ import annotations
 
 import json
 import os
-import signal
-import sys
 import time
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from graphtrack.behaviour.groups import KINDS, Groups
-from graphtrack.cli.console import printable
-from graphtrack.errors import GraphtrackError
 from graphtrack.tracks import STATE, Track
 from graphtrack.viewer.behaviour import arrange_groups, show_forecasts, show_ground, show_groups
 from graphtrack.viewer.layout import Extent, circles_of, layout
@@ -86,7 +81,7 @@ class LiveView:
         self._stack.close()
 
     def _is_ours(self, row: Row) -> bool:
-        """Whether a row is of the first stream that came: others know nothing of its people."""
+        """Return True if a row is of the first stream that came: others know nothing of its people."""
         if self._stream is None and ("status" in row or "end" in row):
             self._stream = row.get("stream", "")
         return bool(row.get("stream", "") == self._stream)
@@ -215,26 +210,26 @@ def _groups(rows: list[Row]) -> Groups:
     )
 
 
-def lines_of(source: int) -> Iterator[list[bytes]]:
-    """The lines that come through a file descriptor, as many as have come by each look."""
-    rest = b""
+def show_stream(source: int, target: Target, person: int | None = None) -> None:
+    """Show the answers that come through a file descriptor, as NDJSON, until it ends.
+
+    Parameters
+    ----------
+    target : where they are shown
+    person : whose series are drawn; None: theirs who come first
+    """
+    view, rest = LiveView(target, person), b""
     while data := os.read(source, 1 << 20):
         *lines, rest = (rest + data).split(b"\n")
         begun = time.monotonic()
-        yield lines
+        view.show([parsed for line in lines if isinstance(parsed := _json(line), dict)])
         if len(data) < _MUCH:
             time.sleep(max(0.0, begun + _INTERVAL - time.monotonic()))
+    view.close()
 
 
-def main() -> None:
-    """Show the answers on standard input; the arguments are the file, the URL and the person, as JSON."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream ends in its own way, and then this does
-    save, connect, person = json.loads(sys.argv[1])
-    view = LiveView(Target(None if save is None else Path(save), connect), person)
+def _json(line: bytes) -> Any:
     try:
-        for lines in lines_of(sys.stdin.fileno()):
-            view.show([json.loads(line) for line in lines])
-        view.close()
-    except GraphtrackError as error:
-        print(f"error: {printable(str(error), one_line=True)}", file=sys.stderr)
-        raise SystemExit(2) from None
+        return json.loads(line)
+    except ValueError:  # no answer
+        return None
