@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from graphtrack.io.extras import package
+from graphtrack.later import package
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
