@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.table.columns import to_columns
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import Track, TrackSet
 from perception.detection.boxes import Detections, Detector, PersonBox
 from perception.detection.ground_detector import GroundDetector
 from perception.detection.people import PeopleDetector
@@ -19,10 +19,10 @@ from perception.images.pixels import Image
 from perception.observe.detections import scaled_camera
 from perception.observe.pipeline import (
     Models,
+    channels_of,
     in_heights,
     is_on_ground,
     observe_frame,
-    to_track,
 )
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.features.appearance import Projection
@@ -78,7 +78,8 @@ class LiveObserver:
         path = self._paths.setdefault(item.track_id, HeadPath()) if self.identified else HeadPath()
         head = np.array([path.update(in_heights(item))])
         classes = self.models.head_classes
-        track = to_track([item], head, classes, self.camera, self.fps, projection=self._projection)
+        known = channels_of([item], head, classes, self.camera, self.fps, projection=self._projection)
+        track = Track(track_id=item.track_id, **known)
         row = {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
         return row if self.identified else row | {"track_id": -1}
 
