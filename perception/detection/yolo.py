@@ -23,12 +23,12 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from graphtrack.later import package
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
+from graphtrack.later import package
 from perception.detection.boxes import Detections
 from perception.images.pixels import Image, non_maximum_suppression
 from perception.pose.keypoints.skeleton import BY_NUMBER, KNOWN, in_coco_order

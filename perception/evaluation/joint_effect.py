@@ -22,10 +22,10 @@ from perception.observe.identified import to_tracks
 from perception.observe.pipeline import (
     Models,
     by_track,
+    channels_of,
     head_in_image,
     is_on_ground,
     observe_frame,
-    to_track,
 )
 from perception.observe.seen import SeenPerson, by_frame
 from perception.synthetic.clips import Clip
@@ -150,7 +150,7 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
             ObservedPerson(
                 track,
                 whole[key],
-                to_track(items, heads, classes, clip.camera, clip.fps, in_image=True),
+                Track(key, **channels_of(items, heads, classes, clip.camera, clip.fps, in_image=True)),
                 truth[np.searchsorted(truth.frame, track.frame)],
                 clip.camera,
                 np.array([item.box for item in items]),

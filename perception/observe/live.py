@@ -18,10 +18,10 @@ from perception.images.pixels import Image
 from perception.observe.detections import scaled_camera
 from perception.observe.pipeline import (
     Models,
+    channels_of,
     in_heights,
     is_on_ground,
     observe_frame,
-    to_track,
 )
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.features.appearance import Projection
@@ -77,7 +77,8 @@ class LiveObserver:
         path = self._paths.setdefault(item.track_id, HeadPath()) if self.identified else HeadPath()
         head = np.array([path.update(in_heights(item))])
         classes = self.models.head_classes
-        track = to_track([item], head, classes, self.camera, self.fps, projection=self._projection)
+        known = channels_of([item], head, classes, self.camera, self.fps, projection=self._projection)
+        track = Track(track_id=item.track_id, **known)
         row = {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
         return row if self.identified else row | {"track_id": -1}
 

@@ -13,7 +13,7 @@ from graphtrack.bounds import APPEARANCE
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
@@ -213,31 +213,6 @@ def is_on_ground(item: SeenPerson, camera: GroundCamera) -> bool:
     return bool(np.isfinite(camera.image_to_ground(item.foot)).all())
 
 
-def to_track(
-    items: Sequence[SeenPerson],
-    heads: NDArray[np.int64],
-    head_classes: PoseClasses,
-    camera: GroundCamera,
-    fps: float,
-    *,
-    in_image: bool = False,
-    projection: Projection | None = None,
-) -> Track:
-    """One person's track, with class likelihoods in the world frame.
-
-    Parameters
-    ----------
-    items : what was seen in n frames, on this side of the horizon
-    heads : (n,) which candidate is the head
-    head_classes, camera, fps : of `perception.observe.identified.to_tracks`
-    in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
-        et al. 2011, eq. 13–14)
-    projection : of what people look like; None: tracks do not say
-    """
-    known = channels_of(items, heads, head_classes, camera, fps, in_image=in_image, projection=projection)
-    return Track(track_id=items[0].track_id, **known)
-
-
 def channels_of(
     items: Sequence[SeenPerson],
     heads: NDArray[np.int64],
@@ -248,7 +223,17 @@ def channels_of(
     in_image: bool = False,
     projection: Projection | None = None,
 ) -> dict[str, Any]:
-    """The fields of a `Track` with a row for each item; the arguments are those of `to_track`."""
+    """Return the fields of a `Track` with a row for each item, and class likelihoods in the world frame.
+
+    Parameters
+    ----------
+    items : one person in n frames, on this side of the horizon
+    heads : (n,) which candidate is the head
+    head_classes, camera, fps : as of `perception.observe.identified.to_tracks`
+    in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
+        et al. 2011, eq. 13–14)
+    projection : of appearance; None: tracks have none
+    """
     pixel = np.array([item.foot for item in items])
     position = camera.image_to_ground(pixel)
     frame = np.array([item.frame for item in items])

@@ -61,14 +61,6 @@ def test_it_learns_the_direction_of_the_body(fitted: BodyPose) -> None:
     np.testing.assert_allclose(np.exp(found).sum(axis=1), 1.0)
 
 
-def test_a_saved_model_says_the_same(fitted: BodyPose, tmp_path: Path) -> None:
-    people = make_pedestrians(5, np.random.default_rng(3), EASY)
-    fitted.save(tmp_path / "body.npz")
-    again = BodyPose.load(tmp_path / "body.npz")
-    before = fitted.log_likelihoods(people.images)
-    np.testing.assert_allclose(again.log_likelihoods(people.images), before, atol=0.05)
-
-
 def test_as_published_it_is_the_normalised_weight_of_the_classes_of_the_hog_itself(
     learned_from: PedestrianSet,
 ) -> None:

@@ -13,7 +13,7 @@ from command import run
 
 from graphtrack import io
 from graphtrack.errors import InputError
-from perception.detection.boxes import PersonBox, read_boxes, write_boxes
+from perception.detection.boxes import Detections, PersonBox, read_boxes, write_boxes
 from perception.detection.people import PeopleDetector
 from perception.images.frames import FrameSource
 from perception.observe.identified import to_tracks
@@ -87,11 +87,11 @@ def test_detection_that_was_broken_off_goes_on(
     looked: list[int] = []
     boxes = read_boxes(clip / "boxes.txt")
 
-    def detect(self: PeopleDetector, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def detect(self: PeopleDetector, image: np.ndarray) -> Detections:
         looked.append(len(looked))
         if len(looked) == 4:
             raise KeyboardInterrupt
-        return np.array([boxes[min(len(looked), 6) - 1].box]), np.ones(1)
+        return Detections(np.array([boxes[min(len(looked), 6) - 1].box]), np.ones(1))
 
     monkeypatch.setattr(PeopleDetector, "detect", detect)
     arguments = "observe", clip / "frames", "-o", tmp_path / "o.csv"
@@ -216,25 +216,6 @@ def test_looks_are_written_when_asked_for(clip: Path, tmp_path: Path, asked: boo
     assert done.returncode == 0, done.stderr
     columns = set(pd.read_csv(tmp_path / "o.csv").columns)
     assert ("appearance_0" in columns) == asked == ("score" not in columns)
-
-
-def test_detections_are_no_mot_text(clip: Path, tmp_path: Path) -> None:
-    done = run("observe", clip / "frames", "--boxes", nobodys(clip, tmp_path), "-o", tmp_path / "o.txt")
-    assert done.returncode == 2 and "detections without identities" in done.stderr
-    assert done.stderr.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["det.txt"]
-
-
-def test_two_cameras_are_one_too_many(clip: Path, tmp_path: Path) -> None:
-    both = ["--homography", clip / "homography.txt", "--calibration", clip / "homography.txt"]
-    done = run("observe", clip / "frames", "--boxes", clip / "boxes.txt", *both, "-o", tmp_path / "o.csv")
-    assert done.returncode == 2 and "--homography and --calibration" in done.stderr
-
-
-def test_given_boxes_are_not_written_again(clip: Path, tmp_path: Path) -> None:
-    arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
-    done = run(*arguments, "--write-boxes", tmp_path / "again.txt")
-    assert done.returncode == 2 and "--write-boxes beside --boxes" in done.stderr
-    assert done.stderr.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
 def test_what_is_left_out_is_told(clip: Path, tmp_path: Path) -> None:
@@ -412,13 +393,23 @@ def test_streamed_rows_are_those_of_a_causal_file(long_clip: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "output", "told"),
     [
-        (["--whole-track"], "--whole-track"),
-        (["--render", "seen.mp4"], "--render"),
-        (["--write-boxes", "b.txt"], "--write-boxes"),
+        (["--boxes", "boxes.txt", "--write-boxes", "again.txt"], "o.csv", "--write-boxes beside --boxes"),
+        (["--homography", "h.txt", "--calibration", "h.txt"], "o.csv", "--homography and --calibration"),
+        (["--boxes", "det.txt"], "o.txt", "detections without identities"),
+        (["--whole-track"], "-", "--whole-track with -o -"),
+        (["--render", "seen.mp4"], "-", "--render with -o -"),
+        (["--write-boxes", "b.txt"], "-", "--write-boxes with -o -"),
     ],
 )
-def test_what_needs_all_frames_is_refused_with_a_stream(clip: Path, options: list[str], told: str) -> None:
-    done = run("observe", clip / "frames", *options, "-o", "-")
-    assert done.returncode == 2 and f"{told} with -o -" in done.stderr and not done.stdout
+def test_options_that_exclude_each_other_are_one_line(
+    clip: Path, tmp_path: Path, options: list[str], output: str, told: str
+) -> None:
+    known = {"boxes.txt": clip / "boxes.txt", "h.txt": clip / "homography.txt", "det.txt": None}
+    given = [known[name] or nobodys(clip, tmp_path) if name in known else name for name in options]
+    given = [tmp_path / name if name in ("again.txt", "seen.mp4", "b.txt") else name for name in given]
+    out = output if output == "-" else tmp_path / output
+    done = run("observe", clip / "frames", *given, "-o", out)
+    assert done.returncode == 2 and told in done.stderr and not done.stdout
+    assert {path.name for path in tmp_path.iterdir()} <= {"det.txt"}
