@@ -28,7 +28,7 @@ def demo(
     from graphtrack.io import atomic_path, write
     from graphtrack.model import Model
     from graphtrack.report.build import tracking_report
-    from graphtrack.report.html import write_report
+    from graphtrack.report.html import write_html
     from graphtrack.report.pairing import pair_tracks
     from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
@@ -59,5 +59,5 @@ def demo(
         consistency=comparison.nees,
         calibration=comparison.calibration,
     )
-    write_report(out / REPORT, report)
+    write_html(out / REPORT, report)
     console.print(f"the report is {out / REPORT}", markup=False)

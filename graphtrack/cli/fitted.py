@@ -21,7 +21,7 @@ def write_all(
     """Say that the model is written; write what was learned as JSON, and as HTML, where that is asked for."""
     from graphtrack.io import atomic_path
     from graphtrack.report.content import DataTable, Note, Report, Section
-    from graphtrack.report.html import write_report
+    from graphtrack.report.html import write_html
 
     written = [output]
     if json_path is not None:
@@ -33,7 +33,7 @@ def write_all(
             *[Note(line) for line in notes],
             *[DataTable.from_records(title, rows) for title, rows in tables.items()],
         )
-        write_report(report, Report("Learned parameters", sections=(Section("Learning", items),)))
+        write_html(report, Report("Learned parameters", sections=(Section("Learning", items),)))
         written.append(report)
     for path in written:
         console.print(f"wrote {path}", markup=False)

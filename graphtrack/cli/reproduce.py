@@ -14,8 +14,8 @@ from graphtrack.cli.console import console, input_warnings_as_notes, print_table
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from graphtrack.evaluation.reproduce import Reproduction
     from graphtrack.evaluation.reproduce.experiment import Table
+    from graphtrack.experiments import Reproduction
 
 BESIDE = Path("..") / "shared" / "data"
 """Where recordings are looked for when nobody says where they are."""
@@ -48,7 +48,7 @@ def reproduce(
     seed: options.Seed = 0,
 ) -> None:
     """Run an experiment of the papers again: tables with their numbers beside ours, and a page of figures."""
-    from graphtrack.evaluation.reproduce import Settings, all_experiments
+    from graphtrack.experiments import Settings, all_experiments
 
     experiments = all_experiments()
     if name != "all" and name not in experiments:

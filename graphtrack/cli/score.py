@@ -152,7 +152,7 @@ def _write_report(path: Path, found: TrackingScore, estimates: TrackSet, truth: 
     from graphtrack.evaluation.tracking.scores import COUNTS, HEADINGS, SHARES
     from graphtrack.report.build import tracking_report
     from graphtrack.report.content import Card, DataTable, Section
-    from graphtrack.report.html import write_report
+    from graphtrack.report.html import write_html
 
     judged = judge_events(estimates, truth, metres=found.threshold.value)
     figures = found.together
@@ -170,7 +170,7 @@ def _write_report(path: Path, found: TrackingScore, estimates: TrackSet, truth: 
         sections=(Section("Score", tables),),
         events=judged.events,
     )
-    write_report(path, page)
+    write_html(path, page)
     console.print(f"report: {path}", markup=False)
 
 

@@ -159,9 +159,9 @@ def smooth(
         )
     if report is not None and good:
         from graphtrack.report.build import tracking_report
-        from graphtrack.report.html import write_report
+        from graphtrack.report.html import write_html
 
-        write_report(report, tracking_report(estimates, tracks, title="Smoothed tracks"))
+        write_html(report, tracking_report(estimates, tracks, title="Smoothed tracks"))
         console.print(f"report: {report}", markup=False)
     if good:
         console.print(f"wrote {output}", markup=False)

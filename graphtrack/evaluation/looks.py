@@ -8,9 +8,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from graphtrack.behaviour.attention import Attention
-from graphtrack.behaviour.tables import UNLABELLED, IntArray, LookLabels
+from graphtrack.behaviour.tables import LookLabels
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.table.groups import UNLABELLED, IntArray
 
 BINS = 15
 """Of probabilities, for calibration errors."""

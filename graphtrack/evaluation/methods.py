@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
@@ -51,65 +52,17 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class FunctionMethod:
-    """A method made of a function of a track, a model and a camera that stands in a module."""
+    """A method made of a function of a track, a model and a camera; it is of a module, to pickle."""
 
     name: str
     online: bool
     information: str
-    model: Model
+    model: Model | None
     function: Callable[[Track, Model, GroundCamera | None], Track]
 
     def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
         """The function's estimates."""
-        return self.function(track, self.model, camera)
-
-
-@dataclass(frozen=True)
-class OnlineGraph:
-    """The incremental smoother's estimates at the latest frame.
-
-    Attributes
-    ----------
-    model : what is estimated
-    engine : "chain", "fixed-lag" or "isam2"; it is the name, too
-    lag : seconds that the fixed lag keeps open
-    """
-
-    model: Model
-    engine: OnlineEngine
-    lag: float = 2.0
-
-    online = True
-
-    @property
-    def name(self) -> str:
-        """The engine's name."""
-        return self.engine
-
-    @property
-    def information(self) -> str:
-        """The channels of the model, up to each frame."""
-        return f"{channels(self.model)}; past only"
-
-    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """At each frame, from what came before."""
-        return track_online(track, self.model, engine=self.engine, lag=self.lag, camera=camera)
-
-
-@dataclass(frozen=True)
-class StepFilter:
-    """Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has parameters of its own, no
-    model."""
-
-    name: str
-    parameters: IntentionalParameters
-
-    online = True
-    information = "positions, head; past only; parameters of its paper, a frame is a step"
-
-    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """Position and velocity, each from the past alone."""
-        return step_tracker(track, self.parameters)
+        return self.function(track, self.model, camera)  # type: ignore[arg-type]  # those without take any
 
 
 def channels(model: Model) -> str:
@@ -130,6 +83,12 @@ def _intentional(track: Track, model: Model, camera: GroundCamera | None) -> Tra
     return intentional_tracker(track, model.parameters)
 
 
+def _steps(
+    track: Track, model: Model, camera: GroundCamera | None, *, parameters: IntentionalParameters
+) -> Track:
+    return step_tracker(track, parameters)
+
+
 def _particle(track: Track, model: Model, camera: GroundCamera | None) -> Track:
     return particle_filter(track, model, camera=camera).track
 
@@ -142,34 +101,39 @@ def _smoother(track: Track, model: Model, camera: GroundCamera | None) -> Track:
     return smooth_track(track, model, camera).track
 
 
+def _online(track: Track, model: Model, camera: GroundCamera | None, *, engine: OnlineEngine) -> Track:
+    return track_online(track, model, engine=engine, lag=2.0, camera=camera)
+
+
+def _method(
+    name: str, function: Callable[..., Track], uses: str = "", *, online: bool = True
+) -> Callable[[Model], Method]:
+    """A factory of a method that uses some channels, by default those of its model."""
+    when = "past only" if online else "past and future"
+    return lambda model: FunctionMethod(name, online, f"{uses or channels(model)}; {when}", model, function)
+
+
+def _own(name: str) -> Callable[[Model], Method]:
+    """A factory of Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has no model."""
+    information = "positions, head; past only; parameters of its paper, a frame is a step"
+    function = partial(_steps, parameters=OWN_FILTERS[name])
+    return lambda model: FunctionMethod(f"intentional-{name}", True, information, None, function)
+
+
 registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
     {
-        "kf": lambda model: FunctionMethod("kf", True, "positions; past only", model, _kalman),
-        "intentional": lambda model: FunctionMethod(
-            "intentional", True, "positions, head; past only", model, _intentional
-        ),
-        "intentional-printed": lambda model: StepFilter("intentional-printed", OWN_FILTERS["printed"]),
-        "intentional-consistent": lambda model: StepFilter(
-            "intentional-consistent", OWN_FILTERS["consistent"]
-        ),
-        "particle": lambda model: FunctionMethod(
-            "particle", True, f"{channels(model)}; past only", model, _particle
-        ),
-        "particle-modes": lambda model: FunctionMethod(
-            "particle-modes", True, f"{channels(model)}; past only", model, _particle
-        ),
-        "ffbs": lambda model: FunctionMethod(
-            "ffbs", False, f"{channels(model)}; past and future", model, _ffbs
-        ),
-        "rts": lambda model: FunctionMethod(
-            "rts", False, "positions; past and future", model, _rauch_tung_striebel
-        ),
-        "smoother": lambda model: FunctionMethod(
-            "smoother", False, f"{channels(model)}; past and future", model, _smoother
-        ),
-        "chain": lambda model: OnlineGraph(model, "chain"),
-        "isam2": lambda model: OnlineGraph(model, "isam2"),
-        "fixed-lag": lambda model: OnlineGraph(model, "fixed-lag"),
+        "kf": _method("kf", _kalman, "positions"),
+        "intentional": _method("intentional", _intentional, "positions, head"),
+        "intentional-printed": _own("printed"),
+        "intentional-consistent": _own("consistent"),
+        "particle": _method("particle", _particle),
+        "particle-modes": _method("particle-modes", _particle),
+        "ffbs": _method("ffbs", _ffbs, online=False),
+        "rts": _method("rts", _rauch_tung_striebel, "positions", online=False),
+        "smoother": _method("smoother", _smoother, online=False),
+        "chain": _method("chain", partial(_online, engine="chain")),
+        "isam2": _method("isam2", partial(_online, engine="isam2")),
+        "fixed-lag": _method("fixed-lag", partial(_online, engine="fixed-lag")),
     }
 )
 """Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.

@@ -95,6 +95,20 @@ def head_deviation(track: Track, *, window: int = WINDOW_FRAMES, slowest: float 
     return np.where(moves, difference(direction(velocity), track.head), np.nan)
 
 
+def deviation(track: Track) -> tuple[float, float]:
+    """Circular mean and spread (radians) of the direction of travel minus the head, where people move."""
+    return _mean_and_spread(head_deviation(track))
+
+
+def _mean_and_spread(angles: FloatArray) -> tuple[float, float]:
+    """Circular mean of the finite angles and their root mean square about it; NaN without any."""
+    known = angles[np.isfinite(angles)]
+    if not len(known):
+        return float("nan"), float("nan")
+    mean = circular_mean(known)
+    return mean, float(np.sqrt(np.mean(difference(known, mean) ** 2)))
+
+
 def future_share(tracks: Iterable[Track]) -> float:
     """The greatest share, over lags of 1 to `FUTURE_LAGS` frames, of heads that equal the direction ahead.
 
@@ -143,15 +157,14 @@ def deviation_statistics(
         raise InputError(
             f"nobody in {name} who moves and whose head is known", "tracks with positions and head"
         )
-    mean = circular_mean(pooled)
-    off = difference(pooled, mean)
+    mean, std = _mean_and_spread(pooled)
     counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
     found = DeviationStatistics(
         name=name,
         people=sum(bool(len(own)) for own in deviations),
         frames=len(pooled),
         mean=mean,
-        std=float(np.sqrt(np.mean(off**2))),
+        std=std,
         density=counts / (counts.sum() * np.diff(HISTOGRAM_EDGES)),
         future=future_share(tracks),
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.content import Card, DataTable, Note, Section, Timeline
+from graphtrack.report.content import Card, Chart, DataTable, Section
 from graphtrack.report.pairing import Pair
 from graphtrack.report.shapes import longest_step
 
@@ -119,7 +119,7 @@ def identities_section(
     events : where identities went wrong, if the truth is known
     drawn : whether there is a replay in the page, of whose data the timeline is drawn
     """
-    items: list[Timeline | DataTable | Note] = [Timeline(_TITLE, _NOTE)] if drawn else []
+    items: list[Chart | DataTable] = [Chart("timeline", _TITLE, _NOTE)] if drawn else []
     items.append(_lives_table(lives, events))
     items += _gaps_table(lives)
     if events:

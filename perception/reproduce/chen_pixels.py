@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphtrack.evaluation.reproduce import chen_classes
-from graphtrack.evaluation.reproduce.chen_joint import Scores, beside
-from graphtrack.evaluation.reproduce.chen_tables import detail, draw_errors
+from graphtrack.evaluation.reproduce.chen_tables import Scores, beside, detail, draw_errors
 from graphtrack.evaluation.reproduce.experiment import (
     Cell,
     Experiment,

@@ -9,19 +9,16 @@ import numpy as np
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.reproduce.experiment import (
-    ASKANCE,
     CAVIAR,
+    GAITS,
     MOCAP,
     SALSA,
-    TURNING,
-    WALKING,
     Cell,
     Experiment,
     Progress,
     Reproduction,
     Settings,
     Table,
-    quietly,
 )
 from graphtrack.evaluation.statistics import (
     HISTOGRAM_EDGES,
@@ -29,6 +26,7 @@ from graphtrack.evaluation.statistics import (
     DeviationStatistics,
     deviation_statistics,
 )
+from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR, new_figure, tidy
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.tracks import TrackSet
 
@@ -54,19 +52,15 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             notes.append(f"{name} is left out: found {error.found}")
         progress(1)
 
-    mocap = settings.recording(*MOCAP)
-    if mocap is not None:
-        clips = quietly(mocap)
-        add(clips.select(WALKING), "mocap, walking")
-        add(clips.select(TURNING), "mocap, turning")
-        add(clips.select(*ASKANCE), "mocap, sideways and back")
-    caviar = settings.recording(*CAVIAR)
+    clips = settings.tracks(*MOCAP)
+    for name, patterns in GAITS.items() if clips is not None else ():
+        add(clips.select(*patterns), name)
+    caviar, salsa = settings.tracks(*CAVIAR), settings.tracks(*SALSA)
     if caviar is not None:
-        add(quietly(caviar), "CAVIAR mws1gt")
-    salsa = settings.recording(*SALSA)
+        add(caviar, "CAVIAR mws1gt")
     if salsa is not None:
         # At one row in three seconds a window of 24 frames would be more than a minute.
-        add(quietly(salsa), "SALSA, party", 2)
+        add(salsa, "SALSA, party", 2)
         notes.append("SALSA has a frame every 3 s: its velocity is averaged over 2 frames.")
     behaviours = range(0, len(NUMERALS), 3 if settings.quick else 1)
     corpus = [
@@ -131,8 +125,6 @@ def _beside(found: list[DeviationStatistics]) -> Table:
 
 
 def _figure(found: list[DeviationStatistics]) -> Figure:
-    from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR, new_figure, tidy
-
     columns = min(len(found), 3)
     lines = -(-len(found) // columns)
     figure = new_figure(max(3.6 * columns, 5.4), 2.7 * lines + 0.3)

@@ -13,8 +13,7 @@ from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG, Progress
-from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
-from graphtrack.evaluation.reproduce.prediction import from_the_past
+from graphtrack.evaluation.reproduce.fitting import fit, from_the_past, model_of, with_density
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference import smooth, track_online
 from graphtrack.inference.online_engines import OnlineEngine
@@ -90,16 +89,6 @@ def unseen(track: Track) -> NDArray[np.intp]:
     """The frames without a position, after the first one with."""
     seen = np.asarray(np.isfinite(track.position).all(axis=1))
     return np.flatnonzero(~seen & np.logical_or.accumulate(seen))
-
-
-def model_of(preset: str) -> Callable[..., Model]:
-    """The model of q, the strength of the couplings and, where the head steers, λ."""
-
-    def make(density: float, factor: float, *head_rate: float) -> Model:
-        parameters = with_coupling(with_density(Parameters(), density), factor)
-        return Model(preset, with_head_rate(parameters, *head_rate) if head_rate else parameters)
-
-    return make
 
 
 def kalman(density: float) -> Predictor:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -21,12 +20,13 @@ from graphtrack.evaluation.reproduce.experiment import (
     SALSA,
     Cell,
     Experiment,
+    Panel,
     Progress,
     Reproduction,
     Settings,
     Table,
     evenly,
-    quietly,
+    page,
     thinned,
 )
 from graphtrack.evaluation.reproduce.strangers import independent_walkers
@@ -38,9 +38,6 @@ from graphtrack.model.parameters import scale_of
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.strollers import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.tracks import Track, TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SIMPLER = ("separate", "joint")
 ONLINE = "full, online"
@@ -124,10 +121,9 @@ def simulated(habits: StrollerParameters, number: int, settings: Settings, strea
 
 def motion_capture(settings: Settings, stream: int) -> People:
     """Clips that walk, turn and run, at 30 and 10 Hz, and odd gaits; those of even place to fit on."""
-    path = settings.recording(*MOCAP)
-    if path is None:
+    whole = settings.tracks(*MOCAP)
+    if whole is None:
         return {}
-    whole = quietly(path)
     half = whole.with_tracks(whole.tracks[stream::2])
     odd = half.select(*ASKANCE)
     known = {track.track_id for track in odd}
@@ -142,10 +138,9 @@ def motion_capture(settings: Settings, stream: int) -> People:
 
 def party(settings: Settings, stream: int) -> People:
     """People who stand and talk; the first 1,000 s to fit on."""
-    path = settings.recording(*SALSA)
-    if path is None:
+    whole = settings.tracks(*SALSA)
+    if whole is None:
         return {}
-    whole = quietly(path)
     kept = whole.map(lambda track: track[np.flatnonzero((track.t < 1000.0) == (stream == 0))])
     noisy = add_noise(kept, position_std=0.1, body_kappa=1.2, head_kappa=3.4, rng=settings.rng(43, stream))
     return {"1/3 Hz": noisy, "1/3 Hz, no body": noisy.map(lambda t: replace(t, body=None, body_kappa=None))}
@@ -305,7 +300,19 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "a stop the body turns 360° more or less than in truth.",
     )
     tables = (Table.of("Errors and coverage", rows), _summary(rows), _spread(constants))
-    return Reproduction("unseen-people", tables, _figure(rows), notes)
+    shown = [row for row in rows if row["model"] in ("full", "full, fitted without it")]
+    panels = [
+        Panel(
+            f"{name}: error over the best other's",
+            shown,
+            "source",
+            f"{name} of the best other",
+            "model",
+            level=1.0,
+        )
+        for name in QUANTITIES
+    ]
+    return Reproduction("unseen-people", tables, page(panels), notes)
 
 
 def _summary(rows: Sequence[Mapping[str, Cell]]) -> Table:
@@ -341,37 +348,6 @@ def _spread(constants: Sequence[Mapping[str, Cell]]) -> Table:
             }
         )
     return Table.of("Constants fitted with one source left out", records)
-
-
-def _figure(rows: Sequence[Mapping[str, Cell]]) -> Figure:
-    from graphtrack.report.style import new_figure, quantity_colour, tidy
-
-    figure = new_figure(9.0, 4.6)
-    panels = figure.subplots(1, len(QUANTITIES), sharey=True)
-    sources = list(dict.fromkeys(str(row["source"]) for row in rows))
-    for axes, quantity in zip(panels, QUANTITIES, strict=True):
-        axes.axvline(1.0, color="#9AA1AB", linewidth=1.0)
-        for model, shift, marker in (("full", -0.15, "o"), ("full, fitted without it", 0.15, "s")):
-            own = [row for row in rows if row["model"] == model]
-            places = [sources.index(str(row["source"])) + shift for row in own]
-            ratios = [row[f"{quantity} of the best other"] for row in own]
-            fill = quantity_colour(quantity) if marker == "o" else "white"
-            axes.plot(
-                ratios,
-                places,
-                marker,
-                color=quantity_colour(quantity),
-                markerfacecolor=fill,
-                markersize=4,
-                label=model,
-            )
-        axes.set_title(quantity, loc="left", fontsize=10)
-        tidy(axes, grid="x")
-    panels[0].set_yticks(range(len(sources)), sources)
-    panels[0].invert_yaxis()
-    panels[0].legend(frameon=False, fontsize=8)
-    figure.supxlabel("error over the least of separate, joint and full online; a dot a setting", fontsize=9)
-    return figure
 
 
 def _rounds(settings: Settings) -> int:
