@@ -23,10 +23,12 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
     page,
+    tabulated,
 )
 from graphtrack.evaluation.reproduce.fitting import PREDICTED as METHODS
 from graphtrack.evaluation.reproduce.fitting import Fitted
@@ -156,89 +158,73 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     )
 
 
-def _people(everyone: Sequence[Person]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("People with labelled heads; ε = direction of travel − head, as in baxter-statistics")
+def _people(everyone: Sequence[Person]) -> Records:
     for one in everyone:
         track = one.track
         mean, std = deviation(track)
         steps = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
         speed = np.linalg.norm(travel_velocity(track), axis=1)
-        records.append(
-            {
-                "person": one.name,
-                "frames": len(track),
-                "heads": int(np.isfinite(np.asarray(track.head)).sum()),
-                "speed (m/s)": float(np.nanmedian(speed)),
-                "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
-                "relabelled (1/s)": relabelled_rate(track),
-                "ε, mean (°)": float(np.degrees(mean)),
-                "ε, std (°)": float(np.degrees(std)),
-            }
-        )
-    return Table.of(
-        "People with labelled heads; ε = direction of travel − head, as in baxter-statistics", records
-    )
+        yield {
+            "person": one.name,
+            "frames": len(track),
+            "heads": int(np.isfinite(np.asarray(track.head)).sum()),
+            "speed (m/s)": float(np.nanmedian(speed)),
+            "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
+            "relabelled (1/s)": relabelled_rate(track),
+            "ε, mean (°)": float(np.degrees(mean)),
+            "ε, std (°)": float(np.degrees(std)),
+        }
 
 
-def _detail(found: Outcomes, everyone: Sequence[Person]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ")
+def _detail(found: Outcomes, everyone: Sequence[Person]) -> Records:
     frames = sum(len(one.track) - 1 for one in everyone)
     for rate in RATES:
         for method in ("kf", *METHODS):
             error, likelihood = (spread(ratios) for ratios in gains(found, rate, method))
             fair, _ = gains(found, rate, method, over="kf fitted")
             sums = found[rate, method].sum(axis=1).mean(axis=0)
-            records.append(
-                {
-                    "detection %": round(100 * rate),
-                    "method": method,
-                    "RMSE (m)": float(np.sqrt(sums[0] / frames)),
-                    "MSE gain": error[0],
-                    "± people": error[1],
-                    "± seeds": error[2],
-                    "MSE gain over kf fitted": float(np.median(fair)),
-                    "nats a detection": float(sums[1] / (rate * frames)),
-                    "CLL gain": likelihood[0],
-                    "± people ": likelihood[1],
-                    "± seeds ": likelihood[2],
-                }
-            )
-    return Table.of(
-        "Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ", records
-    )
+            yield {
+                "detection %": round(100 * rate),
+                "method": method,
+                "RMSE (m)": float(np.sqrt(sums[0] / frames)),
+                "MSE gain": error[0],
+                "± people": error[1],
+                "± seeds": error[2],
+                "MSE gain over kf fitted": float(np.median(fair)),
+                "nats a detection": float(sums[1] / (rate * frames)),
+                "CLL gain": likelihood[0],
+                "± people ": likelihood[1],
+                "± seeds ": likelihood[2],
+            }
 
 
-def _controls(controls: Sequence[ControlGain]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Where the gains come from: one thing changed at a time, all detected")
+def _controls(controls: Sequence[ControlGain]) -> Records:
     for control in CONTROLS:
         record: dict[str, Cell] = {"what is changed": control.name}
         for gain in controls:
             if gain.control == control.name:
                 record[f"{gain.method}: MSE gain"] = float(np.median(gain.error))
                 record[f"{gain.method}: CLL gain"] = float(np.median(gain.likelihood))
-        records.append(record)
-    return Table.of("Where the gains come from: one thing changed at a time, all detected", records)
+        yield record
 
 
-def _beside(found: Outcomes) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video")
+def _beside(found: Outcomes) -> Records:
     for rate in RATES:
         for method in METHODS:
             error, likelihood = (spread(ratios)[0] for ratios in gains(found, rate, method))
             fair = float(np.median(gains(found, rate, method, over="kf fitted")[0]))
-            records.append(
-                {
-                    "detection %": round(100 * rate),
-                    "paper: CLL gain": PAPER[rate],
-                    "ours": method,
-                    "CLL gain": likelihood,
-                    "MSE gain": error,
-                    "MSE gain over kf fitted": fair,
-                }
-            )
-    return Table.of(
-        "Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video", records
-    )
+            yield {
+                "detection %": round(100 * rate),
+                "paper: CLL gain": PAPER[rate],
+                "ours": method,
+                "CLL gain": likelihood,
+                "MSE gain": error,
+                "MSE gain over kf fitted": fair,
+            }
 
 
 def _panels(detail: Table, controls: Sequence[ControlGain]) -> list[Panel]:

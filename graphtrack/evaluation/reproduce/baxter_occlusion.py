@@ -16,12 +16,14 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
     evenly,
     interval_cells,
     page,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.reproduce.occlusion_methods import (
@@ -162,23 +164,20 @@ def reference(errors: WindowErrors, method: str) -> FloatArray:
     return errors.by_method["kf" if method in OWN_FILTERS else errors.case.reference]
 
 
-def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Error in the withheld window")
+def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
     for errors in found:
         for method, own in errors.by_method.items():
             interval = bootstrap(reduction, own, reference(errors, method), rng=rng)
-            records.append(
-                {
-                    "data": errors.case.name,
-                    "head": errors.head,
-                    "group": "offline" if method in OFFLINE else "online",
-                    "method": method,
-                    "tracks": len(own),
-                    "RMSE (m)": float(np.sqrt(own.mean())),
-                    **interval_cells("reduction %", interval, scale=100.0),
-                }
-            )
-    return Table.of("Error in the withheld window", records)
+            yield {
+                "data": errors.case.name,
+                "head": errors.head,
+                "group": "offline" if method in OFFLINE else "online",
+                "method": method,
+                "tracks": len(own),
+                "RMSE (m)": float(np.sqrt(own.mean())),
+                **interval_cells("reduction %", interval, scale=100.0),
+            }
 
 
 def trajectories(found: Sequence[WindowErrors]) -> Table:
@@ -225,9 +224,9 @@ def _turn(track: Track, window: BoolArray) -> float:
     return float(np.nanmax(found, initial=0.0))
 
 
-def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
+@tabulated("Paper / ours: reduction of the MSE in the window, head visible")
+def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
     """Baxter et al.'s mean over seven trajectories beside our reductions, head visible."""
-    records: list[dict[str, Cell]] = []
     for errors in found:
         if errors.head == "hidden":
             continue
@@ -236,17 +235,14 @@ def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
                 continue
             own, base = errors.by_method[method], reference(errors, method)
             interval = bootstrap(reduction, own, base, rng=rng)
-            records.append(
-                {
-                    "paper: mean of 7 (%)": float(np.mean(list(PAPER.values()))),
-                    "paper: from … to (%)": f"{min(PAPER.values())} … {max(PAPER.values())}",
-                    "ours: data": errors.case.name,
-                    "ours: method": method,
-                    **interval_cells("ours: reduction (%)", interval, scale=100.0),
-                    "median of tracks (%)": 100.0 * float(np.median(1.0 - own / base)),
-                }
-            )
-    return Table.of("Paper / ours: reduction of the MSE in the window, head visible", records)
+            yield {
+                "paper: mean of 7 (%)": float(np.mean(list(PAPER.values()))),
+                "paper: from … to (%)": f"{min(PAPER.values())} … {max(PAPER.values())}",
+                "ours: data": errors.case.name,
+                "ours: method": method,
+                **interval_cells("ours: reduction (%)", interval, scale=100.0),
+                "median of tracks (%)": 100.0 * float(np.median(1.0 - own / base)),
+            }
 
 
 def _panels(detail: Table) -> list[Panel]:

@@ -15,11 +15,13 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
     interval_cells,
     page,
+    tabulated,
 )
 from graphtrack.evaluation.reproduce.fitting import (
     GRAPHS,
@@ -270,7 +272,8 @@ def _counted(method: str, cells: Sequence[Mapping[str, Cell]]) -> dict[str, Cell
     }
 
 
-def _beside(found: Sequence[Gain]) -> Table:
+@tabulated("Paper / ours: medians over the tracks of a behaviour, the least and greatest of them")
+def _beside(found: Sequence[Gain]) -> Records:
     """What Baxter et al. (2014) say in words, and the least and greatest of our medians over the
     behaviours."""
     said = {
@@ -278,29 +281,21 @@ def _beside(found: Sequence[Gain]) -> Table:
         0.8: "above 1 (Fig. 5, simulated)",
         0.6: "above 1 (Fig. 5, simulated); video + 12 %",
     }
-    records: list[dict[str, Cell]] = []
     for rate in RATES:
         for method in METHODS:
             own = [gain for gain in found if gain.method == method and gain.rate == rate]
             errors = [float(np.median(gain.error)) for gain in own]
             sums = [float(np.median(gain.likelihood)) for gain in own]
-            records.append(
-                {
-                    "detection %": round(100 * rate),
-                    "paper (intentional tracker)": said[rate],
-                    "ours": method,
-                    "MSE gain, least": min(errors),
-                    "MSE gain, greatest": max(errors),
-                    "CLL gain, least": min(sums),
-                    "CLL gain, greatest": max(sums),
-                    "behaviours won, of 7": sum(
-                        e > 1.0 and s > 1.0 for e, s in zip(errors, sums, strict=True)
-                    ),
-                }
-            )
-    return Table.of(
-        "Paper / ours: medians over the tracks of a behaviour, the least and greatest of them", records
-    )
+            yield {
+                "detection %": round(100 * rate),
+                "paper (intentional tracker)": said[rate],
+                "ours": method,
+                "MSE gain, least": min(errors),
+                "MSE gain, greatest": max(errors),
+                "CLL gain, least": min(sums),
+                "CLL gain, greatest": max(sums),
+                "behaviours won, of 7": sum(e > 1.0 and s > 1.0 for e, s in zip(errors, sums, strict=True)),
+            }
 
 
 EXPERIMENT = Experiment(

@@ -16,9 +16,11 @@ from graphtrack.evaluation.reproduce.experiment import (
     Cell,
     Experiment,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
+    tabulated,
 )
 from graphtrack.evaluation.statistics import (
     HISTOGRAM_EDGES,
@@ -101,27 +103,24 @@ def _within(one: DeviationStatistics, reach: float) -> float:
     return float(one.density @ (high - low))
 
 
-def _beside(found: list[DeviationStatistics]) -> Table:
+@tabulated("Paper / ours: the same statistic; only CAVIAR is the same source")
+def _beside(found: list[DeviationStatistics]) -> Records:
     paper: dict[str, tuple[str, int]] = {
         "CAVIAR mws1gt": ("CAVIAR", 37),
         "mocap, walking": ("Benfold", 154),
         "mocap, turning": ("PETS 2007", 34),
     }
-    records: list[dict[str, Cell]] = []
     for one in found:
         data, people = paper.get(one.name, ("–", None))
-        records.append(
-            {
-                "paper: data": data,
-                "paper: people": people,
-                "paper: mean, std": "in the picture only" if people else "–",
-                "ours: data": one.name,
-                "ours: people": one.people,
-                "ours: mean (°)": float(np.degrees(one.mean)),
-                "ours: std (°)": float(np.degrees(one.std)),
-            }
-        )
-    return Table.of("Paper / ours: the same statistic; only CAVIAR is the same source", records)
+        yield {
+            "paper: data": data,
+            "paper: people": people,
+            "paper: mean, std": "in the picture only" if people else "–",
+            "ours: data": one.name,
+            "ours: people": one.people,
+            "ours: mean (°)": float(np.degrees(one.mean)),
+            "ours: std (°)": float(np.degrees(one.std)),
+        }
 
 
 def _figure(found: list[DeviationStatistics]) -> Figure:

@@ -17,12 +17,13 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
     page,
     paired,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.reproduce.fitting import (
@@ -234,30 +235,27 @@ def _evaluations(settings: Settings) -> int:
     return 6 if settings.quick else 35
 
 
-def _detail(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Weight of the head: what was fitted, and log-likelihood of held-out tracks")
+def _detail(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Records:
     for (data, method), by_weight in results.items():
         for weight, found in by_weight.items():
             at_rest, at_right_angles = found.rate.of(np.array([0.0, np.pi / 2.0]))
-            records.append(
-                {
-                    "data": data,
-                    "method": method,
-                    "weight": weight,
-                    "λ (1/s)": found.rate.rate,
-                    "ρ (1/rad)": found.rate.growth,
-                    "τ (°)": float(np.degrees(found.rate.offset)),
-                    "λ at 0° (1/s)": float(at_rest),
-                    "λ at 90° (1/s)": float(at_right_angles),
-                    "tracks": len(found.nats),
-                    "nats": float(np.nanmean(found.nats)),
-                }
-            )
-    return Table.of("Weight of the head: what was fitted, and log-likelihood of held-out tracks", records)
+            yield {
+                "data": data,
+                "method": method,
+                "weight": weight,
+                "λ (1/s)": found.rate.rate,
+                "ρ (1/rad)": found.rate.growth,
+                "τ (°)": float(np.degrees(found.rate.offset)),
+                "λ at 0° (1/s)": float(at_rest),
+                "λ at 90° (1/s)": float(at_right_angles),
+                "tracks": len(found.nats),
+                "nats": float(np.nanmean(found.nats)),
+            }
 
 
-def _beside(results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Paper / ours: log-likelihood of held-out tracks, paired with a constant weight")
+def _beside(results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.random.Generator) -> Records:
     for (data, method), by_weight in results.items():
         record: dict[str, Cell] = {
             "paper": "the weight grows with the deviation",
@@ -268,8 +266,7 @@ def _beside(results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.rand
         for weight, ends in ENDS.items():
             nats = by_weight[weight].nats, by_weight[CONSTANT].nats
             record |= paired(f"{weight} − constant (nats)", *nats, rng, *ends)
-        records.append(record)
-    return Table.of("Paper / ours: log-likelihood of held-out tracks, paired with a constant weight", records)
+        yield record
 
 
 def work(settings: Settings) -> int:

@@ -19,7 +19,15 @@ from graphtrack.evaluation.reproduce.chen_tables import (
     Methods,
     errors_of,
 )
-from graphtrack.evaluation.reproduce.experiment import ISAM2, Cell, Progress, Table, paired
+from graphtrack.evaluation.reproduce.experiment import (
+    ISAM2,
+    Cell,
+    Progress,
+    Records,
+    Table,
+    paired,
+    tabulated,
+)
 from graphtrack.evaluation.reproduce.fitting import fit
 from graphtrack.model import Model
 from graphtrack.tracks import TrackSet
@@ -121,9 +129,10 @@ def parameter_table(models: Models) -> Table:
     return Table.of("Parameters fitted for each method, on other people", records)
 
 
+@tabulated("Errors with the parameters fitted for each method")
 def fitted_table(
     scores: Mapping[str, Errors], fitted: Mapping[str, Errors], methods: Methods, rng: np.random.Generator
-) -> Table:
+) -> Records:
     """Errors with the default parameters and with those fitted, by source, angle and method.
 
     Parameters
@@ -131,30 +140,28 @@ def fitted_table(
     scores, fitted : by source
     rng : source of the intervals' resampling
     """
-    records: list[dict[str, Cell]] = []
     for data, errors in scores.items():
         for i, angle in enumerate(ANGLES):
             for method, (group, _) in methods.items():
                 joint, body = (fitted[data][preset, method, angle] for preset in ("joint", "joint-body"))
-                records.append(
-                    {
-                        "data": data,
-                        "angle": angle,
-                        "group": group,
-                        "method": method,
-                        "paper: joint (°)": PAPER["joint"][i],
-                        "joint, default (°)": float(errors["joint", method, angle].mean()),
-                        "joint, fitted (°)": float(joint.mean()),
-                        "joint-body, fitted (°)": float(body.mean()),
-                        **paired("joint − joint-body, fitted (°)", joint, body, rng),
-                    }
-                )
-    return Table.of("Errors with the parameters fitted for each method", records)
+                yield {
+                    "data": data,
+                    "angle": angle,
+                    "group": group,
+                    "method": method,
+                    "paper: joint (°)": PAPER["joint"][i],
+                    "joint, default (°)": float(errors["joint", method, angle].mean()),
+                    "joint, fitted (°)": float(joint.mean()),
+                    "joint-body, fitted (°)": float(body.mean()),
+                    **paired("joint − joint-body, fitted (°)", joint, body, rng),
+                }
 
 
-def pair_table(scores: Mapping[str, Errors], fitted: Mapping[str, Errors], rng: np.random.Generator) -> Table:
+@tabulated("Methods compared on the same people, joint, 95 % intervals")
+def pair_table(
+    scores: Mapping[str, Errors], fitted: Mapping[str, Errors], rng: np.random.Generator
+) -> Records:
     """Paired differences of `PAIRS` with `joint`, with the default parameters and with those fitted."""
-    records: list[dict[str, Cell]] = []
     for data, errors in scores.items():
         for angle in ANGLES:
             for first, second in PAIRS:
@@ -163,5 +170,4 @@ def pair_table(scores: Mapping[str, Errors], fitted: Mapping[str, Errors], rng: 
                     ends = f"{which}: low", f"{which}: high"
                     both = (of["joint", method, angle] for method in (first, second))
                     record |= paired(f"{which} (°)", *both, rng, *ends)
-                records.append(record)
-    return Table.of("Methods compared on the same people, joint, 95 % intervals", records)
+                yield record

@@ -41,13 +41,14 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
     interval_cells,
     page,
     paired,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.resampling import bootstrap
@@ -185,53 +186,43 @@ def _evaluations(settings: Settings) -> int:
     return 7 if settings.quick else 100
 
 
-def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint")
+def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Records:
     for one in found:
         for angle in ANGLES:
             for method, (group, _) in METHODS.items():
                 separate, body, joint = (one.errors[preset, method, angle] for preset in PRESETS)
-                records.append(
-                    {
-                        "data": one.data,
-                        "people": one.people,
-                        "angle": angle,
-                        "group": group,
-                        "method": method,
-                        "observation (°)": float(one.errors["observation", "", angle].mean()),
-                        "separate (°)": float(separate.mean()),
-                        "joint-body (°)": float(body.mean()),
-                        "joint (°)": float(joint.mean()),
-                        **paired("joint − joint-body (°)", joint, body, rng),
-                    }
-                )
-    return Table.of(
-        "Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint", records
-    )
+                yield {
+                    "data": one.data,
+                    "people": one.people,
+                    "angle": angle,
+                    "group": group,
+                    "method": method,
+                    "observation (°)": float(one.errors["observation", "", angle].mean()),
+                    "separate (°)": float(separate.mean()),
+                    "joint-body (°)": float(body.mean()),
+                    "joint (°)": float(joint.mean()),
+                    **paired("joint − joint-body (°)", joint, body, rng),
+                }
 
 
-def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Table:
+@tabulated("Beyond Chen et al. 2011: the graph, told whether people face where they go (full)")
+def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Records:
     """The errors with ``full``, which has modes of the couplings."""
-    records: list[dict[str, Cell]] = []
     for one in found:
         for angle in ANGLES:
             for method in WITH_MODES:
                 own, separate = (one.errors[preset, method, angle] for preset in ("full", "separate"))
-                records.append(
-                    {
-                        "data": one.data,
-                        "angle": angle,
-                        "group": METHODS[method][0],
-                        "method": method,
-                        "separate (°)": float(separate.mean()),
-                        "joint (°)": float(one.errors["joint", method, angle].mean()),
-                        "full (°)": float(own.mean()),
-                        **paired("full − separate (°)", own, separate, rng),
-                    }
-                )
-    return Table.of(
-        "Beyond Chen et al. 2011: the graph, told whether people face where they go (full)", records
-    )
+                yield {
+                    "data": one.data,
+                    "angle": angle,
+                    "group": METHODS[method][0],
+                    "method": method,
+                    "separate (°)": float(separate.mean()),
+                    "joint (°)": float(one.errors["joint", method, angle].mean()),
+                    "full (°)": float(own.mean()),
+                    **paired("full − separate (°)", own, separate, rng),
+                }
 
 
 NO_ENDS: Mapping[str, Cell] = {"low": None, "high": None}

@@ -12,9 +12,11 @@ from graphtrack.evaluation.reproduce.experiment import (
     Cell,
     Panel,
     Progress,
+    Records,
     Table,
     draw_panel,
     interval_cells,
+    tabulated,
 )
 from graphtrack.evaluation.resampling import bootstrap
 from graphtrack.geometry.angles import FloatArray, class_centres, difference, mean_absolute_error
@@ -103,14 +105,14 @@ def most_likely_error(track: Track, truth: Track, angle: str) -> float:
     return float(np.degrees(np.abs(difference(answer, true[known])).mean()))
 
 
-def detail(found: Iterable[Scores], groups: Mapping[str, str], rng: np.random.Generator) -> Table:
+@tabulated("Body and head from class likelihoods")
+def detail(found: Iterable[Scores], groups: Mapping[str, str], rng: np.random.Generator) -> Records:
     """The errors of every method with every model, with 95 % intervals over people.
 
     Parameters
     ----------
     groups : method → "online" or "offline", in the order of the rows
     """
-    records: list[dict[str, Cell]] = []
     for one in found:
         for angle in ANGLES:
             for method, group in groups.items():
@@ -119,19 +121,16 @@ def detail(found: Iterable[Scores], groups: Mapping[str, str], rng: np.random.Ge
                     if errors is None:
                         continue
                     interval = bootstrap(lambda v: np.mean(v, axis=-1), errors, rng=rng)
-                    records.append(
-                        {
-                            "data": one.data,
-                            "people": len(errors),
-                            "angle": angle,
-                            "group": group,
-                            "method": method,
-                            "model": preset,
-                            "most likely class (°)": float(one.errors["observation", "", angle].mean()),
-                            **interval_cells("error (°)", interval),
-                        }
-                    )
-    return Table.of("Body and head from class likelihoods", records)
+                    yield {
+                        "data": one.data,
+                        "people": len(errors),
+                        "angle": angle,
+                        "group": group,
+                        "method": method,
+                        "model": preset,
+                        "most likely class (°)": float(one.errors["observation", "", angle].mean()),
+                        **interval_cells("error (°)", interval),
+                    }
 
 
 def beside(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:

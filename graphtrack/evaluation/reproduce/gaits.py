@@ -16,12 +16,13 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
     page,
     paired,
+    tabulated,
 )
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import smooth, track_online
@@ -132,34 +133,31 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     return Reproduction("gaits", tables, page(panels, columns=2), notes)
 
 
-def _detail(found: Errors) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Errors by model")
+def _detail(found: Errors) -> Records:
     for (who, way, preset), values in found.items():
         record: dict[str, Cell] = {"people": who, "": way, "model": preset}
         record |= {"clips": values.shape[1], "draws": len(values)}
         for k, measure in enumerate(MEASURES):
             record[measure] = float(values[..., k].mean())
             record[f"{measure}, median"] = float(np.median(values[..., k]))
-        records.append(record)
-    return Table.of("Errors by model", records)
+        yield record
 
 
-def _differences(found: Errors, rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("The error of full less another's")
+def _differences(found: Errors, rng: np.random.Generator) -> Records:
     for who, way in dict.fromkeys(key[:2] for key in found):
         for other in PRESETS[:-1]:
             record: dict[str, Cell] = {"people": who, "": way, "full less": other}
-            records.append(record | _paired(found[who, way, "full"], found[who, way, other], rng))
-    return Table.of("The error of full less another's", records)
+            yield record | _paired(found[who, way, "full"], found[who, way, other], rng)
 
 
-def _rivals(found: Errors, rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("The error of the graph (online, chain) less that of the particle filter")
+def _rivals(found: Errors, rng: np.random.Generator) -> Records:
     for who in dict.fromkeys(key[0] for key in found):
         for preset in PRESETS:
             record: dict[str, Cell] = {"people": who, "model": preset}
-            records.append(record | _paired(found[who, CHAIN, preset], found[who, PARTICLES, preset], rng))
-    return Table.of("The error of the graph (online, chain) less that of the particle filter", records)
+            yield record | _paired(found[who, CHAIN, preset], found[who, PARTICLES, preset], rng)
 
 
 def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dict[str, Cell]:

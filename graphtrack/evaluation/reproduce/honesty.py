@@ -18,11 +18,12 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
     page,
+    tabulated,
     thinned,
 )
 from graphtrack.geometry.angles import FloatArray
@@ -113,8 +114,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     return Reproduction("honesty", (_grid(rows), _beside(rows)), page(panels, columns=2), notes)
 
 
-def _grid(rows: Sequence[Mapping[str, Any]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("NEES a degree of freedom, and how often intervals hold the truth")
+def _grid(rows: Sequence[Mapping[str, Any]]) -> Records:
     keys = ("", "model", "σ (m)", "Hz")
     for heading in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
         record: dict[str, Cell] = dict(zip(keys, heading, strict=True))
@@ -123,28 +124,24 @@ def _grid(rows: Sequence[Mapping[str, Any]]) -> Table:
                 record[f"{row['of']}: NEES"] = row["nees"]
                 for level in (50, 95):
                     record[f"{row['of']}: in {level} % (%)"] = 100.0 * row[f"coverage_{level}"]
-        records.append(record)
-    return Table.of("NEES a degree of freedom, and how often intervals hold the truth", records)
+        yield record
 
 
-def _beside(rows: Sequence[Mapping[str, Any]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Paper / ours: what a covariance promises, and all cells of the grid")
+def _beside(rows: Sequence[Mapping[str, Any]]) -> Records:
     for quantity in DEGREES:
         own = [row for row in rows if row["of"] == quantity]
         nees, wide = [row["nees"] for row in own], [100.0 * row["coverage_95"] for row in own]
-        records.append(
-            {
-                "of": quantity,
-                "paper: NEES": 1.0,
-                "ours: least": min(nees),
-                "ours: median": float(np.median(nees)),
-                "ours: greatest": max(nees),
-                "paper: in 95 % (%)": 95.0,
-                "ours: least (%)": min(wide),
-                "ours: greatest (%)": max(wide),
-            }
-        )
-    return Table.of("Paper / ours: what a covariance promises, and all cells of the grid", records)
+        yield {
+            "of": quantity,
+            "paper: NEES": 1.0,
+            "ours: least": min(nees),
+            "ours: median": float(np.median(nees)),
+            "ours: greatest": max(nees),
+            "paper: in 95 % (%)": 95.0,
+            "ours: least (%)": min(wide),
+            "ours: greatest (%)": max(wide),
+        }
 
 
 def work(settings: Settings) -> int:

@@ -16,14 +16,14 @@ from graphtrack.association.online import OnlineAssociation
 from graphtrack.evaluation.reproduce.experiment import (
     MOCAP,
     NO_MOCAP,
-    Cell,
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     page,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.reproduce.honesty import BODY_KAPPA, HEAD_KAPPA
@@ -191,24 +191,21 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     return Reproduction("meetings", (table,), page(panels), notes)
 
 
-def _table(counts: Mapping[tuple[float, str, str], list[int]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Identity switches, means and extremes of the seeds")
+def _table(counts: Mapping[tuple[float, str, str], list[int]]) -> Records:
     for (std, way, evidence), found in counts.items():
         plain: Any = np.array(counts[std, way, "positions"], float)
         fewer = 100.0 * (1.0 - np.array(found) / np.maximum(plain, 1.0))
-        records.append(
-            {
-                "": way,
-                "σ (m)": std,
-                "of": evidence,
-                "switches": float(np.mean(found)),
-                "least": min(found),
-                "most": max(found),
-                "fewer (%)": float(np.mean(fewer)),
-                "fewer, least (%)": float(fewer.min()),
-            }
-        )
-    return Table.of("Identity switches, means and extremes of the seeds", records)
+        yield {
+            "": way,
+            "σ (m)": std,
+            "of": evidence,
+            "switches": float(np.mean(found)),
+            "least": min(found),
+            "most": max(found),
+            "fewer (%)": float(np.mean(fewer)),
+            "fewer, least (%)": float(fewer.min()),
+        }
 
 
 def _seeds(settings: Settings) -> range:

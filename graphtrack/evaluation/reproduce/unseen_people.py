@@ -6,7 +6,7 @@ the simpler presets, and judged on other people of the source that was left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -22,11 +22,13 @@ from graphtrack.evaluation.reproduce.experiment import (
     Experiment,
     Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
     evenly,
     page,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.reproduce.strangers import independent_walkers
@@ -253,7 +255,7 @@ def fit(people: Sequence[People], rounds: int, progress: Progress) -> Parameters
 # -- the experiment ------------------------------------------------------------------------------------------
 
 
-def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Iterator[dict[str, Cell]]:
+def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Records:
     for setting, tracks in people.items():
         estimates = {name: estimated(tracks, model) for name, model in models.items()}
         errors = {name: errors_of(tracks, found) for name, found in estimates.items()}
@@ -315,8 +317,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     return Reproduction("unseen-people", tables, page(panels), notes)
 
 
-def _summary(rows: Sequence[Mapping[str, Cell]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Errors over the best other's, by source")
+def _summary(rows: Sequence[Mapping[str, Cell]]) -> Records:
     for model in dict.fromkeys(row["model"] for row in rows):
         for source in dict.fromkeys(row["source"] for row in rows):
             own = [row for row in rows if row["model"] == model and row["source"] == source]
@@ -328,26 +330,22 @@ def _summary(rows: Sequence[Mapping[str, Cell]]) -> Table:
                 held = [float(row[f"{angle} in 95 % (%)"] or np.nan) for row in own]
                 record |= {f"{angle} in 95 %, least (%)": min(held), f"{angle}, greatest (%)": max(held)}
             record["wrong turns"] = sum(int(row["wrong turns"] or 0) for row in own)
-            records.append(record)
-    return Table.of("Errors over the best other's, by source", records)
+            yield record
 
 
-def _spread(constants: Sequence[Mapping[str, Cell]]) -> Table:
+@tabulated("Constants fitted with one source left out")
+def _spread(constants: Sequence[Mapping[str, Cell]]) -> Records:
     default = default_parameters("full")
-    records: list[dict[str, Cell]] = []
     for key in FITTED:
         group, name = key.split(".")
         values = [float(one[key] or 0.0) for one in constants]
-        records.append(
-            {
-                "parameter": key,
-                "default": getattr(getattr(default, group), name),
-                "least": min(values),
-                "median": float(np.median(values)),
-                "greatest": max(values),
-            }
-        )
-    return Table.of("Constants fitted with one source left out", records)
+        yield {
+            "parameter": key,
+            "default": getattr(getattr(default, group), name),
+            "least": min(values),
+            "median": float(np.median(values)),
+            "greatest": max(values),
+        }
 
 
 def _rounds(settings: Settings) -> int:

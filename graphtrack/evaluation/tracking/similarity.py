@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 
@@ -67,6 +68,14 @@ class SharedFrames:
 
     def __len__(self) -> int:
         return len(self.similarity)
+
+
+class Summed:
+    """Counts that add up over sequences, field by field."""
+
+    def __add__(self, other: Self) -> Self:
+        pairs: Any = self
+        return type(self)(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(pairs)))
 
 
 def share_frames(

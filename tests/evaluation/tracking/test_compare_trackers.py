@@ -17,7 +17,7 @@ from graphtrack import InputError, Track, TrackSet
 from graphtrack.association.detections import Detections
 from graphtrack.baselines.hungarian import HungarianParameters
 from graphtrack.evaluation.tracking.compare import compare_trackers, read_detections
-from graphtrack.evaluation.tracking.methods import Hungarian
+from graphtrack.evaluation.tracking.methods import make_tracker
 from graphtrack.evaluation.tracking.peers import (
     INSTALL,
     TUNED,
@@ -28,6 +28,7 @@ from graphtrack.evaluation.tracking.peers import (
 )
 from graphtrack.evaluation.tracking.tuning import Scene, tuned
 from graphtrack.io.options import ReadOptions
+from graphtrack.model import Model
 from graphtrack.simulation.crowd import Place, crowd
 from graphtrack.simulation.detector import Detector, detect
 
@@ -106,7 +107,7 @@ def test_our_trackers_find_most_and_the_offline_one_more(scene: Scene) -> None:
 
 
 def test_figures_are_those_of_score(scene: Scene) -> None:
-    method = Hungarian()
+    method = make_tracker("hungarian", Model("joint"))
     (found,) = compare_trackers(scene.detections, scene.truth, [method], metres=0.7).results
     assert found.score == gt.score(method.track(scene.detections), scene.truth, metres=0.7).together
 
