@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, mean_absolute_error
+from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Report, Section
 from graphtrack.report.lives import identities_section, identity_cards, is_associated, life_of
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 PersonErrors = dict[str, float | None]
 """Column of the table of people → error of one of them."""
+
+ANGLES: tuple[Angle, ...] = ("body", "head")
 
 CLOCK_TIMES = 1e6
 """Seconds from which on times must be those of a clock, not of a recording."""
@@ -225,15 +228,11 @@ def person_errors(pair: Pair) -> PersonErrors:
 
     None where the truth is not known.
     """
-    estimate = pair.estimate
-    squared = ((estimate.position - pair.true_position) ** 2).sum(axis=1)
-    squared = squared[np.isfinite(squared)]
-    line: PersonErrors = {"position RMSE (m)": float(np.sqrt(squared.mean())) if squared.size else None}
-    for name in ("body", "head"):
-        angle = getattr(estimate, name)
-        error = np.nan if angle is None else np.degrees(mean_absolute_error(angle, pair.true_angle(name)))
-        line[f"{name} error (°)"] = float(error) if np.isfinite(error) else None
-    return line
+    known = {"true_position": pair.true_position, "true_body": pair.true_body, "true_head": pair.true_head}
+    truth = replace(pair.estimate, **known)
+    errors = {"position RMSE (m)": position_rmse(pair.estimate, truth)}
+    errors |= {f"{name} error (°)": angular_error(pair.estimate, truth, name) for name in ANGLES}
+    return {name: error if np.isfinite(error) else None for name, error in errors.items()}
 
 
 def _median_radius(pair: Pair) -> float | None:

@@ -153,12 +153,13 @@ def _item(item: Note | DataTable | Picture | Chart) -> str:
 
 
 def _picture(picture: Picture) -> str:
-    data, media, size = picture.content, "image/jpeg", ""
-    if not isinstance(data, bytes):
+    content, media, size = picture.content, "image/jpeg", ""
+    if not isinstance(content, bytes):
         buffer = BytesIO()
-        data.savefig(buffer, format="png", dpi=160)
-        data, media, size = buffer.getvalue(), "image/png", f' width="{round(96 * data.get_figwidth())}"'
-    encoded, title = base64.b64encode(data).decode("ascii"), html.escape(picture.title)
+        content.savefig(buffer, format="png", dpi=160)
+        media, size = "image/png", f' width="{round(96 * content.get_figwidth())}"'
+        content = buffer.getvalue()
+    encoded, title = base64.b64encode(content).decode("ascii"), html.escape(picture.title)
     return (
         f'<figure class="panel"><img{size} alt="{html.escape(picture.description) or title}" '
         f'src="data:{media};base64,{encoded}"><figcaption>{title}</figcaption></figure>'

@@ -218,7 +218,7 @@ def test_tracks_are_paired_and_errors_computed_once_a_person(monkeypatch):
     counted_pairs = counting("pair", pairing.pair_track)
     for module in (pairing, orientation):
         monkeypatch.setattr(module, "pair_track", counted_pairs)
-    monkeypatch.setattr(build, "mean_absolute_error", counting("error", build.mean_absolute_error))
+    monkeypatch.setattr(build, "angular_error", counting("error", build.angular_error))
     tracking_report(*scene(people=3))
     assert counts == {"pair": 3, "error": 3 * 2}
 

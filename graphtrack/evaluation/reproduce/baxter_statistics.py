@@ -55,8 +55,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         progress(1)
 
     clips = settings.tracks(*MOCAP)
-    for name, patterns in GAITS.items() if clips is not None else ():
-        add(clips.select(*patterns), name)
+    if clips is not None:
+        for name, patterns in GAITS.items():
+            add(clips.select(*patterns), name)
     caviar, salsa = settings.tracks(*CAVIAR), settings.tracks(*SALSA)
     if caviar is not None:
         add(caviar, "CAVIAR mws1gt")

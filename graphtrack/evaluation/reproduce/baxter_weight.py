@@ -108,7 +108,9 @@ def sources(settings: Settings) -> list[Source]:
             parts.append([track for corpus in corpora for track in corpus.tracks()])
         found.append(Source(f"corpus, {share:.0%} detected", 2.5, *parts))
     clips = settings.tracks(*MOCAP)
-    for i, (name, patterns) in enumerate(GAITS.items()) if clips is not None else ():
+    if clips is None:
+        return found
+    for i, (name, patterns) in enumerate(GAITS.items()):
         chosen = evenly(clips.select(*patterns).map(thinned), 6 if settings.quick else 80, 2.5)
         noisy = list(add_noise(chosen, position_std=0.05, head_kappa=4.0, rng=settings.rng(3, i)))
         rare = [_seldom_seen(track) for track in noisy]

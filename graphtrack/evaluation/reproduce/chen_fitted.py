@@ -168,6 +168,6 @@ def pair_table(
                 record: dict[str, Cell] = {"data": data, "angle": angle, "difference": f"{first} − {second}"}
                 for which, of in (("default", errors), ("fitted", fitted[data])):
                     ends = f"{which}: low", f"{which}: high"
-                    both = (of["joint", method, angle] for method in (first, second))
-                    record |= paired(f"{which} (°)", *both, rng, *ends)
+                    one, other = (of["joint", method, angle] for method in (first, second))
+                    record |= paired(f"{which} (°)", one, other, rng, *ends)
                 yield record

@@ -11,11 +11,11 @@ experiments as entry points of the group ``graphtrack.experiments``.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
@@ -36,7 +36,9 @@ LAG = 5.0
 ISAM2 = ", isam2"
 """After the name of an online graph that GTSAM's iSAM2 solves; the others are the compiled chain's."""
 
+P = ParamSpec("P")
 Cell = str | int | float | None
+Records = Iterator[dict[str, Cell]]
 Progress = Callable[[int], None]
 
 
@@ -99,6 +101,19 @@ class Table:
         """A table of dictionaries that all have the same keys; numbers become plain Python ones."""
         columns = tuple(records[0]) if records else ()
         return cls(title, columns, tuple(tuple(_native(record[c]) for c in columns) for record in records))
+
+
+def tabulated(title: str) -> Callable[[Callable[P, Records]], Callable[P, Table]]:
+    """Make a table of what a function yields, row by row."""
+
+    def decorate(rows: Callable[P, Records]) -> Callable[P, Table]:
+        @wraps(rows)
+        def table(*args: P.args, **kwargs: P.kwargs) -> Table:
+            return Table.of(title, list(rows(*args, **kwargs)))
+
+        return table
+
+    return decorate
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +288,8 @@ def page(panels: Sequence[Panel], columns: int = 3) -> Figure:
         draw_panel(axes, panel, handles)
     for axes in grid[len(panels) :]:
         axes.remove()
-    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=4, frameon=False)
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": columns + 1, "frameon": False}
+    figure.legend(list(handles.values()), list(handles), fontsize=8, **place)
     return figure
 
 
@@ -296,7 +312,7 @@ def draw_panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
         other = list(handles).index(name) if name in handles else len(handles)
         colour = COLOURS.get(plain, _OTHER_COLOURS[other % len(_OTHER_COLOURS)])
         fill = colour if plain == name else "white"
-        style = {"color": colour, "markerfacecolor": fill, "markersize": 4, "label": name}
+        style: dict[str, Any] = {"color": colour, "markerfacecolor": fill, "markersize": 4, "label": name}
         drawn = axes.errorbar(x, y, whiskers, fmt="o", elinewidth=1.0, capsize=2.0, **style)
         handles.setdefault(name, drawn)
     if panel.level is not None:
@@ -308,4 +324,5 @@ def draw_panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
     turned = 30.0 if len("".join(places)) > 40 else 0.0
     axes.set_xticks(range(len(places)), places, rotation=turned, ha="right" if turned else "center")
     axes.set_title(panel.title, fontsize=10, loc="left")
+    axes.set_xlabel(panel.x, fontsize=8)
     tidy(axes, grid="y")

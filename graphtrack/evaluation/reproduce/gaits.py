@@ -164,8 +164,8 @@ def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dic
     """Differences of errors (draws, clips, 3), each clip's mean over its draws, with their intervals."""
     record: dict[str, Cell] = {}
     for k, measure in enumerate(MEASURES):
-        means = (one[..., k].mean(axis=0) for one in (own, other))
-        record |= paired(measure, *means, rng, f"{measure}, low", f"{measure}, high")
+        mine, its = (one[..., k].mean(axis=0) for one in (own, other))
+        record |= paired(measure, mine, its, rng, f"{measure}, low", f"{measure}, high")
     return record
 
 

@@ -150,7 +150,9 @@ def _walkers(settings: Settings) -> Iterator[_Scene]:
 def _recorded(settings: Settings) -> Iterator[_Scene]:
     for name, parts in RECORDINGS.items():
         known = settings.tracks(*parts)
-        for seed in range(_count(settings, SEEDS)) if known is not None else ():
+        if known is None:
+            continue
+        for seed in range(_count(settings, SEEDS)):
             yield _Scene({"people of": name}, at_random_times(known, settings.rng(seed, 1)))
 
 
