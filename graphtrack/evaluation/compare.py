@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -122,7 +119,6 @@ def compare(
     model: Model | str | Path | None = None,
     *,
     occlude_seconds: float | None = None,
-    jobs: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
     """Run methods on the same tracks and judge them against the truth.
@@ -140,7 +136,7 @@ def compare(
         that it can, and the rows and the caption say which. Then methods differ by their models, too.
     occlude_seconds : withhold position and body for so long around everybody's sharpest turn, and judge only
         there
-    jobs : processes; more than one disturbs the measured time a step
+
     progress : called with the number of person-frames of each finished track
 
     Raises
@@ -171,16 +167,12 @@ def compare(
         left_out |= hidden.left_out
         _require_room(hidden, occlude_seconds)
     _rehearse(made, judged.tracks[0], tracks.camera)
-    run = partial(_score_all, methods=made, camera=tracks.camera)
-    masks = [windows.get(track.track_id) for track in judged]
     records: list[TrackScore] = []
-    with ProcessPoolExecutor(jobs) if jobs > 1 and len(judged) > 1 else nullcontext() as pool:
-        chunk = {"chunksize": max(1, len(judged) // (8 * jobs))}
-        results = map(run, judged, masks) if pool is None else pool.map(run, judged, masks, **chunk)
-        for track, found in zip(judged, results, strict=True):
-            records.extend(found)
-            if progress is not None:
-                progress(len(track))
+    for track in judged:
+        window = windows.get(track.track_id)
+        records += [score(method, track, tracks.camera, window) for method in made]
+        if progress is not None:
+            progress(len(track))
     pooled = common_tracks(records)
     return Comparison(
         rows=tuple(_rows(made, pooled)),
@@ -235,7 +227,8 @@ def _rehearse(methods: Sequence[Method], track: Track, camera: GroundCamera | No
     begin = int(np.argmax(np.isfinite(track.position).all(axis=1)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        _score_all(track[begin : begin + 3], None, methods, camera)
+        for method in methods:
+            score(method, track[begin : begin + 3], camera)
 
 
 def _preset(method: Method) -> str:
@@ -245,12 +238,6 @@ def _preset(method: Method) -> str:
 
 def _group(method: Method) -> MethodGroup:
     return "online" if method.online else "offline"
-
-
-def _score_all(
-    track: Track, window: BoolArray | None, methods: Sequence[Method], camera: GroundCamera | None
-) -> list[TrackScore]:
-    return [score(method, track, camera, window) for method in methods]
 
 
 def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:

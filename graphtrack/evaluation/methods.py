@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, step_tracker
+from graphtrack.baselines.intentional import OWN_FILTERS, step_tracker
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import particle_filter, particle_smoother
@@ -24,7 +23,7 @@ from graphtrack.tracks import Track
 
 
 class Method(Protocol):
-    """What a method must have to be compared. Processes share methods, so it must pickle.
+    """What a method must have to be compared.
 
     Attributes
     ----------
@@ -52,7 +51,7 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class FunctionMethod:
-    """A method made of a function of a track, a model and a camera; it is of a module, to pickle."""
+    """A method made of a function of a track, a model and a camera."""
 
     name: str
     online: bool
@@ -71,40 +70,6 @@ def channels(model: Model) -> str:
     return ", ".join(used)
 
 
-def _kalman(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return kalman_filter(track, model.parameters)
-
-
-def _rauch_tung_striebel(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return rauch_tung_striebel(track, model.parameters)
-
-
-def _intentional(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return intentional_tracker(track, model.parameters)
-
-
-def _steps(
-    track: Track, model: Model, camera: GroundCamera | None, *, parameters: IntentionalParameters
-) -> Track:
-    return step_tracker(track, parameters)
-
-
-def _particle(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return particle_filter(track, model, camera=camera).track
-
-
-def _ffbs(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return particle_smoother(track, model, camera=camera).track
-
-
-def _smoother(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return smooth_track(track, model, camera).track
-
-
-def _online(track: Track, model: Model, camera: GroundCamera | None, *, engine: OnlineEngine) -> Track:
-    return track_online(track, model, engine=engine, lag=2.0, camera=camera)
-
-
 def _method(
     name: str, function: Callable[..., Track], uses: str = "", *, online: bool = True
 ) -> Callable[[Model], Method]:
@@ -116,24 +81,55 @@ def _method(
 def _own(name: str) -> Callable[[Model], Method]:
     """A factory of Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has no model."""
     information = "positions, head; past only; parameters of its paper, a frame is a step"
-    function = partial(_steps, parameters=OWN_FILTERS[name])
-    return lambda model: FunctionMethod(f"intentional-{name}", True, information, None, function)
+    return lambda model: FunctionMethod(
+        f"intentional-{name}",
+        True,
+        information,
+        None,
+        lambda track, model, camera: step_tracker(track, OWN_FILTERS[name]),
+    )
+
+
+def _online(engine: OnlineEngine) -> Callable[[Model], Method]:
+    def estimate(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+        return track_online(track, model, engine=engine, lag=2.0, camera=camera)
+
+    return _method(engine, estimate)
+
+
+def _particle(name: str) -> Callable[[Model], Method]:
+    return _method(name, lambda track, model, camera: particle_filter(track, model, camera=camera).track)
 
 
 registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
     {
-        "kf": _method("kf", _kalman, "positions"),
-        "intentional": _method("intentional", _intentional, "positions, head"),
+        "kf": _method("kf", lambda track, model, camera: kalman_filter(track, model.parameters), "positions"),
+        "intentional": _method(
+            "intentional",
+            lambda track, model, camera: intentional_tracker(track, model.parameters),
+            "positions, head",
+        ),
         "intentional-printed": _own("printed"),
         "intentional-consistent": _own("consistent"),
-        "particle": _method("particle", _particle),
-        "particle-modes": _method("particle-modes", _particle),
-        "ffbs": _method("ffbs", _ffbs, online=False),
-        "rts": _method("rts", _rauch_tung_striebel, "positions", online=False),
-        "smoother": _method("smoother", _smoother, online=False),
-        "chain": _method("chain", partial(_online, engine="chain")),
-        "isam2": _method("isam2", partial(_online, engine="isam2")),
-        "fixed-lag": _method("fixed-lag", partial(_online, engine="fixed-lag")),
+        "particle": _particle("particle"),
+        "particle-modes": _particle("particle-modes"),
+        "ffbs": _method(
+            "ffbs",
+            lambda track, model, camera: particle_smoother(track, model, camera=camera).track,
+            online=False,
+        ),
+        "rts": _method(
+            "rts",
+            lambda track, model, camera: rauch_tung_striebel(track, model.parameters),
+            "positions",
+            online=False,
+        ),
+        "smoother": _method(
+            "smoother", lambda track, model, camera: smooth_track(track, model, camera).track, online=False
+        ),
+        "chain": _online("chain"),
+        "isam2": _online("isam2"),
+        "fixed-lag": _online("fixed-lag"),
     }
 )
 """Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.

@@ -78,20 +78,19 @@ def travel_velocity(track: Track, window: int = WINDOW_FRAMES) -> FloatArray:
     return np.where(number > 0, (sums[high] - sums[low]) / np.maximum(number, 1), np.nan)
 
 
-def head_deviation(track: Track, *, window: int = WINDOW_FRAMES, slowest: float = MOVING_SPEED) -> FloatArray:
+def head_deviation(track: Track, *, window: int = WINDOW_FRAMES) -> FloatArray:
     """ε_t = θ^v_t − θ^g_t (n,) in radians; NaN where the head is unknown or the person hardly moves.
 
     Parameters
     ----------
     track : positions and head
     window : frames over which the velocity is averaged
-    slowest : m/s below which the direction of travel means nothing
     """
     if track.head is None:
         return np.full(len(track), np.nan)
     velocity = travel_velocity(track, window)
     with np.errstate(invalid="ignore"):
-        moves = np.linalg.norm(velocity, axis=1) >= slowest
+        moves = np.linalg.norm(velocity, axis=1) >= MOVING_SPEED
     return np.where(moves, difference(direction(velocity), track.head), np.nan)
 
 
@@ -135,7 +134,6 @@ def deviation_statistics(
     name: str,
     *,
     window: int = WINDOW_FRAMES,
-    slowest: float = MOVING_SPEED,
 ) -> DeviationStatistics:
     """Mean, spread and histogram of the deviations of many people.
 
@@ -150,7 +148,7 @@ def deviation_statistics(
         If nobody moves with a known head.
     """
     tracks = list(tracks)
-    deviations = [head_deviation(track, window=window, slowest=slowest) for track in tracks]
+    deviations = [head_deviation(track, window=window) for track in tracks]
     deviations = [found[np.isfinite(found)] for found in deviations]
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -188,22 +187,9 @@ def test_frames_before_the_first_position_count_for_nobody(tracks: TrackSet) -> 
     assert not found.failures and {record.frames for record in found.per_track} == {43}
 
 
-def test_processes_change_nothing_and_progress_counts_frames(
-    tracks: TrackSet, comparison: Comparison
-) -> None:
-    some = tracks.with_tracks(list(tracks)[:4])
+def test_progress_counts_frames(tracks: TrackSet) -> None:
     seen: list[int] = []
-    one, two = (
-        compare(some, ("kf", "smoother")),
-        compare(some, ("kf", "smoother"), jobs=2, progress=seen.append),
-    )
-
-    def numbers(found: Comparison) -> Iterator[object]:
-        for record in found.per_track:
-            metrics = {k: v for k, v in record.metrics.items() if k != "time a step"}
-            yield record.method, record.track_id, metrics
-
-    assert list(numbers(one)) == list(numbers(two))
+    compare(tracks.with_tracks(list(tracks)[:4]), ("kf",), progress=seen.append)
     assert seen == [50] * 4
 
 

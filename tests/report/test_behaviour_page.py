@@ -10,7 +10,7 @@ import pytest
 from command import run
 from made_up import observed, walker
 from made_up_behaviour import AHEAD, BAR, SCREEN, forecast, grouped, looking, standing
-from page_scripts import in_browser, in_node
+from page_scripts import delta_decode, in_browser, in_node
 
 import graphtrack as gt
 from graphtrack.behaviour.looks import attention_columns
@@ -22,7 +22,7 @@ from graphtrack.report.behaviour.codes import FAN_STEPS, MAX_FANS
 from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.behaviour.spans import by_main_group, group_spans
 from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import COARSE_STEP, SURE_STEP, delta_decode
+from graphtrack.report.coding import COARSE_STEP, SURE_STEP
 from graphtrack.report.content import DataTable
 from graphtrack.report.html import packed, render_report
 from graphtrack.report.replay import MAX_DOING
@@ -349,20 +349,6 @@ def test_one_person_and_one_without_a_place_have_a_page():
         report = tracking_report(tracks, behaviour=given)
         assert "Nobody was in a group." in render_report(report)
         assert in_page(report, "return doingInWords(behaviour, people, 0, 1.0);").startswith("alone")
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"track_id": lambda v: np.where(v == 2, 9, v)}, "groups of person 9, expected people of the tracks"),
-        ({"frame": lambda v: v + 5}, "groups of person 1 in frame 20, expected frames of that track"),
-    ],
-)
-def test_groups_of_others_are_refused(tracks, change, words):
-    groups = grouped(tracks)
-    wrong = replace(groups, **{name: new(getattr(groups, name)) for name, new in change.items()})
-    with pytest.raises(InputError, match=words):
-        behaviour_of(tracks, groups=wrong)
 
 
 def test_looks_and_forecasts_of_others_are_refused(tracks):

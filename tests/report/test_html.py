@@ -7,11 +7,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from made_up import ERRORS, NEES, observed, scene, walker
+from page_scripts import delta_decode
 
 from graphtrack.errors import InputError
 from graphtrack.report import build, pairing
 from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import LENGTH_STEP, delta_decode
+from graphtrack.report.coding import LENGTH_STEP
 from graphtrack.report.content import Card, DataTable, Note, Report, Section
 from graphtrack.report.html import format_cell, packed, render_report, write_html
 from graphtrack.report.pairing import pair_tracks

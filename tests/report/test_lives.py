@@ -9,11 +9,11 @@ from itertools import groupby
 import numpy as np
 import pytest
 from made_up import walker
-from page_scripts import in_node
+from page_scripts import delta_decode, in_node
 
 from graphtrack.evaluation.tracking.events import IdentityEvent
 from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import SURE_STEP, delta_decode
+from graphtrack.report.coding import SURE_STEP
 from graphtrack.report.content import MAX_ROWS, Chart, DataTable
 from graphtrack.report.html import render_report
 from graphtrack.report.lives import UNSURE, life_of

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_up import observed, scene, walker
-from page_scripts import in_node
+from page_scripts import delta_decode, in_node
 
 from graphtrack.geometry.angles import difference, wrap
-from graphtrack.report.coding import ANGLE_STEP, LENGTH_STEP, TIME_STEP, delta_code, delta_decode
+from graphtrack.report.coding import ANGLE_STEP, LENGTH_STEP, TIME_STEP, delta_code
 from graphtrack.report.pairing import pair_tracks
 from graphtrack.report.replay import replay_data, thin
 from graphtrack.report.shapes import probability_ellipse
