@@ -34,7 +34,7 @@ MethodGroup = Literal["online", "offline"]
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What came out of comparing methods.
+    """The result of comparing methods.
 
     Attributes
     ----------
@@ -211,7 +211,7 @@ def _make(methods: Sequence[str | Method], model: Model | None) -> tuple[Method,
 
 
 def _located(track: Track) -> bool:
-    """Whether it was observed anywhere, on the ground or in the image."""
+    """True if it was observed anywhere, on the ground or in the image."""
     seen = bool(np.isfinite(track.position).all(axis=1).any())
     return seen or (track.pixel is not None and bool(np.isfinite(track.pixel).all(axis=1).any()))
 

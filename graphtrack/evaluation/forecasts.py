@@ -1,4 +1,4 @@
-"""How good forecasts are: errors, density and coverage, beside constant velocity and the Kalman filter."""
+"""Metrics of forecasts: errors, density and coverage, against constant velocity and the Kalman filter."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LONGEST_GAP = 1.0
 
 @dataclass(frozen=True)
 class MethodScore:
-    """What one method's forecasts are worth; NaN: it says nothing of the kind.
+    """Metrics of one method's forecasts; NaN: not forecast.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ def _paths(grid: Mapping[str, FloatArray], mean: FloatArray, spread: FloatArray)
 def _references(
     truth: TrackSet, people: NDArray[np.int64], made: FloatArray, ahead: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Where people were (n, A, 2), and what the filter says (n, A, 3).
+    """True positions (n, A, 2), and predictions of the filter (n, A, 3).
 
     Between them where people would be going straight on, by the last observed step and by the true one.
     """

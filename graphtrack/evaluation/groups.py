@@ -1,4 +1,4 @@
-"""How right groups are, as the literature of F-formations judges it."""
+"""Metrics of groups, as in the literature of F-formations."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class GroupScore:
 
 
 def matches(estimated: Sequence[Group], true: Sequence[Group], share: float) -> int:
-    """How many true groups are matched, each by an estimated group of its own."""
+    """Number of true groups that are matched, each by an estimated group of its own."""
     left, count = list(estimated), 0
     for group in true:
         need = math.ceil(share * len(group) - 1e-9)

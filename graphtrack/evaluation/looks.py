@@ -1,4 +1,4 @@
-"""How right probabilities of looks are, beside labels."""
+"""Metrics of gaze probabilities against labels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from graphtrack.table.groups import UNLABELLED, IntArray
 BINS = 15
 """Of probabilities, for calibration errors."""
 LEAST = 1e-3
-"""What the probability of a look counts for at least: labels have mistakes, too."""
+"""Lower bound of the probability of a look: labels have mistakes, too."""
 
 
 @dataclass(frozen=True)

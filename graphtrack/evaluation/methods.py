@@ -23,7 +23,7 @@ from graphtrack.tracks import Track
 
 
 class Method(Protocol):
-    """What a method must have to be compared.
+    """A method that can be compared.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Method(Protocol):
 
     @property
     def online(self) -> bool:
-        """Whether each estimate uses only what came before it."""
+        """True if each estimate uses only what came before it."""
 
     @property
     def information(self) -> str:
-        """What the method uses, in words."""
+        """The information that the method uses, in words."""
 
     def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
         """Estimates from observations, one for each frame; None in channels that are not estimated."""

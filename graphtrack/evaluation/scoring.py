@@ -37,7 +37,7 @@ _ANGLES: tuple[Angle, ...] = ("body", "head")
 
 @dataclass(frozen=True)
 class TrackScore:
-    """What one method made of one track.
+    """The result of one method on one track.
 
     Attributes
     ----------

@@ -62,7 +62,7 @@ class TrackErrors:
 
 
 def score_states(estimates: Given, truth: Given) -> StateScore:
-    """How far estimated states are from the truth, and whether their uncertainties hold.
+    """Errors of estimated states against the truth, and the calibration of their uncertainties.
 
     Only people who have the same ``track_id`` in both are compared, in the frames whose times agree to a
     tenth of the truth's step.

@@ -1,5 +1,4 @@
-"""How far people look from where they go (Baxter et al. 2014, §II), and whether a head column tells the
-future."""
+"""Deviation of the head from the direction of travel (Baxter et al. 2014, §II), and heads made of the future."""
 
 from __future__ import annotations
 
@@ -57,7 +56,7 @@ class DeviationStatistics:
 
     @property
     def tells_the_future(self) -> bool:
-        """Whether the head column looks as if it was made of the path to come."""
+        """True if the head column looks as if it was made of the future path."""
         return self.future > SUSPICIOUS_SHARE
 
 

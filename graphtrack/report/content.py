@@ -1,4 +1,4 @@
-"""What a report is made of: plain data, without a word of HTML."""
+"""Parts of a report: plain data, without HTML."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
     "base-uri 'none'; form-action 'none'"
 )
-"""What the page may load: itself. The browser enforces that nothing leaves or enters over the network."""
+"""Content security policy: the page loads nothing over the network."""
 
 SCRIPTS = (
     "replay_data.js",

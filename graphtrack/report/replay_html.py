@@ -140,7 +140,7 @@ def _template(name: str) -> Template:
 
 
 def _frame(data: Mapping[str, Any]) -> str:
-    """How long a frame is, if frames are even: annotations at odd times have no length to speak of."""
+    """The duration of a frame, if frames are even."""
     frame = data["frame"]
     if frame is None:
         return ""
@@ -149,7 +149,7 @@ def _frame(data: Mapping[str, Any]) -> str:
 
 
 def _thinned(data: Mapping[str, Any]) -> str:
-    """What the page leaves out of the data, if anything."""
+    """The parts of the data that the page leaves out."""
     fans = (data["behaviour"] or {}).get("fans")
     left_out = "" if fans is None or fans["every"] == 1 else f" One forecast in {fans['every']} is shown."
     if data["kept"] == data["of"]:

@@ -1,4 +1,4 @@
-"""How well tracks and identities are kept: HOTA, IDF1 and CLEAR MOT, on the ground or in the image."""
+"""Metrics of tracks and identities: HOTA, IDF1 and CLEAR MOT, on the ground or in the image."""
 
 from graphtrack.evaluation.tracking.judge import score
 from graphtrack.evaluation.tracking.scores import SequenceScore, TrackingScore

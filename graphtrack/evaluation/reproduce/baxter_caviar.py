@@ -59,7 +59,7 @@ def chosen(settings: Settings) -> list[Person]:
 
 
 def seeds_at(rate: float, settings: Settings) -> int:
-    """How often the detections are drawn."""
+    """Number of draws of the detections."""
     return 1 if rate == 1.0 else 2 if settings.quick else 10
 
 

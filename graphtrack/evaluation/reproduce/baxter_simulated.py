@@ -250,7 +250,7 @@ def paired(found: Sequence[Gain], names: Sequence[str], rng: np.random.Generator
 
 
 def _counted(method: str, cells: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
-    """How many of the cells a method wins and loses, and in how many the interval says so."""
+    """Numbers of cells that a method wins and loses, and of those outside the interval."""
 
     def column(name: str) -> FloatArray:
         return np.array([cell[name] for cell in cells], dtype=float)

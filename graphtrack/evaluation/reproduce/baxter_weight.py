@@ -44,7 +44,7 @@ from graphtrack.tracks import Track
 
 CONSTANT, GROWS, FALLS = "constant", "grows", "falls"
 WEIGHTS = {CONSTANT: 0.0, GROWS: 1.0, FALLS: -1.0}
-"""How λ goes with the deviation → sign of ρ."""
+"""Dependence of λ on the deviation → sign of ρ."""
 
 ENDS = {weight: (f"{weight}: low", f"{weight}: high") for weight in (GROWS, FALLS)}
 """Weights that are compared with a constant one → columns of the ends of the interval."""
@@ -56,7 +56,7 @@ SEEN_EVERY = 5
 """Positions of motion capture are observed twice a second, so that a prediction is one over half a second."""
 
 GROWTH, OFFSET = 1.5, 0.5
-"""Where the searches begin: |ρ| in 1/rad and τ in radians."""
+"""Start of the searches: |ρ| in 1/rad and τ in radians."""
 
 Score = Callable[..., FloatArray]
 """Parameters → mean log-likelihood of the innovations of each track (n,)."""
@@ -81,7 +81,7 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was fitted for a source, method and weight, and how likely it makes the judged tracks.
+    """The fit of a source, method and weight, and the likelihood of the judged tracks.
 
     Attributes
     ----------

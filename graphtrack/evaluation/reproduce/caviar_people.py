@@ -80,7 +80,7 @@ def detected(track: Track, rate: float, rng: np.random.Generator) -> Track:
 
 
 def relabelled_rate(track: Track) -> float:
-    """How often a second the labelled head changes."""
+    """Changes of the labelled head per second."""
     head = np.asarray(track.head)
     head = head[np.isfinite(head)]
     return float(np.sum(np.abs(difference(head[1:], head[:-1])) > RELABELLED) / (track.t[-1] - track.t[0]))

@@ -44,7 +44,7 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Settings:
-    """How an experiment runs.
+    """Settings of an experiment.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def tabulated(title: str) -> Callable[[Callable[P, Records]], Callable[P, Table]
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """What came out of an experiment.
+    """The result of an experiment.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the modes of the couplings bring, to people who face where they go and to those who do not."""
+"""The effect of coupling modes, on people who face where they go and on those who do not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Are stated uncertainties honest? NEES and coverage by preset, noise and rate, on motion capture."""
+"""Calibration of covariances: NEES and coverage by preset, noise and rate, on motion capture."""
 
 from __future__ import annotations
 

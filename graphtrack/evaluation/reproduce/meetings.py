@@ -1,4 +1,4 @@
-"""Who is who where people meet and turn: identity switches with and without body and head."""
+"""Identity switches of people who meet and turn, with and without body and head."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def meetings(clips: TrackSet, pairs: int, rng: np.random.Generator) -> TrackSet:
 
 
 def detected(people: TrackSet, position_std: float, rng: np.random.Generator) -> tuple[Detections, IntArray]:
-    """What a detector makes of people, in random order; whose each detection is (n,)."""
+    """Detections of people in random order, and the person of each detection (n,)."""
     noisy = add_noise(
         people, position_std=position_std, body_kappa=BODY_KAPPA, head_kappa=HEAD_KAPPA, rng=rng
     )
@@ -140,11 +140,11 @@ EVIDENCE: Mapping[str, tuple[str, ...]] = {
     "and head": ("head",),
     "and both": ("body", "head"),
 }
-"""What the trackers are given, beside the places of the same detections."""
+"""Channels that the trackers are given in addition to positions."""
 
 
 def switches(whose: IntArray, identity: IntArray) -> int:
-    """How often a person's detection has another identity than the person's one before it; −1: none."""
+    """Number of detections with another identity than the person's previous one; −1: none."""
     changed = 0
     for person in np.unique(whose):
         known = identity[(whose == person) & (identity >= 0)]

@@ -41,7 +41,7 @@ WithheldWindows = Sequence[tuple[Track, BoolArray]]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is spent on fitting and sampling.
+    """Effort of fitting and sampling.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ FULL = Effort({1: 16, 2: 20, 3: 30}, 2, 1000, 4000, 1000)
 QUICK = Effort({1: 12, 2: 9, 3: 12}, 3, 1000, 1000, 500)
 
 DENSITY, FACTOR, RATE = 0.2, 3.0, 2.0
-"""Where every search begins: q in m²/s³, the strength of the couplings, λ in 1/s."""
+"""Start of every search: q in m²/s³, the strength of the couplings, λ in 1/s."""
 
 
 def in_steps(parameters: IntentionalParameters | None) -> Predictor:

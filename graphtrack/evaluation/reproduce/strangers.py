@@ -37,7 +37,7 @@ from graphtrack.tracks import Track, TrackSet
 SIDES = (8.0, 12.0, 18.0)
 """Metres of the squares that walkers cross."""
 PEOPLE = 20
-"""Who are in a square at a time, about."""
+"""People in a square at a time, about."""
 STOPPING = (0.0, 0.5)
 """Shares of walkers who stop on their way, for 4 s on average."""
 SEEDS, PARTIES = 6, 4
@@ -59,7 +59,7 @@ BEFORE = replace(DEFAULT, encounter_odds=0.0)
 PARAMETERS: Mapping[str, GroupParameters] = {"without": BEFORE, "with": DEFAULT}
 """Without the odds against groups of people who just met, and with them."""
 EVIDENCE: Mapping[str, str] = {"positions": "position", "positions and heads": "joint"}
-"""What is observed, and the model that smooths it."""
+"""Observations → the model that smooths them."""
 
 
 def independent_walkers(

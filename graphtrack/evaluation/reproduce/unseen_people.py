@@ -1,4 +1,4 @@
-"""Does the default hold for people of a source that nothing was fitted to? Each source is left out in turn.
+"""The default on people of a source that nothing was fitted to: each source is left out in turn.
 
 The constants of `full` are fitted on all sources but one, by least squares of the errors against the best of
 the simpler presets, and judged on other people of the source that was left out.

@@ -29,7 +29,7 @@ NOBODY = -1
 
 @dataclass(frozen=True)
 class ClearCounts(Summed):
-    """What was counted.
+    """Counts of CLEAR MOT.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class ClearCounts(Summed):
 
 @dataclass(frozen=True, eq=False)
 class FrameMatches:
-    """Who is matched with whom in a frame that has both truth and estimates, k pairs.
+    """Matches in a frame that has both truth and estimates, k pairs.
 
     Attributes
     ----------

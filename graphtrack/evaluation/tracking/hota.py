@@ -89,7 +89,7 @@ def _matches(frames: SharedFrames) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _alike(frames: SharedFrames) -> FloatArray:
-    """How alike a true person and a track are over the whole sequence, (people, tracks), from 0 to 1.
+    """Similarity of true people and tracks over the whole sequence, (people, tracks), from 0 to 1.
 
     The rows that they may have in common over the rows of both. In a frame a pair counts by its similarity
     over all similarities of either of them, so that a crowd gives nobody more than one row.

@@ -29,7 +29,7 @@ TRACKERS = ("associate", "online", "hungarian")
 
 
 class TrackingMethod(Protocol):
-    """What finds out who is who.
+    """A tracker of many people.
 
     Attributes
     ----------
@@ -44,11 +44,11 @@ class TrackingMethod(Protocol):
 
     @property
     def online(self) -> bool:
-        """Whether what it says of a frame depends on what came before alone."""
+        """True if the output of a frame depends on the past alone."""
 
     @property
     def information(self) -> str:
-        """What it does, in words."""
+        """A description in words."""
 
     def track(self, detections: Detections) -> TrackSet:
         """The people, from detections of a whole recording, which an online method reads frame by frame."""

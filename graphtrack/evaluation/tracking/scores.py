@@ -1,4 +1,4 @@
-"""What is made of the counts: the figures of a sequence, and those of all sequences together."""
+"""Metrics from counts: of a sequence, and of all sequences together."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ IN_SHORT = ("hota", "det_a", "ass_a", "idf1", "mota", "precision", "recall", "sw
 
 @dataclass(frozen=True)
 class Threshold:
-    """How close two detections have to be to be the same person's.
+    """The largest distance or least overlap of two detections of the same person.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Threshold:
 
 @dataclass(frozen=True)
 class SequenceScore:
-    """How well tracks and identities were kept in one sequence, or in all together.
+    """Metrics of tracks and identities in one sequence, or in all together.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class SequenceScore:
 
 @dataclass(frozen=True)
 class TrackingScore:
-    """How well tracks and identities were kept.
+    """Metrics of tracks and identities.
 
     Attributes
     ----------

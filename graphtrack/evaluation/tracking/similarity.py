@@ -1,4 +1,4 @@
-"""How alike two detections are, from 0 to 1, and the frames in which truth and estimates are compared."""
+"""Similarity of two detections, from 0 to 1, and the frames in which truth and estimates are compared."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Similarity = Callable[[FloatArray, FloatArray], FloatArray]
 """Places (n, k) and (m, k) → similarities (n, m)."""
 
 EPSILON = float(np.finfo(float).eps)
-"""What a similarity may fall short of a threshold, and a sum may exceed zero, by rounding."""
+"""Rounding tolerance of similarities and sums."""
 
 
 def ground_similarity(truth: FloatArray, estimates: FloatArray, zero_distance: float) -> FloatArray:

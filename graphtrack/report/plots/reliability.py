@@ -1,4 +1,4 @@
-"""Do intervals hold what they promise? How often they cover the truth, against how often they should."""
+"""Reliability diagrams: coverage of intervals against their probability."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, 
 
 
 def is_crowd(pairs: tuple[Pair, ...]) -> bool:
-    """Whether more than `CROWD` people have a position to draw."""
+    """True if more than `CROWD` people have a position to draw."""
     return sum(bool(finite_rows(pair.estimate.position).any()) for pair in pairs) > CROWD
 
 
