@@ -1,4 +1,4 @@
-"""Deviation of the head from the direction of travel (Baxter et al. 2014, §II), and heads made of the future."""
+"""Deviation of the head from the direction of travel (Baxter et al. 2014, §II); heads made of the future."""
 
 from __future__ import annotations
 
