@@ -228,8 +228,12 @@ def person_errors(pair: Pair) -> PersonErrors:
 
     None where the truth is not known.
     """
-    known = {"true_position": pair.true_position, "true_body": pair.true_body, "true_head": pair.true_head}
-    truth = replace(pair.estimate, **known)
+    truth = replace(
+        pair.estimate,
+        true_position=pair.true_position,
+        true_body=pair.true_body,
+        true_head=pair.true_head,
+    )
     errors = {"position RMSE (m)": position_rmse(pair.estimate, truth)}
     errors |= {f"{name} error (°)": angular_error(pair.estimate, truth, name) for name in ANGLES}
     return {name: error if np.isfinite(error) else None for name, error in errors.items()}

@@ -200,7 +200,8 @@ def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
     """The figures that follow from what was counted."""
     clear, identity, curves = counts.clear, counts.identity, counts.hota.curves()
     means = {"hota": "HOTA", "det_a": "DetA", "ass_a": "AssA", "loc_a": "LocA"}
-    of_clear: dict[str, Any] = {
+    alike: dict[str, Any] = {key: float(curves[curve].mean()) for key, curve in means.items()}
+    alike |= {
         name: getattr(clear, name) for name in ("mota", "motp", "precision", "recall", "matches", *COUNTS)
     }
     return SequenceScore(
@@ -210,12 +211,11 @@ def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
         tracks=counts.tracks,
         rows=clear.matches + clear.misses,
         estimated_rows=clear.matches + clear.false_positives,
-        **{key: float(curves[curve].mean()) for key, curve in means.items()},
         idf1=identity.idf1,
         idp=identity.idp,
         idr=identity.idr,
         mean_distance=threshold.distance(clear.motp) if clear.matches else None,
-        **of_clear,
+        **alike,
         curves={key: tuple(values.tolist()) for key, values in {"alpha": ALPHAS, **curves}.items()},
     )
 
