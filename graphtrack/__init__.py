@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
+    from graphtrack.evaluation.identities import SequenceScore, TrackingScore, score
     from graphtrack.evaluation.states import StateScore, score_states
-    from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
     from graphtrack.inference import (
         Estimate,
         Failure,
@@ -121,7 +121,7 @@ _HOMES = {
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),
     "evaluation.states": ("StateScore", "score_states"),
-    "evaluation.tracking": ("SequenceScore", "TrackingScore", "score"),
+    "evaluation.identities": ("SequenceScore", "TrackingScore", "score"),
     "inference": (
         "Estimate",
         "Failure",

@@ -7,7 +7,7 @@ from claim import Claim, Results, Shown, numbers
 from documents import ROOT
 from stated import CLAIMS
 
-from graphtrack.evaluation.reproduce import all_experiments
+from graphtrack.experiments import all_experiments
 
 PAGE = """
 | method | error |

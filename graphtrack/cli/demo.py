@@ -31,7 +31,7 @@ def demo(
     from graphtrack.io import atomic_path, write
     from graphtrack.model import Model
     from graphtrack.report.build import tracking_report
-    from graphtrack.report.html import write_report
+    from graphtrack.report.html import write_html
     from graphtrack.report.pairing import pair_tracks
     from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
@@ -62,5 +62,5 @@ def demo(
         consistency=comparison.nees,
         calibration=comparison.calibration,
     )
-    write_report(out / REPORT, report)
+    write_html(out / REPORT, report)
     emit(f"the report is {out / REPORT}")

@@ -123,7 +123,7 @@ def fit(
 def _write(found: Learned, output: Path, json_path: Path | None, report: Path | None) -> None:
     """Print what was learned, say that the model is written, and write numbers and a page if asked for."""
     from graphtrack.report.content import DataTable, Note, Report, Section
-    from graphtrack.report.html import write_report
+    from graphtrack.report.html import write_html
 
     content, notes, tables = found
     for title, rows in tables.items():
@@ -137,7 +137,7 @@ def _write(found: Learned, output: Path, json_path: Path | None, report: Path | 
             *[Note(line) for line in notes],
             *[DataTable.from_records(title, rows) for title, rows in tables.items()],
         )
-        write_report(report, Report("Learned parameters", sections=(Section("Learning", items),)))
+        write_html(report, Report("Learned parameters", sections=(Section("Learning", items),)))
         emit(f"wrote {report}")
 
 

@@ -12,8 +12,8 @@ from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, p
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from graphtrack.evaluation.reproduce import Reproduction
     from graphtrack.evaluation.reproduce.experiment import Table
+    from graphtrack.experiments import Reproduction
 
 BESIDE = Path("..") / "shared" / "data"
 """Folder of recordings when none is given."""
@@ -41,7 +41,7 @@ def reproduce(
     quick : Few tracks, for a first look.
     data : Folder with mocap, salsa and caviar in it; else ../shared/data if that is there.
     """
-    from graphtrack.evaluation.reproduce import Settings, all_experiments
+    from graphtrack.experiments import Settings, all_experiments
 
     experiments = all_experiments()
     if name != "all" and name not in experiments:

@@ -78,7 +78,7 @@ def score(
     if states is not None:
         print_states(states)
     if report is not None:
-        _write_report(report, found, *read[0])
+        _write_html(report, found, *read[0])
     write_json(json_path, found.to_dict() | ({} if states is None else {"states": states.to_dict()}))
 
 
@@ -110,13 +110,13 @@ def _read(
             yield name, estimated, true_detections(true)
 
 
-def _write_report(path: Path, found: TrackingScore, estimates: TrackSet, truth: TrackSet) -> None:
+def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: TrackSet) -> None:
     """The figures, and the tracks beside the truth."""
     from graphtrack.evaluation.tracking.events import judge_events
     from graphtrack.evaluation.tracking.scores import COUNTS, HEADINGS, SHARES
     from graphtrack.report.build import tracking_report
     from graphtrack.report.content import Card, DataTable, Section
-    from graphtrack.report.html import write_report
+    from graphtrack.report.html import write_html
 
     judged = judge_events(estimates, truth, metres=found.threshold.value)
     figures = found.together
@@ -134,7 +134,7 @@ def _write_report(path: Path, found: TrackingScore, estimates: TrackSet, truth: 
         sections=(Section("Score", tables),),
         events=judged.events,
     )
-    write_report(path, page)
+    write_html(path, page)
     emit(f"report: {path}")
 
 

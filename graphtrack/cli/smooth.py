@@ -113,9 +113,9 @@ def smooth(
         emit(f"  track {result.track.track_id}: not converged in {result.iterations} steps")
     if report is not None and good:
         from graphtrack.report.build import tracking_report
-        from graphtrack.report.html import write_report
+        from graphtrack.report.html import write_html
 
-        write_report(report, tracking_report(estimates, tracks, title="Smoothed tracks"))
+        write_html(report, tracking_report(estimates, tracks, title="Smoothed tracks"))
         emit(f"report: {report}")
     if good:
         emit(f"wrote {output}")

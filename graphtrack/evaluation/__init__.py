@@ -1,4 +1,4 @@
-"""How good estimates are: metrics, methods behind one protocol, and their comparison."""
+"""Metrics of estimates, methods behind one protocol, and their comparison."""
 
 from graphtrack.evaluation.compare import Comparison, compare
 from graphtrack.evaluation.methods import Method, make_method, registry

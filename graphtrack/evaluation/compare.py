@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,16 +13,15 @@ import numpy as np
 from graphtrack.association.reading import tracks_of
 from graphtrack.display import counted, html_table, listed
 from graphtrack.errors import InputError
-from graphtrack.evaluation.calibration import calibration_rows
+from graphtrack.evaluation.calibration import DEGREES, calibration_rows, chi_square_band
 from graphtrack.evaluation.methods import Method, make_method
-from graphtrack.evaluation.metrics import consistency
 from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
 from graphtrack.geometry.angles import BoolArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import Occlusion, occlude
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks import Track
 
 if TYPE_CHECKING:
     from graphtrack.io.given import Given
@@ -37,7 +34,7 @@ MethodGroup = Literal["online", "offline"]
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What came out of comparing methods.
+    """The result of comparing methods.
 
     Attributes
     ----------
@@ -105,7 +102,10 @@ class Comparison:
             "models": dict(self.models),
             "occlude_seconds": self.occlude_seconds,
             "rows": [dict(row) for row in self.rows],
-            "differences": [_finite(row) for row in self.differences],
+            "differences": [
+                {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
+                for row in self.differences
+            ],
             "nees": [dict(row) for row in self.nees],
             "calibration": [dict(row) for row in self.calibration],
             "per_track": [asdict(record) for record in self.per_track],
@@ -119,7 +119,6 @@ def compare(
     model: Model | str | Path | None = None,
     *,
     occlude_seconds: float | None = None,
-    jobs: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
     """Run methods on the same tracks and judge them against the truth.
@@ -137,7 +136,7 @@ def compare(
         that it can, and the rows and the caption say which. Then methods differ by their models, too.
     occlude_seconds : withhold position and body for so long around everybody's sharpest turn, and judge only
         there
-    jobs : processes; more than one disturbs the measured time a step
+
     progress : called with the number of person-frames of each finished track
 
     Raises
@@ -168,11 +167,10 @@ def compare(
         left_out |= hidden.left_out
         _require_room(hidden, occlude_seconds)
     _rehearse(made, judged.tracks[0], tracks.camera)
-    run = partial(_score_all, methods=made, camera=tracks.camera)
-    masks = [windows.get(track.track_id) for track in judged]
     records: list[TrackScore] = []
-    for track, found in zip(judged, _run(run, judged, masks, jobs), strict=True):
-        records.extend(found)
+    for track in judged:
+        window = windows.get(track.track_id)
+        records += [score(method, track, tracks.camera, window) for method in made]
         if progress is not None:
             progress(len(track))
     pooled = common_tracks(records)
@@ -213,7 +211,7 @@ def _make(methods: Sequence[str | Method], model: Model | None) -> tuple[Method,
 
 
 def _located(track: Track) -> bool:
-    """Whether it was observed anywhere, on the ground or in the image."""
+    """True if it was observed anywhere, on the ground or in the image."""
     seen = bool(np.isfinite(track.position).all(axis=1).any())
     return seen or (track.pixel is not None and bool(np.isfinite(track.pixel).all(axis=1).any()))
 
@@ -224,31 +222,13 @@ def _require_room(hidden: Occlusion, seconds: float) -> None:
         raise InputError(f"no track with room for a window of {seconds:g} s ({reason})", "a shorter window")
 
 
-def _run(
-    run: Callable[[Track, BoolArray | None], list[TrackScore]],
-    tracks: TrackSet,
-    masks: Sequence[BoolArray | None],
-    jobs: int,
-) -> Iterator[list[TrackScore]]:
-    if jobs == 1 or len(tracks) < 2:
-        yield from map(run, tracks, masks)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(run, tracks, masks, chunksize=max(1, len(tracks) // (8 * jobs)))
-
-
 def _rehearse(methods: Sequence[Method], track: Track, camera: GroundCamera | None) -> None:
     """Run every method on a few frames, so that what is compiled or loaded first counts as nobody's time."""
     begin = int(np.argmax(np.isfinite(track.position).all(axis=1)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        _score_all(track[begin : begin + 3], None, methods, camera)
-
-
-def _score_all(
-    track: Track, window: BoolArray | None, methods: Sequence[Method], camera: GroundCamera | None
-) -> list[TrackScore]:
-    return [score(method, track, camera, window) for method in methods]
+        for method in methods:
+            score(method, track[begin : begin + 3], camera)
 
 
 def _preset(method: Method) -> str:
@@ -262,24 +242,14 @@ def _group(method: Method) -> MethodGroup:
 
 def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
     for method in methods:
-        own = [record.metrics for record in records if record.method == method.name]
+        heading = {"method": method.name, "group": _group(method), "model": _preset(method)}
         for metric, unit in METRICS.items():
+            own = [record.metrics for record in records if record.method == method.name]
             values = [metrics[metric] for metrics in own if metric in metrics]
-            if not values:
-                continue
-            low, median, high = np.percentile(values, [16.0, 50.0, 84.0]).tolist()
-            yield {
-                "method": method.name,
-                "group": _group(method),
-                "model": _preset(method),
-                "metric": metric,
-                "unit": unit,
-                "median": median,
-                "low": low,
-                "high": high,
-                "mean": float(np.mean(values)),
-                "n": len(values),
-            }
+            if values:
+                low, median, high = np.percentile(values, [16.0, 50.0, 84.0]).tolist()
+                span = {"median": median, "low": low, "high": high, "mean": float(np.mean(values))}
+                yield {**heading, "metric": metric, "unit": unit, **span, "n": len(values)}
 
 
 def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
@@ -290,6 +260,7 @@ def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> It
     for group in ("online", "offline"):
         names = [m.name for m in methods if _group(m) == group and any((m.name, i) in values for i in ids)]
         for name in names[1:]:
+            heading = {"method": name, "group": group, "reference": names[0]}
             for metric, unit in METRICS.items():
                 if metric == "time a step":
                     continue
@@ -298,42 +269,31 @@ def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> It
                 )
                 found = bootstrap(mean_difference, own, first, rng=rng)
                 if np.isfinite(found.value):
-                    yield {
-                        "method": name,
-                        "group": group,
-                        "reference": names[0],
-                        "metric": metric,
-                        "unit": unit,
-                        "difference": found.value,
-                        "low": found.low,
-                        "high": found.high,
-                        "n": int(np.isfinite(own - first).sum()),
-                    }
-
-
-def _finite(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The row with None for numbers that are not finite, which JSON does not have."""
-    return {
-        key: None if isinstance(value, float) and not np.isfinite(value) else value
-        for key, value in row.items()
-    }
+                    interval = {"difference": found.value, "low": found.low, "high": found.high}
+                    count = int(np.isfinite(own - first).sum())
+                    yield {**heading, "metric": metric, "unit": unit, **interval, "n": count}
 
 
 def _nees(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
     for method in methods:
-        own = [record.nees for record in records if record.method == method.name]
-        for quantity, dof in QUANTITIES.items():
-            found = consistency([nees[quantity] for nees in own if quantity in nees], dof)
-            if found is None:
-                continue
-            heading = {"method": method.name, "group": _group(method), "quantity": quantity}
-            yield {**heading, **asdict(found), "inside": found.inside}
+        for quantity in QUANTITIES:
+            own = [record.nees for record in records if record.method == method.name]
+            known = [nees[quantity] for nees in own if quantity in nees]
+            if known:
+                nees, dof = float(np.mean(known)), DEGREES[quantity]
+                low, high = chi_square_band(dof, len(known))
+                yield {
+                    **{"method": method.name, "group": _group(method), "quantity": quantity},
+                    **{"nees": nees, "dof": dof, "count": len(known), "low": low, "high": high},
+                    "inside": low <= nees <= high,
+                }
 
 
 def _calibration(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
-    headings = [{"method": m.name, "group": _group(m), "model": _preset(m)} for m in methods]
-    parts = [[record.calibration for record in records if record.method == m.name] for m in methods]
-    yield from calibration_rows(headings, parts)
+    for method in methods:
+        heading = {"method": method.name, "group": _group(method), "model": _preset(method)}
+        own = [record.calibration for record in records if record.method == method.name]
+        yield from ({**heading, **row} for row in calibration_rows(own))
 
 
 def _caption(

@@ -1,4 +1,4 @@
-"""How good forecasts are: errors, density and coverage, beside constant velocity and the Kalman filter."""
+"""Metrics of forecasts: errors, density and coverage, against constant velocity and the Kalman filter."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LONGEST_GAP = 1.0
 
 @dataclass(frozen=True)
 class MethodScore:
-    """What one method's forecasts are worth; NaN: it says nothing of the kind.
+    """Metrics of one method's forecasts; NaN: not forecast.
 
     Attributes
     ----------
@@ -107,8 +107,8 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
     grid = {name: values[known] for name, values in grid.items()}
     true, straight, informed, filtered = true[known], straight[known], informed[known], filtered[known]
     mean = np.stack([grid["x"], grid["y"]], axis=2)
-    error = np.linalg.norm(mean - true, axis=2)
     off = true - mean
+    error = np.linalg.norm(off, axis=2)
     spread = np.empty((*error.shape, 2, 2))
     spread[..., 0, 0], spread[..., 1, 1] = grid["x_std"] ** 2, grid["y_std"] ** 2
     spread[..., 0, 1] = spread[..., 1, 0] = grid["xy_cov"]
@@ -116,34 +116,29 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
         raise InputError("a covariance that is not positive definite", "x_std, y_std and xy_cov of one")
     paths, drawn = _paths(grid, mean, spread)
     best = np.linalg.norm(paths - true[:, None], axis=3)
-    held = _held(error, grid["radius_50"], grid["radius_90"])
+    inside = {f"inside_{share}": error <= grid[f"radius_{share}"] for share in (50, 90)}
     own = MethodScore(
         *_errors(error),
         best_ade=float(best.mean(axis=2).min(axis=1).mean()),
         best_fde=float(best[:, :, -1].min(axis=1).mean()),
         log_likelihood=_log_likelihood(off, spread),
-        inside_50=float((error <= grid["radius_50"]).mean()),
-        inside_90=float((error <= grid["radius_90"]).mean()),
+        **{name: float(held.mean()) for name, held in inside.items()},
     )
     other = np.linalg.norm(straight - true, axis=2)
     off_filter, variance = true - filtered[..., :2], filtered[..., 2]
     of_filter = np.linalg.norm(off_filter, axis=2)
-    inside = [float((of_filter**2 <= -2.0 * np.log(1.0 - level) * variance).mean()) for level in (0.5, 0.9)]
     kalman = MethodScore(
         *_errors(of_filter),
         log_likelihood=_log_likelihood(off_filter, variance[..., None, None] * np.eye(2)),
-        inside_50=inside[0],
-        inside_90=inside[1],
+        **{
+            f"inside_{share}": float((of_filter**2 <= -2.0 * np.log1p(-share / 100.0) * variance).mean())
+            for share in (50, 90)
+        },
     )
+    columns = {"error": error, "constant velocity": other, **inside}
     rows = tuple(
-        {
-            "ahead": float(ahead[k]),
-            "error": float(error[:, k].mean()),
-            "constant velocity": float(other[:, k].mean()),
-            "inside_50": float((error[:, k] <= grid["radius_50"][:, k]).mean()),
-            "inside_90": float((error[:, k] <= grid["radius_90"][:, k]).mean()),
-        }
-        for k in range(len(ahead))
+        {"ahead": seconds, **{name: float(values[:, k].mean()) for name, values in columns.items()}}
+        for k, seconds in enumerate(ahead.tolist())
     )
     methods = {
         "forecast": own,
@@ -153,7 +148,8 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
     if any(track.has_truth for track in truth):
         errors = _errors(np.linalg.norm(informed - true, axis=2))
         methods["constant velocity, true last step"] = MethodScore(*errors)
-    curve = {level: float((held <= level).mean()) for level in LEVELS}
+    shares = _shares_within(error, grid["radius_50"], grid["radius_90"])
+    curve = {level: float((shares <= level).mean()) for level in LEVELS}
     return ForecastScore(int(known.sum()), int((~known).sum()), methods, rows, curve, drawn)
 
 
@@ -161,7 +157,7 @@ def _errors(error: FloatArray) -> tuple[float, float]:
     return float(error.mean()), float(error[:, -1].mean())
 
 
-def _held(error: FloatArray, inner: FloatArray, outer: FloatArray) -> FloatArray:
+def _shares_within(error: FloatArray, inner: FloatArray, outer: FloatArray) -> FloatArray:
     """Share of the probability within each error: of the Weibull distribution with the two radii.
 
     With a power of 2 it is that of a Gaussian, with less it has heavier tails.
@@ -191,7 +187,7 @@ def _paths(grid: Mapping[str, FloatArray], mean: FloatArray, spread: FloatArray)
 def _references(
     truth: TrackSet, people: NDArray[np.int64], made: FloatArray, ahead: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Where people were (n, A, 2), and what the filter says (n, A, 3).
+    """True positions (n, A, 2), and predictions of the filter (n, A, 3).
 
     Between them where people would be going straight on, by the last observed step and by the true one.
     """

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, step_tracker
+from graphtrack.baselines.intentional import OWN_FILTERS, step_tracker
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import particle_filter, particle_smoother
@@ -23,7 +23,7 @@ from graphtrack.tracks import Track
 
 
 class Method(Protocol):
-    """What a method must have to be compared. Processes share methods, so it must pickle.
+    """A method that can be compared.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Method(Protocol):
 
     @property
     def online(self) -> bool:
-        """Whether each estimate uses only what came before it."""
+        """True if each estimate uses only what came before it."""
 
     @property
     def information(self) -> str:
-        """What the method uses, in words."""
+        """The information that the method uses, in words."""
 
     def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
         """Estimates from observations, one for each frame; None in channels that are not estimated."""
@@ -51,65 +51,17 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class FunctionMethod:
-    """A method made of a function of a track, a model and a camera that stands in a module."""
+    """A method made of a function of a track, a model and a camera."""
 
     name: str
     online: bool
     information: str
-    model: Model
+    model: Model | None
     function: Callable[[Track, Model, GroundCamera | None], Track]
 
     def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
         """The function's estimates."""
-        return self.function(track, self.model, camera)
-
-
-@dataclass(frozen=True)
-class OnlineGraph:
-    """The incremental smoother's estimates at the latest frame.
-
-    Attributes
-    ----------
-    model : what is estimated
-    engine : "chain", "fixed-lag" or "isam2"; it is the name, too
-    lag : seconds that the fixed lag keeps open
-    """
-
-    model: Model
-    engine: OnlineEngine
-    lag: float = 2.0
-
-    online = True
-
-    @property
-    def name(self) -> str:
-        """The engine's name."""
-        return self.engine
-
-    @property
-    def information(self) -> str:
-        """The channels of the model, up to each frame."""
-        return f"{channels(self.model)}; past only"
-
-    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """At each frame, from what came before."""
-        return track_online(track, self.model, engine=self.engine, lag=self.lag, camera=camera)
-
-
-@dataclass(frozen=True)
-class StepFilter:
-    """Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has parameters of its own, no
-    model."""
-
-    name: str
-    parameters: IntentionalParameters
-
-    online = True
-    information = "positions, head; past only; parameters of its paper, a frame is a step"
-
-    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """Position and velocity, each from the past alone."""
-        return step_tracker(track, self.parameters)
+        return self.function(track, self.model, camera)  # type: ignore[arg-type]  # those without take any
 
 
 def channels(model: Model) -> str:
@@ -118,58 +70,66 @@ def channels(model: Model) -> str:
     return ", ".join(used)
 
 
-def _kalman(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return kalman_filter(track, model.parameters)
+def _method(
+    name: str, function: Callable[..., Track], uses: str = "", *, online: bool = True
+) -> Callable[[Model], Method]:
+    """A factory of a method that uses some channels, by default those of its model."""
+    when = "past only" if online else "past and future"
+    return lambda model: FunctionMethod(name, online, f"{uses or channels(model)}; {when}", model, function)
 
 
-def _rauch_tung_striebel(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return rauch_tung_striebel(track, model.parameters)
+def _own(name: str) -> Callable[[Model], Method]:
+    """A factory of Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has no model."""
+    information = "positions, head; past only; parameters of its paper, a frame is a step"
+    return lambda model: FunctionMethod(
+        f"intentional-{name}",
+        True,
+        information,
+        None,
+        lambda track, model, camera: step_tracker(track, OWN_FILTERS[name]),
+    )
 
 
-def _intentional(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return intentional_tracker(track, model.parameters)
+def _online(engine: OnlineEngine) -> Callable[[Model], Method]:
+    def estimate(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+        return track_online(track, model, engine=engine, lag=2.0, camera=camera)
+
+    return _method(engine, estimate)
 
 
-def _particle(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return particle_filter(track, model, camera=camera).track
-
-
-def _ffbs(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return particle_smoother(track, model, camera=camera).track
-
-
-def _smoother(track: Track, model: Model, camera: GroundCamera | None) -> Track:
-    return smooth_track(track, model, camera).track
+def _particle(name: str) -> Callable[[Model], Method]:
+    return _method(name, lambda track, model, camera: particle_filter(track, model, camera=camera).track)
 
 
 registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
     {
-        "kf": lambda model: FunctionMethod("kf", True, "positions; past only", model, _kalman),
-        "intentional": lambda model: FunctionMethod(
-            "intentional", True, "positions, head; past only", model, _intentional
+        "kf": _method("kf", lambda track, model, camera: kalman_filter(track, model.parameters), "positions"),
+        "intentional": _method(
+            "intentional",
+            lambda track, model, camera: intentional_tracker(track, model.parameters),
+            "positions, head",
         ),
-        "intentional-printed": lambda model: StepFilter("intentional-printed", OWN_FILTERS["printed"]),
-        "intentional-consistent": lambda model: StepFilter(
-            "intentional-consistent", OWN_FILTERS["consistent"]
+        "intentional-printed": _own("printed"),
+        "intentional-consistent": _own("consistent"),
+        "particle": _particle("particle"),
+        "particle-modes": _particle("particle-modes"),
+        "ffbs": _method(
+            "ffbs",
+            lambda track, model, camera: particle_smoother(track, model, camera=camera).track,
+            online=False,
         ),
-        "particle": lambda model: FunctionMethod(
-            "particle", True, f"{channels(model)}; past only", model, _particle
+        "rts": _method(
+            "rts",
+            lambda track, model, camera: rauch_tung_striebel(track, model.parameters),
+            "positions",
+            online=False,
         ),
-        "particle-modes": lambda model: FunctionMethod(
-            "particle-modes", True, f"{channels(model)}; past only", model, _particle
+        "smoother": _method(
+            "smoother", lambda track, model, camera: smooth_track(track, model, camera).track, online=False
         ),
-        "ffbs": lambda model: FunctionMethod(
-            "ffbs", False, f"{channels(model)}; past and future", model, _ffbs
-        ),
-        "rts": lambda model: FunctionMethod(
-            "rts", False, "positions; past and future", model, _rauch_tung_striebel
-        ),
-        "smoother": lambda model: FunctionMethod(
-            "smoother", False, f"{channels(model)}; past and future", model, _smoother
-        ),
-        "chain": lambda model: OnlineGraph(model, "chain"),
-        "isam2": lambda model: OnlineGraph(model, "isam2"),
-        "fixed-lag": lambda model: OnlineGraph(model, "fixed-lag"),
+        "chain": _online("chain"),
+        "isam2": _online("isam2"),
+        "fixed-lag": _online("fixed-lag"),
     }
 )
 """Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.

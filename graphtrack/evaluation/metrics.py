@@ -1,4 +1,4 @@
-"""Errors of estimates against the truth, and whether their covariances are honest.
+"""Errors of estimates against the truth, and normalised ones (NEES).
 
 Frames where the estimate or the truth is missing, and those outside the mask, do not count; a metric with no
 frame left is NaN.
@@ -6,12 +6,9 @@ frame left is NaN.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtri
 
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, mean_absolute_error
 from graphtrack.tracks import STATE, Track
@@ -101,56 +98,8 @@ def angle_nees(estimate: Track, truth: Track, name: Angle) -> FloatArray:
     return found
 
 
-@dataclass(frozen=True)
-class Consistency:
-    """The mean NEES of many tracks with the band in which it lies if covariances are honest.
-
-    Attributes
-    ----------
-    nees : mean over the tracks of each one's mean over its frames
-    dof : degrees of freedom of one error, which is what ``nees`` should be
-    count : tracks
-    low, high : central 95 % of the mean of ``count`` independent χ² variables of ``dof`` degrees of freedom
-    """
-
-    nees: float
-    dof: int
-    count: int
-    low: float
-    high: float
-
-    @property
-    def inside(self) -> bool:
-        """Whether the mean lies in the band. Above it, covariances are too small; below, too large."""
-        return self.low <= self.nees <= self.high
-
-
-def consistency(nees: Sequence[FloatArray | float], dof: int) -> Consistency | None:
-    """Pool the NEES of independent tracks; None where no frame has one.
-
-    Errors of neighbouring frames are alike, so a track counts as one independent error, however many frames
-    it has. Its mean over the frames spreads less than a single error would: the band is wide rather than
-    narrow.
-
-    Parameters
-    ----------
-    nees : for each track the values of its frames (n,), or their mean
-    dof : 2 for positions, 1 for an angle
-    """
-    means = [float(np.mean(known)) for values in nees if (known := _finite(values)).size]
-    if not means:
-        return None
-    count = len(means)
-    low, high = chdtri(dof * count, [0.975, 0.025]) / count
-    return Consistency(float(np.mean(means)), dof, count, float(low), float(high))
-
-
 def _rmse(error: FloatArray, mask: BoolArray | None) -> float:
     squares = np.sum(error**2, axis=1)
-    squares = _finite(squares if mask is None else squares[mask])
+    squares = squares if mask is None else squares[mask]
+    squares = squares[np.isfinite(squares)]
     return float(np.sqrt(squares.mean())) if squares.size else float("nan")
-
-
-def _finite(values: FloatArray | float) -> FloatArray:
-    values = np.atleast_1d(np.asarray(values, dtype=float))
-    return values[np.isfinite(values)]

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from graphtrack.evaluation.calibration import TrackCalibration, track_calibration
+from graphtrack.evaluation.calibration import DEGREES, TrackCalibration, track_calibration
 from graphtrack.evaluation.methods import Method
 from graphtrack.evaluation.metrics import (
     Angle,
-    angle_nees,
     angular_error,
-    position_nees,
     position_rmse,
     velocity_rmse,
 )
@@ -31,15 +29,15 @@ METRICS = {
 }
 """Metric → unit, in the order of the tables. Angular errors are means of |error|."""
 
-QUANTITIES = {"position": 2, "body": 1, "head": 1}
-"""What has a NEES → its degrees of freedom."""
+QUANTITIES = ("position", "body", "head")
+"""Quantities whose NEES is tabulated; true velocities are differences of positions."""
 
 _ANGLES: tuple[Angle, ...] = ("body", "head")
 
 
 @dataclass(frozen=True)
 class TrackScore:
-    """What one method made of one track.
+    """The result of one method on one track.
 
     Attributes
     ----------
@@ -101,16 +99,15 @@ def score(
         "velocity RMSE": velocity_rmse(estimate, track, mask),
         "time a step": 1e3 * elapsed / len(track),
     }
-    nees = {"position": _mean(position_nees(estimate, track)[mask])}
     for name in _ANGLES:
         metrics[f"{name} error"] = angular_error(estimate, track, name, mask)
-        nees[name] = _mean(angle_nees(estimate, track, name)[mask])
+    calibration = track_calibration(estimate, track, mask)
     return replace(
         empty,
         frames=int(mask.sum()),
-        metrics=_without_missing(metrics),
-        nees=_without_missing(nees),
-        calibration=track_calibration(estimate, track, mask),
+        metrics={name: value for name, value in metrics.items() if np.isfinite(value)},
+        nees={q: DEGREES[q] * calibration[q].nees for q in QUANTITIES if q in calibration},
+        calibration=calibration,
     )
 
 
@@ -127,12 +124,3 @@ def _trouble(estimate: Track, track: Track, mask: BoolArray) -> str:
         if missing.any():
             return f"no {name} at {int(missing.sum())} of {len(missing)} scored frames"
     return ""
-
-
-def _mean(values: np.ndarray) -> float:
-    values = values[np.isfinite(values)]
-    return float(values.mean()) if values.size else float("nan")
-
-
-def _without_missing(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in values.items() if np.isfinite(value)}

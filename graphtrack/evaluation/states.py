@@ -10,8 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.reading import tracks_of
-from graphtrack.evaluation.calibration import DEGREES, TrackCalibration, pooled, track_calibration
-from graphtrack.evaluation.metrics import consistency, true_velocity
+from graphtrack.evaluation.calibration import (
+    DEGREES,
+    TrackCalibration,
+    chi_square_band,
+    pooled,
+    track_calibration,
+)
+from graphtrack.evaluation.metrics import true_velocity
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.tracks import Track, TrackSet
 
@@ -56,7 +62,7 @@ class TrackErrors:
 
 
 def score_states(estimates: Given, truth: Given) -> StateScore:
-    """How far estimated states are from the truth, and whether their uncertainties hold.
+    """Errors of estimated states against the truth, and the calibration of their uncertainties.
 
     Only people who have the same ``track_id`` in both are compared, in the frames whose times agree to a
     tenth of the truth's step.
@@ -99,12 +105,12 @@ def summary(parts: Iterable[TrackErrors]) -> StateScore:
             "median": float(np.median(np.abs(every))),
         }
         stated = [track.calibration[quantity] for track in tracks if quantity in track.calibration]
-        band = consistency([degrees * one.nees for one in stated], degrees)
-        row["coverage_95"] = pooled(stated)["coverage_95"] if stated else None
-        row["nees"] = None if band is None else band.nees / degrees
-        row["nees_low"] = None if band is None else band.low / degrees
-        row["nees_high"] = None if band is None else band.high / degrees
-        if band is None:
+        row |= dict.fromkeys(("coverage_95", "nees", "nees_low", "nees_high"))
+        if stated:
+            low, high = chi_square_band(degrees, len(stated))
+            row |= {name: pooled(stated)[name] for name in ("coverage_95", "nees")}
+            row |= {"nees_low": low / degrees, "nees_high": high / degrees}
+        else:
             notes.append(f"{quantity}: the estimates state no uncertainty, so that only errors are scored")
         rows.append(row)
     return StateScore(tuple(rows), tuple(notes))

@@ -1,5 +1,4 @@
-"""How far people look from where they go (Baxter et al. 2014, §II), and whether a head column tells the
-future."""
+"""Deviation of the head from the direction of travel (Baxter et al. 2014, §II); heads made of the future."""
 
 from __future__ import annotations
 
@@ -57,7 +56,7 @@ class DeviationStatistics:
 
     @property
     def tells_the_future(self) -> bool:
-        """Whether the head column looks as if it was made of the path to come."""
+        """True if the head column looks as if it was made of the future path."""
         return self.future > SUSPICIOUS_SHARE
 
 
@@ -78,21 +77,34 @@ def travel_velocity(track: Track, window: int = WINDOW_FRAMES) -> FloatArray:
     return np.where(number > 0, (sums[high] - sums[low]) / np.maximum(number, 1), np.nan)
 
 
-def head_deviation(track: Track, *, window: int = WINDOW_FRAMES, slowest: float = MOVING_SPEED) -> FloatArray:
+def head_deviation(track: Track, *, window: int = WINDOW_FRAMES) -> FloatArray:
     """ε_t = θ^v_t − θ^g_t (n,) in radians; NaN where the head is unknown or the person hardly moves.
 
     Parameters
     ----------
     track : positions and head
     window : frames over which the velocity is averaged
-    slowest : m/s below which the direction of travel means nothing
     """
     if track.head is None:
         return np.full(len(track), np.nan)
     velocity = travel_velocity(track, window)
     with np.errstate(invalid="ignore"):
-        moves = np.linalg.norm(velocity, axis=1) >= slowest
+        moves = np.linalg.norm(velocity, axis=1) >= MOVING_SPEED
     return np.where(moves, difference(direction(velocity), track.head), np.nan)
+
+
+def deviation(track: Track) -> tuple[float, float]:
+    """Circular mean and spread (radians) of the direction of travel minus the head, where people move."""
+    return _mean_and_spread(head_deviation(track))
+
+
+def _mean_and_spread(angles: FloatArray) -> tuple[float, float]:
+    """Circular mean of the finite angles and their root mean square about it; NaN without any."""
+    known = angles[np.isfinite(angles)]
+    if not len(known):
+        return float("nan"), float("nan")
+    mean = circular_mean(known)
+    return mean, float(np.sqrt(np.mean(difference(known, mean) ** 2)))
 
 
 def future_share(tracks: Iterable[Track]) -> float:
@@ -121,7 +133,6 @@ def deviation_statistics(
     name: str,
     *,
     window: int = WINDOW_FRAMES,
-    slowest: float = MOVING_SPEED,
 ) -> DeviationStatistics:
     """Mean, spread and histogram of the deviations of many people.
 
@@ -136,22 +147,21 @@ def deviation_statistics(
         If nobody moves with a known head.
     """
     tracks = list(tracks)
-    deviations = [head_deviation(track, window=window, slowest=slowest) for track in tracks]
+    deviations = [head_deviation(track, window=window) for track in tracks]
     deviations = [found[np.isfinite(found)] for found in deviations]
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):
         raise InputError(
             f"nobody in {name} who moves and whose head is known", "tracks with positions and head"
         )
-    mean = circular_mean(pooled)
-    off = difference(pooled, mean)
+    mean, std = _mean_and_spread(pooled)
     counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
     found = DeviationStatistics(
         name=name,
         people=sum(bool(len(own)) for own in deviations),
         frames=len(pooled),
         mean=mean,
-        std=float(np.sqrt(np.mean(off**2))),
+        std=std,
         density=counts / (counts.sum() * np.diff(HISTOGRAM_EDGES)),
         future=future_share(tracks),
     )

@@ -69,7 +69,7 @@ class GroupScore:
 
 
 def matches(estimated: Sequence[Group], true: Sequence[Group], share: float) -> int:
-    """How many true groups are matched, each by an estimated group of its own."""
+    """Number of true groups that are matched, each by an estimated group of its own."""
     left, count = list(estimated), 0
     for group in true:
         need = math.ceil(share * len(group) - 1e-9)

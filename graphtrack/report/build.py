@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, mean_absolute_error
-from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section
+from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Report, Section
 from graphtrack.report.lives import identities_section, identity_cards, is_associated, life_of
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
-from graphtrack.report.plots.orientation import plot_angles_of
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
 from graphtrack.report.rows import Records
@@ -27,11 +27,10 @@ if TYPE_CHECKING:
 PersonErrors = dict[str, float | None]
 """Column of the table of people → error of one of them."""
 
+ANGLES: tuple[Angle, ...] = ("body", "head")
+
 CLOCK_TIMES = 1e6
 """Seconds from which on times must be those of a clock, not of a recording."""
-
-MAX_PICTURES = 6
-"""People with a still picture of their angles; the chart, the replay and the table have everybody."""
 
 
 def tracking_report(
@@ -45,7 +44,6 @@ def tracking_report(
     calibration: Records | None = None,
     cards: tuple[Card, ...] = (),
     sections: tuple[Section, ...] = (),
-    interactive: bool = True,
     events: Sequence[IdentityEvent] | None = None,
     behaviour: Behaviour | None = None,
 ) -> Report:
@@ -61,8 +59,7 @@ def tracking_report(
     calibration : how often their intervals hold, as for `graphtrack.report.plots.plot_reliability`
     cards : further numbers for the top of the page
     sections : further sections, put at the end
-    interactive : a chart of angles that follows the replay, of whomever the reader chooses, instead of still
-        pictures of the first few people
+
     events : where identities went wrong, as `graphtrack.evaluation.tracking.events.judge_events` finds it;
         with it, or with tracks that were associated, there is a timeline of identities
     behaviour : groups, looks and forecasts, as `graphtrack.report.behaviour.given.behaviour_of` gives them
@@ -70,7 +67,7 @@ def tracking_report(
     Returns
     -------
     Report
-        For `graphtrack.report.html.write_report`.
+        For `graphtrack.report.html.write_html`.
 
     Raises
     ------
@@ -101,7 +98,7 @@ def tracking_report(
         parts += behaviour_sections(behaviour, estimates, pairs)
         extra = behaviour_cards(behaviour)
     parts += [
-        _angles_section(pairs, interactive),
+        _angles_section(pairs),
         Section("People", (people_table(pairs, errors),)),
         Section("From above", (picture,)),
     ]
@@ -177,26 +174,16 @@ def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[Trac
     return estimates.map(shift), None if observations is None else observations.map(shift), origin
 
 
-def _angles_section(pairs: tuple[Pair, ...], interactive: bool) -> Section:
-    angled = [pair for pair in pairs if _is_known(pair.estimate.body) or _is_known(pair.estimate.head)]
-    if not angled:
-        return Section("Body and head", (Note("No body or head angle was estimated."),))
+def _angles_section(pairs: tuple[Pair, ...]) -> Section:
+    tracks = [pair.estimate for pair in pairs]
     # The chart is drawn from the data of the replay, which has nobody without a position.
-    if not interactive or not any(_is_known(pair.estimate.position) for pair in angled):
-        pictures = [
-            Picture(pair.name, plot_angles_of(pair), f"Angles of {pair.name} over time.")
-            for pair in angled[:MAX_PICTURES]
-        ]
-        return Section("Body and head", (*pictures, *_left_out(len(angled), MAX_PICTURES)))
+    if not any((_is_known(t.body) or _is_known(t.head)) and _is_known(t.position) for t in tracks):
+        return Section("Body and head", (Note("No body or head angle was estimated."),))
     note = (
         "Shows whom you choose, here, in the replay or in the table of people. A click takes the replay to "
         "that time; drag to move, ctrl + wheel to zoom, double-click to fit."
     )
-    return Section("Body and head", (AngleChart("Orientation over time", note),))
-
-
-def _left_out(count: int, limit: int) -> tuple[Note, ...]:
-    return (Note(f"The first {limit} of {count} people are shown."),) if count > limit else ()
+    return Section("Body and head", (Chart("angles", "Orientation over time", note),))
 
 
 def _methods_section(
@@ -241,15 +228,15 @@ def person_errors(pair: Pair) -> PersonErrors:
 
     None where the truth is not known.
     """
-    estimate = pair.estimate
-    squared = ((estimate.position - pair.true_position) ** 2).sum(axis=1)
-    squared = squared[np.isfinite(squared)]
-    line: PersonErrors = {"position RMSE (m)": float(np.sqrt(squared.mean())) if squared.size else None}
-    for name in ("body", "head"):
-        angle = getattr(estimate, name)
-        error = np.nan if angle is None else np.degrees(mean_absolute_error(angle, pair.true_angle(name)))
-        line[f"{name} error (°)"] = float(error) if np.isfinite(error) else None
-    return line
+    truth = replace(
+        pair.estimate,
+        true_position=pair.true_position,
+        true_body=pair.true_body,
+        true_head=pair.true_head,
+    )
+    errors = {"position RMSE (m)": position_rmse(pair.estimate, truth)}
+    errors |= {f"{name} error (°)": angular_error(pair.estimate, truth, name) for name in ANGLES}
+    return {name: error if np.isfinite(error) else None for name, error in errors.items()}
 
 
 def _median_radius(pair: Pair) -> float | None:

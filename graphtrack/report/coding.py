@@ -35,14 +35,3 @@ def delta_code(values: FloatArray, step: float) -> Codes | None:
     codes[known] = np.diff(np.round(values[known] / step).astype(np.int64), prepend=0)
     found: Codes = codes.tolist()
     return found
-
-
-def delta_decode(codes: Codes | None, step: float, n: int) -> FloatArray:
-    """The inverse of `delta_code`: (n,) values, NaN where there is none."""
-    out = np.full(n, np.nan)
-    last = 0
-    for i, code in enumerate(codes or ()):
-        if code is not None:
-            last += code
-            out[i] = last * step
-    return out

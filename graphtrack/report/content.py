@@ -1,4 +1,4 @@
-"""What a report is made of: plain data, without a word of HTML."""
+"""Parts of a report: plain data, without HTML."""
 
 from __future__ import annotations
 
@@ -82,62 +82,32 @@ class DataTable:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A matplotlib figure.
+    """A picture: a matplotlib figure or the bytes of a JPEG file, such as a frame of a video.
 
     Attributes
     ----------
     title : str
-    figure : matplotlib.figure.Figure
+    content : matplotlib.figure.Figure or bytes
     description : what it shows, for people who cannot see it
     """
 
     title: str
-    figure: Figure
+    content: Figure | bytes
     description: str = ""
 
 
 @dataclass(frozen=True)
-class Photo:
-    """An encoded picture, such as a frame of a video.
+class Chart:
+    """A chart that is drawn from the data of the report's replay.
 
     Attributes
     ----------
-    title : str
-    data : the bytes of a file
-    media : its type
-    description : what it shows, for people who cannot see it
-    """
-
-    title: str
-    data: bytes
-    media: Literal["image/jpeg", "image/png"] = "image/jpeg"
-    description: str = ""
-
-
-@dataclass(frozen=True)
-class AngleChart:
-    """Body and head over time of whom the reader chooses, drawn from the data of the report's replay.
-
-    Attributes
-    ----------
+    kind : "angles", body and head over time of whom the reader chooses, or "timeline", a bar for each person
     title : str
     note : a sentence below
     """
 
-    title: str
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class Timeline:
-    """A bar for each person over time, drawn from the data of the report's replay.
-
-    Attributes
-    ----------
-    title : str
-    note : a sentence below
-    """
-
+    kind: Literal["angles", "timeline"]
     title: str
     note: str = ""
 
@@ -147,7 +117,7 @@ class Section:
     """A heading and what stands below it."""
 
     title: str
-    items: tuple[Note | DataTable | Picture | Photo | AngleChart | Timeline, ...]
+    items: tuple[Note | DataTable | Picture | Chart, ...]
 
 
 @dataclass(frozen=True)

@@ -15,24 +15,14 @@ from typing import Any
 
 from graphtrack.display import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 from graphtrack.io.atomic import atomic_path
-from graphtrack.report.content import (
-    AngleChart,
-    Card,
-    DataTable,
-    Note,
-    Photo,
-    Picture,
-    Report,
-    Section,
-    Timeline,
-)
-from graphtrack.report.replay_html import render_angle_chart, render_replay, render_timeline
+from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Report, Section
+from graphtrack.report.replay_html import render_chart, render_replay
 
 SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
     "base-uri 'none'; form-action 'none'"
 )
-"""What the page may load: itself. The browser enforces that nothing leaves or enters over the network."""
+"""Content security policy: the page loads nothing over the network."""
 
 SCRIPTS = (
     "replay_data.js",
@@ -56,15 +46,11 @@ SCRIPTS = (
 """In the order in which they stand in the page; together they are one function."""
 
 
-def write_report(path: str | Path, report: Report) -> None:
-    """Write a report as one self-contained HTML file.
+_COLOURS = f":root {{ --body: {BODY_COLOUR}; --head: {HEAD_COLOUR}; --velocity: {VELOCITY_COLOUR}; }}"
 
-    The file appears whole or not at all.
 
-    Parameters
-    ----------
-    path : where it goes; an existing file is replaced
-    report : what it says
+def write_html(path: str | Path, report: Report) -> None:
+    """Write a report as one self-contained HTML file, which appears whole or not at all.
 
     Raises
     ------
@@ -98,7 +84,7 @@ def render_report(report: Report) -> str:
             f'<meta http-equiv="Content-Security-Policy" content="{SECURITY}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{html.escape(report.title)}</title>",
-            f"<style>\n{_colours()}\n{_asset('page.css')}</style>\n</head>\n<body>\n" + '<main class="wrap">',
+            f"<style>\n{_COLOURS}\n{_asset('page.css')}</style>\n</head>\n<body>\n" + '<main class="wrap">',
             *parts,
             "</main>",
             f'<script>(function () {{\n"use strict";\n{scripts}}})();</script>\n</body>\n</html>\n',
@@ -158,18 +144,26 @@ def _section(anchor: str, section: Section) -> str:
     return f'<section aria-labelledby="{anchor}">{heading}\n{body}\n</section>'
 
 
-def _item(item: Note | DataTable | Picture | Photo | AngleChart | Timeline) -> str:
+def _item(item: Note | DataTable | Picture | Chart) -> str:
     if isinstance(item, DataTable):
         return _table(item)
     if isinstance(item, Picture):
         return _picture(item)
-    if isinstance(item, Photo):
-        return _photo(item)
-    if isinstance(item, AngleChart):
-        return render_angle_chart(item)
-    if isinstance(item, Timeline):
-        return render_timeline(item)
-    return f"<p>{html.escape(item.text)}</p>"
+    return render_chart(item) if isinstance(item, Chart) else f"<p>{html.escape(item.text)}</p>"
+
+
+def _picture(picture: Picture) -> str:
+    content, media, size = picture.content, "image/jpeg", ""
+    if not isinstance(content, bytes):
+        buffer = BytesIO()
+        content.savefig(buffer, format="png", dpi=160)
+        media, size = "image/png", f' width="{round(96 * content.get_figwidth())}"'
+        content = buffer.getvalue()
+    encoded, title = base64.b64encode(content).decode("ascii"), html.escape(picture.title)
+    return (
+        f'<figure class="panel"><img{size} alt="{html.escape(picture.description) or title}" '
+        f'src="data:{media};base64,{encoded}"><figcaption>{title}</figcaption></figure>'
+    )
 
 
 def _table(table: DataTable) -> str:
@@ -199,27 +193,6 @@ def _table(table: DataTable) -> str:
         f"<table><caption>{title}</caption><thead><tr>{head}</tr></thead>\n"
         f"<tbody>{body}</tbody></table></div>{note}</div>"
     )
-
-
-def _picture(picture: Picture) -> str:
-    buffer = BytesIO()
-    picture.figure.savefig(buffer, format="png", dpi=160)
-    width = round(96 * picture.figure.get_figwidth())
-    photo = Photo(picture.title, buffer.getvalue(), "image/png", picture.description)
-    return _photo(photo, f' width="{width}"')
-
-
-def _photo(photo: Photo, size: str = "") -> str:
-    encoded = base64.b64encode(photo.data).decode("ascii")
-    words = html.escape(photo.description or photo.title)
-    return (
-        f'<figure class="panel"><img{size} alt="{words}" src="data:{photo.media};base64,{encoded}">'
-        f"<figcaption>{html.escape(photo.title)}</figcaption></figure>"
-    )
-
-
-def _colours() -> str:
-    return f":root {{ --body: {BODY_COLOUR}; --head: {HEAD_COLOUR}; --velocity: {VELOCITY_COLOUR}; }}"
 
 
 def _asset(name: str) -> str:

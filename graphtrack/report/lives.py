@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.content import Card, DataTable, Note, Section, Timeline
+from graphtrack.report.content import Card, Chart, DataTable, Section
 from graphtrack.report.pairing import Pair
 from graphtrack.report.shapes import longest_step
 
@@ -77,12 +77,12 @@ class Life:
 
 
 def is_associated(pairs: Sequence[Pair]) -> bool:
-    """Whether the tracks say how sure they are of who is who, or when nobody was seen."""
+    """True if the tracks have probabilities of identities, or flags of observed frames."""
     return any(pair.estimate.identity_p is not None or pair.estimate.observed is not None for pair in pairs)
 
 
 def life_of(pair: Pair) -> Life:
-    """What the rows of one person say about when they were there."""
+    """The life of one person, from its rows."""
     track = pair.estimate
     t, sure = track.t, track.identity_p
     # NaN: not known, as in a table in which other tracks say it.
@@ -119,7 +119,7 @@ def identities_section(
     events : where identities went wrong, if the truth is known
     drawn : whether there is a replay in the page, of whose data the timeline is drawn
     """
-    items: list[Timeline | DataTable | Note] = [Timeline(_TITLE, _NOTE)] if drawn else []
+    items: list[Chart | DataTable] = [Chart("timeline", _TITLE, _NOTE)] if drawn else []
     items.append(_lives_table(lives, events))
     items += _gaps_table(lives)
     if events:
@@ -128,7 +128,7 @@ def identities_section(
 
 
 def identity_cards(lives: Sequence[Life]) -> tuple[Card, ...]:
-    """How many gaps were joined, and how many of the joins may be wrong."""
+    """Numbers of joined gaps, and of joins that may be wrong."""
     joins = [gap for life in lives for gap in life.joined]
     if not joins:
         return ()

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from graphtrack.association.reading import tracks_of
-from graphtrack.report import html
 from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.build import tracking_report
+from graphtrack.report.html import write_html
 
 if TYPE_CHECKING:
     from graphtrack.behaviour.attention import Attention
@@ -54,4 +54,4 @@ def write_report(
     observations = None if observations is None else tracks_of(observations)
     behaviour = behaviour_of(tracks, groups=groups, attention=attention, forecast=forecast, places=places)
     report = tracking_report(tracks, observations, title=title, subtitle=subtitle, behaviour=behaviour)
-    html.write_report(path, report)
+    write_html(path, report)

@@ -45,7 +45,7 @@ class Pair:
 
     @property
     def name(self) -> str:
-        """What a reader should see: the id, and the label if there is one."""
+        """The name to display: the id, and the label if there is one."""
         return f"person {self.estimate.track_id}" + (f" ({self.label})" if self.label else "")
 
     def true_angle(self, name: str) -> FloatArray:
@@ -118,7 +118,7 @@ def observed_angle(track: Track, name: str) -> FloatArray | None:
 
 
 def has_angle(pair: Pair, name: str) -> bool:
-    """Whether ``body`` or ``head`` is known anywhere, as an estimate or as an observation."""
+    """True if ``body`` or ``head`` is known anywhere, as an estimate or as an observation."""
     values = [getattr(pair.estimate, name)]
     if pair.observation is not None:
         values.append(observed_angle(pair.observation, name))

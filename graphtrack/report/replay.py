@@ -101,7 +101,7 @@ def replay_data(
 
 
 def _life(pair: Pair, life: Life, at: NDArray[np.intp]) -> dict[str, Any]:
-    """How sure links are to the samples that are kept; gaps: from, to, filled, joined, how sure."""
+    """Probabilities of links to the samples that are kept; gaps: from, to, filled, joined, probability."""
     sure = pair.estimate.identity_p
     return {
         "sure": None if sure is None else delta_code(least_between(sure, at), SURE_STEP),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.report.content import AngleChart, Timeline
+from graphtrack.report.content import Chart
 from graphtrack.report.lives import UNSURE
 from graphtrack.report.style import GROUP_COLOURS
 
@@ -58,7 +58,7 @@ _LINE = (
     '<line x1="1" y1="8" x2="23" y2="8" stroke="{colour}" stroke-width="{width}" stroke-dasharray="{dash}"/>'
 )
 
-_CHART_KEYS = {
+_CHART_PICTURES = {
     "estimate": _LINE.format(colour="var(--muted)", width=2.4, dash="none"),
     "±1σ": _BAND.format(top=4, height=8, opacity=0.45),
     "95 %": _BAND.format(top=1, height=14, opacity=0.2),
@@ -67,6 +67,7 @@ _CHART_KEYS = {
     "truth": _LINE.format(colour="var(--ink)", width=1.3, dash="5 3"),
     "the replay's time": '<line x1="12" y1="0" x2="12" y2="16" stroke="var(--muted)"/>',
 }
+_CHART_KEYS = {words: (picture, words) for words, picture in _CHART_PICTURES.items()}
 
 _DIAMOND = '<path d="M12 2 L18 8 L12 14 L6 8 Z" fill="{fill}" stroke="var(--ink)" stroke-width="1.5"/>'
 _CROSS = '<path d="M7 3 L17 13 M17 3 L7 13" stroke="var(--ink)" stroke-width="2" fill="none"/>'
@@ -102,7 +103,11 @@ def render_replay(data: Mapping[str, Any]) -> str:
     data : what `graphtrack.report.replay.replay_data` returned, with at least one person
     """
     people = data["people"]
-    layers = [_layer(name, words, shown) for name, words, shown in _layers(data)]
+    layers = [
+        f'<label><input type="checkbox" data-layer="{name}"{" checked" if shown else ""}>'
+        f"{svg_key(_KEYS[name])} {words}</label>"
+        for name, words, shown in _layers(data)
+    ]
     if any(person["seen"] is not None for person in people):
         layers.append(f"<span>{svg_key(_UNSEEN_KEY)} not observed at this time</span>")
     return _template("replay.html").substitute(
@@ -114,26 +119,14 @@ def render_replay(data: Mapping[str, Any]) -> str:
     )
 
 
-def render_angle_chart(chart: AngleChart) -> str:
+def render_chart(chart: Chart) -> str:
     """The canvas, its controls and its legend. It needs the data of a replay in the same page."""
-    return _template("angles.html").substitute(
+    keys = _CHART_KEYS if chart.kind == "angles" else _LIFE_KEYS
+    legend = (f'<span data-key="{name}">{svg_key(key)} {words}</span>' for name, (key, words) in keys.items())
+    return _template(f"{chart.kind}.html").substitute(
         title=html.escape(chart.title),
-        legend=" ".join(
-            f'<span data-key="{words}">{svg_key(key)} {words}</span>' for words, key in _CHART_KEYS.items()
-        ),
+        legend=" ".join(legend),
         note=f'<p class="quiet hint">{html.escape(chart.note)}</p>' if chart.note else "",
-    )
-
-
-def render_timeline(timeline: Timeline) -> str:
-    """The canvas, its controls and its legend. It needs the data of a replay in the same page."""
-    return _template("timeline.html").substitute(
-        title=html.escape(timeline.title),
-        legend=" ".join(
-            f'<span data-key="{name}">{svg_key(key)} {words}</span>'
-            for name, (key, words) in _LIFE_KEYS.items()
-        ),
-        note=f'<p class="quiet hint">{html.escape(timeline.note)}</p>' if timeline.note else "",
     )
 
 
@@ -147,7 +140,7 @@ def _template(name: str) -> Template:
 
 
 def _frame(data: Mapping[str, Any]) -> str:
-    """How long a frame is, if frames are even: annotations at odd times have no length to speak of."""
+    """The duration of a frame, if frames are even."""
     frame = data["frame"]
     if frame is None:
         return ""
@@ -156,7 +149,7 @@ def _frame(data: Mapping[str, Any]) -> str:
 
 
 def _thinned(data: Mapping[str, Any]) -> str:
-    """What the page leaves out of the data, if anything."""
+    """The parts of the data that the page leaves out."""
     fans = (data["behaviour"] or {}).get("fans")
     left_out = "" if fans is None or fans["every"] == 1 else f" One forecast in {fans['every']} is shown."
     if data["kept"] == data["of"]:
@@ -202,10 +195,3 @@ def _layers(data: Mapping[str, Any]) -> list[tuple[str, str, bool]]:
         ("label", "id", True),
     ]
     return [layer for layer in layers if known.get(layer[0], True)]
-
-
-def _layer(name: str, words: str, shown: bool) -> str:
-    checked = " checked" if shown else ""
-    return (
-        f'<label><input type="checkbox" data-layer="{name}"{checked}>{svg_key(_KEYS[name])} {words}</label>'
-    )

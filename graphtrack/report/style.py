@@ -1,4 +1,4 @@
-"""What figures, charts and pages share: colours that mean the same in each, a figure to draw on, plain axes.
+"""Shared style of figures, charts and pages: colours, an empty figure, plain axes.
 
 The colours are those of Okabe & Ito (2008), which people with any common colour blindness can tell apart.
 Three of them are kept for body, head and velocity; people get the others and, since those repeat, a pattern

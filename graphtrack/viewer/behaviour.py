@@ -20,13 +20,13 @@ GROUPS: Final = "ground/groups"
 CENTRES: Final = "ground/groups/centres"
 
 Place = Callable[[int, float], FloatArray | None]
-"""Where (2,) a person was at a time; None where nobody knows."""
+"""Person and time → position (2,); None where unknown."""
 
 _LINE, _DOT = -1.0, -3.0
 
 
 def arrange_groups(to: Recording) -> None:
-    """What groups look like."""
+    """Log the style of groups."""
     to.static(GROUPS, to.rr.LineStrips2D.from_fields(radii=[_LINE]))
     to.static(CENTRES, to.rr.Points2D.from_fields(radii=[_DOT], show_labels=True))
 

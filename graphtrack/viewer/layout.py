@@ -1,4 +1,4 @@
-"""How the window is arranged: the ground, and beside it the video and the series of one person."""
+"""Layout of the window: the ground, the video and the series of one person."""
 
 from __future__ import annotations
 

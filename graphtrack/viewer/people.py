@@ -37,7 +37,7 @@ CIRCLE: Final = np.linspace(0.0, 2.0 * np.pi, 33)
 
 @dataclass
 class _Known:
-    """What was shown of somebody so far: the rows of the last seconds, and the last angles."""
+    """The rows of the last seconds and the last angles that were shown of a person."""
 
     t: FloatArray = field(default_factory=lambda: np.empty(0))
     frame: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -91,7 +91,7 @@ class ShownPeople:
         known.t, known.frame, known.position = known.t[recent], known.frame[recent], known.position[recent]
 
     def leave(self, before: float) -> None:
-        """Whoever has no rows from a time on is no longer shown after their last one."""
+        """Hide people who have no rows from a time on."""
         for track_id, known in list(self._known.items()):
             if len(known.t) and known.t[-1] + longest_step(known.t) < before:
                 t, frame = _next(known.t, known.frame)
@@ -108,7 +108,7 @@ class ShownPeople:
         known.t, known.frame, known.position = known.t[kept], known.frame[kept], known.position[kept]
 
     def place(self, track_id: int, t: float) -> FloatArray | None:
-        """Where (2,) somebody was at a time of the last seconds; None where that is not known."""
+        """Position (2,) of a person at a time of the last seconds; None where unknown."""
         known = self._known.get(track_id)
         if known is None or not len(known.t):
             return None

@@ -71,7 +71,7 @@ class FrameTimes:
         self._t = t[row]
 
     def within(self, frame: int) -> bool:
-        """Whether a frame lies between the first and the last one."""
+        """True if a frame lies between the first and the last one."""
         return bool(len(self._frame)) and self._frame[0] <= frame <= self._frame[-1]
 
     def __call__(self, frame: IntArray) -> FloatArray:

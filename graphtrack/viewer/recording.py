@@ -49,7 +49,7 @@ def rerun() -> Any:
 
 @dataclass(frozen=True)
 class Target:
-    """Where a view goes: into a file, to a viewer that runs, or else to a window of its own.
+    """Destination of a view: a file, a running viewer, or else a window of its own.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Recording:
         self._clock = clock
 
     def static(self, path: str, *what: Any) -> None:
-        """What an entity is at all times."""
+        """Log what holds of an entity at all times."""
         self.stream.log(path, *what, static=True)
 
     def rows(self, path: str, t: FloatArray, frame: IntArray, *columns: Any) -> None:

@@ -97,7 +97,7 @@ def view(
 
 
 class _Places:
-    """Where people were, by their tracks."""
+    """Positions of people, from their tracks."""
 
     def __init__(self, tracks: TrackSet) -> None:
         self._tracks = {track.track_id: track for track in tracks}
@@ -111,7 +111,7 @@ class _Places:
 
 
 def _names(tracks: TrackSet) -> Mapping[int, str]:
-    """What people are called where the table has no numbers for them."""
+    """Names of people where the table has no numbers for them."""
     return {} if tracks.as_read is None else tracks.as_read.names
 
 

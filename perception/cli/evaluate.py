@@ -221,7 +221,7 @@ def _recognition(rng: np.random.Generator, show: Show) -> None:
 
 
 def _joint(count: int, head_pose: str, rng: np.random.Generator, show: Show) -> None:
-    from graphtrack.evaluation.reproduce.chen_joint import PAPER
+    from graphtrack.evaluation.reproduce.chen_tables import PAPER
     from perception.evaluation.joint_effect import joint_effect
     from perception.models import load_classifier, load_head_localiser
     from perception.observe.pipeline import Models

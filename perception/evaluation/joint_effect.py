@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
-from graphtrack.evaluation.reproduce.chen_joint import ANGLES, Scores
-from graphtrack.evaluation.reproduce.chen_tables import WITH_FULL, most_likely_error
+from graphtrack.evaluation.reproduce.chen_tables import ANGLES, WITH_FULL, Scores, most_likely_error
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import track_online

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import TrackSet, to_columns
+from graphtrack.tracks import Track, TrackSet, to_columns
 from perception.detection.boxes import Detections, Detector, PersonBox
 from perception.detection.ground_detector import GroundDetector
 from perception.detection.people import PeopleDetector

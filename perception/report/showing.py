@@ -15,8 +15,8 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.report.behaviour.given import Behaviour, behaviour_of
 from graphtrack.report.build import tracking_report
-from graphtrack.report.content import Card, Note, Photo, Section
-from graphtrack.report.html import write_report
+from graphtrack.report.content import Card, Note, Picture, Section
+from graphtrack.report.html import write_html
 from graphtrack.report.plots.scene import plot_tracks
 from graphtrack.tracks import TrackSet
 from perception.images.drawing.output import pictures
@@ -63,7 +63,7 @@ def write_page(
 ) -> None:
     """Write the page, with some frames of the annotated video in it."""
     photos = tuple(
-        Photo(f"Frame {k + 1} of {count} that were drawn", data, description=_DESCRIPTION)
+        Picture(f"Frame {k + 1} of {count} that were drawn", data, _DESCRIPTION)
         for k, count, data in _photos(video)
     )
     words = Note(f"All frames are in {video.name}. {_DESCRIPTION}")
@@ -78,7 +78,7 @@ def write_page(
             Section("What was assumed", tuple(Note(line) for line in assumptions)),
         ),
     )
-    write_report(path, report)
+    write_html(path, report)
 
 
 def what_they_do(estimates: TrackSet) -> Behaviour | None:

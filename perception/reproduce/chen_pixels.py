@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.evaluation.reproduce.chen_classes import GROUPS as CLASS_GROUPS
-from graphtrack.evaluation.reproduce.chen_joint import Scores, beside
-from graphtrack.evaluation.reproduce.chen_tables import detail, draw_errors
+from graphtrack.evaluation.reproduce import chen_classes
+from graphtrack.evaluation.reproduce.chen_tables import Scores, beside, detail, draw_errors
 from graphtrack.evaluation.reproduce.experiment import (
     Cell,
     Experiment,
@@ -92,7 +91,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     )
     whole, effect, table_2 = detail(found, GROUPS, rng), _effect(found, rng), beside(found, GROUPS, BESIDE)
     of_posed = replace(
-        detail(posed, CLASS_GROUPS, settings.rng(98)),
+        detail(posed, chen_classes.GROUPS, settings.rng(98)),
         title="Known poses: body and head of motion capture from the answers of Chen et al.'s classifiers",
     )
     tables = (whole, effect, of_posed, *confusions(answers, head.classes), table_2)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.evaluation.reproduce.chen_classes import scores
-from graphtrack.evaluation.reproduce.chen_joint import POSITION_STD, Scores
+from graphtrack.evaluation.reproduce.chen_tables import POSITION_STD, Scores
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
     MOCAP,

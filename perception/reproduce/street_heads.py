@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from graphtrack.baselines.intentional import OWN_FILTERS
 from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce.experiment import Cell, Table
-from graphtrack.evaluation.reproduce.fitting import fit
+from graphtrack.evaluation.reproduce.fitting import fit, model_of
 from graphtrack.evaluation.reproduce.occlusion_methods import (
     Predictor,
     error_of,
@@ -24,7 +24,6 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
     in_steps,
     intentional,
     kalman,
-    model_of,
 )
 from graphtrack.evaluation.resampling import bootstrap, reduction
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction

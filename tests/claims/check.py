@@ -13,7 +13,7 @@ from pathlib import Path
 from claim import Results
 from stated import CLAIMS
 
-from graphtrack.evaluation.reproduce import all_experiments
+from graphtrack.experiments import all_experiments
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,15 +13,11 @@ from walks import walk
 
 from graphtrack.baselines.intentional import IntentionalParameters
 from graphtrack.cli.commands import app
-from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings
 from graphtrack.evaluation.reproduce.baxter_caviar import METHODS, gains, spread
 from graphtrack.evaluation.reproduce.caviar_controls import CONTROLS, control_gains, shuffled
 from graphtrack.evaluation.reproduce.caviar_people import (
-    GRAPHS,
     LEAST_LABELS,
-    Fitted,
     detected,
-    deviation,
     labelled_stretch,
     outcomes,
     own_outcome,
@@ -29,7 +25,9 @@ from graphtrack.evaluation.reproduce.caviar_people import (
     with_noise,
 )
 from graphtrack.evaluation.reproduce.experiment import ISAM2
-from graphtrack.evaluation.statistics import travel_velocity
+from graphtrack.evaluation.reproduce.fitting import GRAPHS, Fitted
+from graphtrack.evaluation.statistics import deviation, travel_velocity
+from graphtrack.experiments import EXPERIMENTS, Settings
 from graphtrack.geometry.angles import difference, direction, unit, wrap
 from graphtrack.model import Model
 from graphtrack.tracks import Track

@@ -7,8 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from graphtrack.evaluation.reproduce import chen_image
 from graphtrack.evaluation.reproduce.chen_classes import classified
+from graphtrack.evaluation.reproduce.chen_image import (
+    OPTIONS,
+    camera_before,
+    image_scores,
+    in_image,
+    turned_to_world,
+)
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.simulation.classes import add_class_likelihoods
 from graphtrack.simulation.degrade import add_noise
@@ -23,7 +29,7 @@ def tracks() -> TrackSet:
 
 
 def test_the_camera_sees_all_of_them(tracks: TrackSet) -> None:
-    camera = chen_image.camera_before(tracks)
+    camera = camera_before(tracks)
     for track in tracks:
         seen = camera.ground_to_image(track.position)
         assert np.isfinite(seen).all() and not camera.is_mirrored
@@ -31,11 +37,11 @@ def test_the_camera_sees_all_of_them(tracks: TrackSet) -> None:
 
 
 def test_sure_answers_in_the_image_are_turned_to_the_true_class_of_the_world(tracks: TrackSet) -> None:
-    camera = chen_image.camera_before(tracks)
-    seen = tracks.map(lambda track: chen_image.in_image(track, camera))
+    camera = camera_before(tracks)
+    seen = tracks.map(lambda track: in_image(track, camera))
     sure = add_class_likelihoods(seen, body=np.eye(8), head=np.eye(12), rng=np.random.default_rng(2))
     for track, truth in zip(sure, tracks, strict=True):
-        turned = chen_image.turned_to_world(track, camera)
+        turned = turned_to_world(track, camera)
         for angle, count in (("body", 8), ("head", 12)):
             likelihood = getattr(turned, f"{angle}_likelihood")
             np.testing.assert_allclose(likelihood.sum(axis=1), 1.0)
@@ -46,8 +52,8 @@ def test_sure_answers_in_the_image_are_turned_to_the_true_class_of_the_world(tra
 
 def test_every_filter_is_scored_with_every_model_of_the_paper(tracks: TrackSet) -> None:
     short = tracks.map(lambda track: track[:8])
-    found = chen_image.image_scores("drawn", short, partial(classified, rng=np.random.default_rng(3)))
+    found = image_scores("drawn", short, partial(classified, rng=np.random.default_rng(3)))
     methods = {method for preset, method, _ in found.errors if preset != "observation"}
-    assert methods == set(chen_image.OPTIONS)
+    assert methods == set(OPTIONS)
     assert {preset for preset, *_ in found.errors} == {"observation", "separate", "joint-body", "joint"}
     assert all(len(errors) == 2 and np.isfinite(errors).all() for errors in found.errors.values())

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from graphtrack.cli import main
-from graphtrack.model import Model
 
 ALL = "kf,intentional,intentional-printed,intentional-consistent,particle,chain,fixed-lag,isam2,rts,ffbs"
 ALL += ",smoother"
@@ -47,13 +46,6 @@ def compare(tmp_path, monkeypatch, capsys):
     return run
 
 
-@pytest.mark.parametrize("head", [True, False])
-def test_all_positions_missing(compare, head):
-    status, said, found = compare(HEAD + rows(1, (), head=head))
-    assert status == 2 and found is None
-    assert said.splitlines()[-1].startswith("error: found no observed position in any track")
-
-
 def test_a_head_column_without_position_columns(compare):
     text = "track_id,frame,t,head_deg,true_x,true_y\n" + "".join(f"1,{k},{k},3,{k},0\n" for k in range(9))
     status, said, _ = compare(text)
@@ -69,13 +61,6 @@ def test_one_observation_is_enough_for_all(compare, n):
     errors = {r["method"]: r["median"] for r in found["rows"] if r["metric"] == "position RMSE"}
     assert set(errors) == set(ALL.split(","))
     assert all(math.isfinite(error) and error < 3.0 for error in errors.values())
-
-
-def test_who_was_never_seen_is_left_out_and_said(compare):
-    status, said, found = compare(HEAD + rows(1, range(12)) + rows(2, ()) + rows(3, (4,)))
-    assert status == 0
-    assert "left out track 2: no position was observed" in said
-    assert {record["track_id"] for record in found["per_track"]} == {1, 3}
 
 
 def test_weights_that_all_vanish_are_recovered_from_and_said_once(compare):
@@ -108,11 +93,3 @@ def test_each_method_has_its_best_model_and_the_table_and_caption_say_which(comp
     assert status == 0 and not [record for record in found["per_track"] if record["failure"]]
     assert found["models"] == OWN == {row["method"]: row["model"] for row in found["rows"]}
     assert "full for chain" in said and "joint for particle" in said
-
-
-def test_a_model_that_is_given_is_everybodys_and_printed(compare, tmp_path):
-    Model("separate").save(tmp_path / "mine.toml")
-    for model in ("separate", "mine.toml"):
-        status, said, found = compare(HEAD + rows(1, range(12)), "kf,chain,isam2", "--model", model)
-        assert status == 0 and set(found["models"].values()) == {"separate"}
-        assert "The model is separate." in said and model in said

@@ -7,11 +7,9 @@ import pytest
 
 from graphtrack.evaluation.reproduce.baxter_simulated import RIVAL, Gain, paired
 from graphtrack.evaluation.reproduce.chen_fitted import (
-    ANGLES,
     FITTED,
     PAIRS,
     SHARED,
-    errors_of,
     fits,
     fitted_models,
     pair_table,
@@ -19,6 +17,7 @@ from graphtrack.evaluation.reproduce.chen_fitted import (
     shared_values,
     with_shared,
 )
+from graphtrack.evaluation.reproduce.chen_tables import ANGLES, errors_of
 from graphtrack.evaluation.reproduce.experiment import ISAM2
 from graphtrack.inference import smooth_track
 from graphtrack.model import Model
@@ -78,10 +77,8 @@ def test_differences_between_methods_are_of_the_same_people() -> None:
         for name in names
         for angle in ANGLES
     }
-    fitted = {
-        "joint": {("people", name, angle): hard - worth[name] for name in names for angle in ANGLES},
-    }
-    for row in pair_table({"people": default}, fitted, rng).records():
+    fitted = {("joint", name, angle): hard - worth[name] for name in names for angle in ANGLES}
+    for row in pair_table({"people": default}, {"people": fitted}, rng).records():
         first, second = str(row["difference"]).split(" − ")
         expected = worth[first] - worth[second]
         assert row["default (°)"] == pytest.approx(expected, abs=0.15)

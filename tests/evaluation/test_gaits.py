@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graphtrack.evaluation.reproduce import Settings, gaits
+from graphtrack.evaluation.reproduce import gaits
+from graphtrack.experiments import Settings
 from graphtrack.simulation.sampling import simulate
 
 

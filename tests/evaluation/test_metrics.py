@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from graphtrack import Track
+from graphtrack.evaluation.calibration import chi_square_band
 from graphtrack.evaluation.metrics import (
     angle_nees,
     angular_error,
-    consistency,
     position_nees,
     position_rmse,
     true_velocity,
@@ -100,40 +100,15 @@ def test_what_is_not_there_is_nan_and_no_error() -> None:
     assert np.isnan(velocity_rmse(bare, truth)) and np.isnan(angular_error(bare, truth, "body"))
     assert np.isnan(angular_error(estimate, nothing, "head"))
     assert np.isnan(position_nees(bare, truth)).all() and np.isnan(angle_nees(bare, truth, "body")).all()
-    assert consistency([], 2) is None
-    assert consistency([np.full(3, np.nan)], 2) is None
 
 
-@pytest.mark.parametrize(
-    ("stated", "lowest", "highest"), [(1.0, 0.91, 0.99), (0.5, 0.0, 0.01), (2.0, 0.0, 0.01)]
-)
-def test_nees_is_in_band_for_honest_gaussians_only(stated: float, lowest: float, highest: float) -> None:
-    """``stated`` is the 1-σ claimed over the 1-σ sampled; 400 experiments of 50 one-frame tracks."""
-    rng = np.random.default_rng(11)
-    root = np.array([[0.5, 0.0], [0.3, 0.2]])
-    truth, estimate = truth_and_estimate(400 * 50)
-    covariance = np.tile(np.eye(6), (len(truth), 1, 1)) * 0.1**2 * stated**2
-    covariance[:, :2, :2] = stated**2 * root @ root.T
-    estimate = replace(
-        estimate,
-        position=truth.true_position + rng.standard_normal((len(truth), 2)) @ root.T,
-        body=0.1 * rng.standard_normal(len(truth)),
-        covariance=covariance,
-    )
-    for values, dof in ((position_nees(estimate, truth), 2), (angle_nees(estimate, truth, "body"), 1)):
-        found = [consistency(list(experiment), dof) for experiment in values.reshape(400, 50)]
-        assert all(c.count == 50 and c.dof == dof and c.low < dof < c.high for c in found)
-        assert lowest <= np.mean([c.inside for c in found]) <= highest
-
-
-def test_the_band_holds_95_percent_and_a_track_counts_once() -> None:
+def test_the_band_holds_95_percent_of_the_means() -> None:
     rng = np.random.default_rng(12)
-    hits = np.mean([consistency(list(rng.chisquare(2, (30, 1))), 2).inside for _ in range(800)])
-    assert abs(hits - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 800)
-    # The frames of one track say the same thing again: repeating them must not narrow the band.
-    values = list(rng.chisquare(2, (30, 1)))
-    once, often = consistency(values, 2), consistency([np.repeat(v, 50) for v in values], 2)
-    assert (once.low, once.high, once.nees) == pytest.approx((often.low, often.high, often.nees))
+    for dof, count in ((2, 30), (1, 50)):
+        low, high = chi_square_band(dof, count)
+        means = rng.chisquare(dof, (2000, count)).mean(axis=1)
+        inside = np.mean((low <= means) & (means <= high))
+        assert low < dof < high and abs(inside - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 2000)
 
 
 def test_a_singular_covariance_has_no_nees() -> None:

@@ -15,15 +15,22 @@ from graphtrack.baselines.intentional import IntentionalParameters, intentional_
 from graphtrack.baselines.kalman import filter_states, kalman_filter
 from graphtrack.cli.commands import app
 from graphtrack.errors import InputError
-from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table, all_experiments
 from graphtrack.evaluation.reproduce.baxter_occlusion import Case, WindowErrors, trajectories
-from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
-from graphtrack.evaluation.reproduce.chen_joint import METHODS, PAPER, concentration_of
+from graphtrack.evaluation.reproduce.chen_joint import concentration_of
+from graphtrack.evaluation.reproduce.chen_tables import PAPER
 from graphtrack.evaluation.reproduce.experiment import evenly, thinned
-from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
+from graphtrack.evaluation.reproduce.fitting import (
+    fit,
+    from_the_past,
+    one_step_ahead,
+    squared_error,
+    with_coupling,
+    with_density,
+    with_head_rate,
+)
 from graphtrack.evaluation.reproduce.occlusion_methods import ONLINE, error_of
-from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.resampling import bootstrap, deviation, mean_difference, reduction
+from graphtrack.experiments import Settings, Table, all_experiments
 from graphtrack.inference import track_online
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
@@ -89,17 +96,6 @@ def test_fitting_finds_the_least() -> None:
     np.testing.assert_allclose(found, [0.02, 7.0], rtol=0.1)
     assert 30.0 < fit(lambda a: -a, [2.0], evaluations=60)[0] <= 200.0
     assert fit(lambda a: math.nan if a > 2.0 else -a, [1.0], evaluations=40)[0] == pytest.approx(2.0, rel=0.1)
-
-
-def test_fitting_stays_where_the_parameters_are_allowed() -> None:
-    rates = []
-
-    def cost(rate: float) -> float:
-        rates.append(with_head_rate(Parameters(), rate).motion.head_rate)
-        return -rate
-
-    assert 60.0 < fit(cost, [2.0], evaluations=60)[0] <= 100.0
-    assert max(rates) <= 100.0
 
 
 def test_coupling_and_density_change_only_what_they_name() -> None:
@@ -284,15 +280,3 @@ def test_every_experiment_runs(name: str, data_dir: Path) -> None:
     json.dumps([table.to_dict() for table in found.tables], allow_nan=False)
     # A search may end before its last evaluation.
     assert 0.5 * experiment.work(settings) < done <= 1.5 * experiment.work(settings)
-
-
-@pytest.mark.slow
-def test_walking_people_are_estimated_better_jointly(data_dir: Path) -> None:
-    found = EXPERIMENTS["chen-joint"].run(Settings(quick=True, data=data_dir), lambda count: None)
-    rows = found.tables[0].records()
-    walking = [row for row in rows if row["data"] == "mocap, walking" and row["angle"] == "body"]
-    assert {row["method"] for row in walking} == set(METHODS)
-    # Six people are too few for an interval without 0; each coupling is worth something for every method.
-    columns = [f"{name} (°)" for name in ("joint", "joint-body", "separate", "observation")]
-    for errors in ([row[column] for column in columns] for row in walking):
-        assert errors == sorted(errors), errors

@@ -35,12 +35,6 @@ def test_independent_walkers_who_stop_are_seldom_in_a_conversation(evidence: str
     assert np.mean(after) < 0.5 * np.mean(before)
 
 
-def test_independent_walkers_who_never_stop_are_in_no_conversation() -> None:
-    rng = np.random.default_rng(5)
-    people = estimated(independent_walkers(rng, 10.0, 0.0), "positions", rng)
-    assert shares(gt.groups(people))[0] == 0.0
-
-
 def test_those_who_walk_together_are_found_as_soon_as_before() -> None:
     t = 0.4 * np.arange(40)
     side = 0.8 + 4.0 * np.maximum(1.0 - t / 4.0, 0.0)  # one joins the other's way within 4 s

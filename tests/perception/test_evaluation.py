@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from command import run
 
-from graphtrack.evaluation.reproduce import Settings
+from graphtrack.experiments import Settings
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.model import Model
 from perception.evaluation.joint_effect import LEAST_FRAMES, METHODS, ObservedPerson, joint_effect, people_of

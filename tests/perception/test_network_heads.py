@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import LogisticRegression
 
-from graphtrack.evaluation.reproduce import Settings
+from graphtrack.experiments import Settings
 from graphtrack.io.readers.caviar import LOBBY_HEIGHT, lobby_camera
 from graphtrack.tracks import Track
 from perception.evaluation.last_layer import softmax_layer, split_scores

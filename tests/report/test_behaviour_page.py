@@ -1,9 +1,7 @@
 """Groups, looks and forecasts in the page: what it holds, what its scripts say, and what is refused."""
 
-import base64
 import json
 import re
-import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ import pytest
 from command import run
 from made_up import observed, walker
 from made_up_behaviour import AHEAD, BAR, SCREEN, forecast, grouped, looking, standing
-from page_scripts import in_browser, in_node
+from page_scripts import delta_decode, in_browser, in_node
 
 import graphtrack as gt
 from graphtrack.behaviour.looks import attention_columns
@@ -24,7 +22,7 @@ from graphtrack.report.behaviour.codes import FAN_STEPS, MAX_FANS
 from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.behaviour.spans import by_main_group, group_spans
 from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import COARSE_STEP, SURE_STEP, delta_decode
+from graphtrack.report.coding import COARSE_STEP, SURE_STEP
 from graphtrack.report.content import DataTable
 from graphtrack.report.html import packed, render_report
 from graphtrack.report.replay import MAX_DOING
@@ -152,15 +150,6 @@ def test_tables_are_read_as_they_were_written(tracks, tmp_path):
     pd.testing.assert_frame_equal(pd.DataFrame(columns), pd.DataFrame(attention_columns(looks)))
 
 
-def test_labelled_groups_without_more_are_conversations(tracks, tmp_path):
-    columns = grouped(tracks).columns()
-    write_columns({name: columns[name] for name in ("frame", "track_id", "group")}, tmp_path / "groups.csv")
-    report = tracking_report(tracks, behaviour=behaviour_of(tracks, groups=tmp_path / "groups.csv"))
-    (group,) = table(report, "All groups")
-    assert group["kind"] == "conversing" and np.isnan(group["probability"])
-    assert "NaN" not in json.dumps(report.replay)
-
-
 def test_forecasts_without_frames_are_found_by_their_times(tracks, tmp_path):
     made = forecast(tracks)
     write_columns({k: v for k, v in made.columns.items() if k != "frame"}, tmp_path / "forecast.csv")
@@ -238,12 +227,6 @@ def test_scripts_say_what_somebody_does(report):
         "in 1.4 s within 0.8 m of (2.6, 0.0) with 90\u202f%"
     )
     assert third.startswith("alone (90\u202f%) · looks at 4") and gone == ""
-
-
-def test_scripts_need_no_behaviour():
-    plain = tracking_report(TrackSet((walker(),)))
-    code = "return [doingInWords(behaviour, people, 0, 1.0), groupUnder(behaviour, people, 1, 1, 1.0)];"
-    assert in_page(plain, code) == ["", ""]
 
 
 def test_hulls_hold_their_points_whatever_their_order():
@@ -368,32 +351,6 @@ def test_one_person_and_one_without_a_place_have_a_page():
         assert in_page(report, "return doingInWords(behaviour, people, 0, 1.0);").startswith("alone")
 
 
-def test_names_of_places_are_text(tracks):
-    name = "</script><b>"
-    place = replace(BAR, name=name)
-    report = tracking_report(
-        tracks, behaviour=behaviour_of(tracks, attention=looking(tracks, (place,)), places=[place])
-    )
-    page = render_report(report)
-    assert name not in page and "&lt;/script&gt;&lt;b&gt;" in page
-    data = re.search(r'id="replay-data">([^<]*)<', page)[1]
-    assert json.loads(zlib.decompress(base64.b64decode(data)))["behaviour"]["places"][0]["name"] == name
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"track_id": lambda v: np.where(v == 2, 9, v)}, "groups of person 9, expected people of the tracks"),
-        ({"frame": lambda v: v + 5}, "groups of person 1 in frame 20, expected frames of that track"),
-    ],
-)
-def test_groups_of_others_are_refused(tracks, change, words):
-    groups = grouped(tracks)
-    wrong = replace(groups, **{name: new(getattr(groups, name)) for name, new in change.items()})
-    with pytest.raises(InputError, match=words):
-        behaviour_of(tracks, groups=wrong)
-
-
 def test_looks_and_forecasts_of_others_are_refused(tracks):
     more = standing(people=5)
     with pytest.raises(InputError, match="looks at person 5, expected people of the tracks"):
@@ -474,8 +431,3 @@ def test_bad_tables_end_with_a_line(here, name, old, new, words):
         return
     assert done.returncode == 2 and words in " ".join(done.stderr.split()), done.stderr
     assert f"{name}.csv" in done.stderr and not (here / "report.html").exists()
-
-
-def test_the_page_takes_no_place_of_a_table(here):
-    done = graphtrack("report tracks.csv -o groups.csv --groups groups.csv")
-    assert done.returncode == 2 and "--groups" in done.stderr

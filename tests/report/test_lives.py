@@ -9,18 +9,17 @@ from itertools import groupby
 import numpy as np
 import pytest
 from made_up import walker
-from page_scripts import in_node
+from page_scripts import delta_decode, in_node
 
 from graphtrack.evaluation.tracking.events import IdentityEvent
-from graphtrack.gaps import with_rows
 from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import SURE_STEP, delta_decode
-from graphtrack.report.content import MAX_ROWS, DataTable, Timeline
+from graphtrack.report.coding import SURE_STEP
+from graphtrack.report.content import MAX_ROWS, Chart, DataTable
 from graphtrack.report.html import render_report
-from graphtrack.report.lives import UNSURE, Life, life_of
+from graphtrack.report.lives import UNSURE, life_of
 from graphtrack.report.pairing import pair_track
 from graphtrack.report.replay import replay_data
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks import TrackSet
 
 SCRIPTS = ("replay_data.js", "lives.js", "people.js")
 
@@ -65,13 +64,6 @@ def test_births_and_deaths_are_first_and_last_rows_and_gaps_are_runs_that_were_n
     links = track.identity_p[1:][np.isfinite(track.identity_p[1:])]
     assert life.least == links.min()
     assert life.unsure == (links < UNSURE).sum()
-
-
-def test_a_gap_that_was_not_filled_is_one_too():
-    whole = associated(n=30, kept=1.0)
-    (life,) = lives_of(whole[np.r_[0:10, 20:30]])
-    (gap,) = life.gaps
-    assert (gap.start, gap.end, gap.filled, gap.joined) == (whole.t[9], whole.t[20], False, True)
 
 
 def test_who_is_not_seen_again_was_not_joined():
@@ -139,18 +131,11 @@ def test_a_page_of_nobody_of_one_and_of_hundreds(people):
     report = tracking_report(tracks, events=())
     page = render_report(report)
     assert ("timeline panel" in page) == bool(people)
-    assert any(isinstance(item, Timeline) for item in section(report).items) == bool(people)
+    assert any(isinstance(item, Chart) for item in section(report).items) == bool(people)
     assert len(page) < 2_500_000
     if people == 300:
         gaps = table(report, "Gaps and joins")
         assert len(gaps.rows) == MAX_ROWS and f"first {MAX_ROWS} of" in gaps.note
-
-
-def test_who_is_nowhere_is_in_the_table_alone():
-    nowhere = replace(associated(), position=np.full((60, 2), np.nan), covariance=None)
-    report = tracking_report(TrackSet((nowhere,)))
-    assert not any(isinstance(item, Timeline) for item in section(report).items)
-    assert len(table(report, "Births and deaths").rows) == 1
 
 
 def test_thinned_data_keep_gaps_and_the_least_sure_links():
@@ -270,12 +255,3 @@ def test_a_filled_gap_of_a_trail_is_a_part_of_its_own():
     assert [part[1] for part in parts[:-1]] == [part[0] for part in parts[1:]]
     dotted = {k for first, last, gap in parts if gap for k in range(first + 1, last)}
     assert dotted == set(np.flatnonzero(track.observed == 0.0).tolist())
-
-
-def test_an_associated_track_with_no_gap_has_no_table_of_gaps():
-    track = with_rows(
-        Track(1, np.arange(5), np.arange(5) * 0.4, np.zeros((5, 2))), np.arange(5), np.arange(5) * 0.4
-    )
-    report = tracking_report(TrackSet((replace(track, observed=np.ones(5)),)))
-    assert table(report, "Gaps and joins") is None
-    assert isinstance(lives_of(track)[0], Life)

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import resources
 
 import numpy as np
 import pytest
 
 from graphtrack.behaviour.attention import Attention, attention
 from graphtrack.behaviour.groups import groups
-from graphtrack.behaviour.looks import summary_of
 from graphtrack.report.plots import plot_reliability
 from graphtrack.report.plots.groups import plot_group_timeline
-from graphtrack.report.plots.looks import plot_heat_map, plot_look_timeline, plot_matrix
+from graphtrack.report.plots.looks import plot_look_timeline
 from graphtrack.tracks import Track, TrackSet
-from perception.pose.calibration import Reliability
 
 
 def pair(seconds: float = 20.0) -> TrackSet:
@@ -61,42 +58,6 @@ def test_the_legend_of_reliability_covers_no_curve(methods: int) -> None:
     assert len(inside) == 3 and not any(inside)
 
 
-def test_the_legend_of_classifiers_covers_no_curve() -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    from perception.evaluation.measures import reliability_figure
-    from perception.pose.scores import PoseScores
-
-    bins = np.linspace(0.1, 0.9, 9)
-    curve = Reliability(bins, np.ones(9), np.full(9, 10))
-    names = ("deep_belief", "templates", "exemplars", "body_pose")
-    scores = {name: PoseScores(1.0, 1.0, 0.9, 0.9, curve, np.eye(8, dtype=np.int64)) for name in names}
-    figure = reliability_figure(scores, dict.fromkeys(names, np.arange(8) * 45.0))
-    FigureCanvasAgg(figure)
-    inside = legends_inside(figure)
-    assert len(inside) == 1 and not any(inside)
-
-
-def shade(colour) -> float:
-    """Brightness of an RGBA colour, 0 for black."""
-    return float(np.mean(colour[:3]))
-
-
-@pytest.mark.parametrize(("share", "black"), [(0.0002, False), (0.9, True)])
-def test_colours_of_looks_are_dark_where_there_are_many(share: float, black: bool) -> None:
-    tracks = pair()
-    found = looking(tracks, share)
-    axes = plot_heat_map(tracks, (), found).axes[0]
-    hexagons = next(c for c in axes.collections if c.get_array() is not None)
-    assert float(np.max(hexagons.get_array())) == pytest.approx(share * 20.0, rel=0.01)
-    darkest = shade(hexagons.cmap(hexagons.norm(float(np.max(hexagons.get_array())))))
-    assert (darkest < 0.1) == black and (darkest > 0.6) != black
-    image = plot_matrix(summary_of(found)).axes[0].images[0]
-    largest = float(np.max(image.get_array()[:, :-1]))
-    darkest = shade(image.cmap(image.norm(largest)))
-    assert (darkest < 0.1) == black and (darkest > 0.6) != black
-
-
 def test_the_timeline_of_looks_spans_the_recording() -> None:
     tracks = pair()
     found = looking(tracks, 0.9)
@@ -113,9 +74,3 @@ def test_the_timeline_of_groups_spans_the_recording() -> None:
     found = groups(pair())
     low, high = plot_group_timeline(found, ()).axes[0].get_xlim()
     assert (low, high) == (found.t.min(), found.t.max())
-
-
-def test_small_pictures_are_not_enlarged_on_phones_and_plots_are_dark_in_dark_mode() -> None:
-    style = resources.files("graphtrack.report").joinpath("assets/page.css").read_text(encoding="utf-8")
-    assert "figure img { max-width: 42rem; }" in style
-    assert 'figure img[src^="data:image/png"] { filter: invert(.88)' in style

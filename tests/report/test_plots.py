@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from made_up import ERRORS, NEES, observed, scene, walker
+from made_up import ERRORS, NEES, observed, walker
 from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 
-from graphtrack.display import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
+from graphtrack.display import BODY_COLOUR, HEAD_COLOUR
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
@@ -28,13 +28,6 @@ def arrows(axes, colour):
 def is_dotted(line):
     # Dots are dashes without a length, and round.
     return line.get_linestyle() == "--" and line.get_dash_capstyle() == "round"
-
-
-def tips(figure, quiver):
-    """Where arrows end, in pixels."""
-    length = np.hypot(quiver.U, quiver.V) / quiver.scale * figure.dpi
-    along = np.stack([quiver.U, quiver.V], axis=1) / np.hypot(quiver.U, quiver.V)[:, None]
-    return quiver.get_offset_transform().transform(quiver.get_offsets()) + length[:, None] * along
 
 
 def labels(figure):
@@ -57,7 +50,7 @@ def test_the_drawn_ellipses_hold_95_percent_of_the_position():
 
 def test_arrows_point_where_the_angles_do_and_have_their_colours():
     track = walker(n=50)
-    axes = plot_tracks(TrackSet((track,)), arrow_interval=0.2, show_velocity=True).axes[0]
+    axes = plot_tracks(TrackSet((track,)), arrow_interval=0.2).axes[0]
     for name, colour in (("body", BODY_COLOUR), ("head", HEAD_COLOUR)):
         (quiver,) = arrows(axes, colour)
         assert np.arctan2(quiver.V, quiver.U) == pytest.approx(getattr(track, name)[::5])
@@ -67,20 +60,6 @@ def test_arrows_point_where_the_angles_do_and_have_their_colours():
         along = np.stack([quiver.U, quiver.V], axis=1)
         assert np.sum(aside * along, axis=1) == pytest.approx(0.0, abs=1e-9)
         assert np.all(np.sum(aside * left, axis=1) * (1.0 if name == "body" else -1.0) > 0.01)
-    assert len(arrows(axes, VELOCITY_COLOUR)) == 1
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi])
-def test_tips_of_arrows_at_the_edge_stay_inside_the_axes(angle):
-    n = 60
-    track = walker(n=n, body=np.full(n, angle), head=np.full(n, angle))
-    figure = plot_tracks(TrackSet((track,)), arrow_interval=0.2)
-    figure.canvas.draw()
-    axes = figure.axes[0]
-    (left, bottom), (right, top) = axes.get_window_extent().get_points()
-    found = [tips(figure, q) for q in axes.collections if isinstance(q, Quiver)]
-    assert len(found) == 2
-    assert all(np.all((t > [left, bottom]) & (t < [right, top])) for t in found)
 
 
 def test_no_arrow_stands_where_nothing_was_observed():
@@ -105,23 +84,9 @@ def test_ellipses_too_small_to_be_seen_are_enlarged_by_the_factor_of_the_legend(
     assert pixels > 0.1 * figure.dpi
 
 
-def test_axes_are_equal_and_hold_everything():
-    estimates, observations = scene(30)
-    figure = plot_tracks(estimates, observations)
-    figure.canvas.draw()
-    axes = figure.axes[0]
-    assert axes.get_aspect() == 1.0
-    points = np.concatenate([t.position for t in (*estimates, *observations)])
-    points = points[np.isfinite(points).all(axis=1)]
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    assert np.all((points > [left, bottom]) & (points < [right, top]))
-
-
 def test_the_path_is_dotted_exactly_where_nothing_was_observed():
     estimate = walker()
-    figure = plot_tracks(
-        TrackSet((estimate,)), TrackSet((observed(estimate, slice(20, 35)),)), show_truth=False
-    )
+    figure = plot_tracks(TrackSet((estimate,)), TrackSet((observed(estimate, slice(20, 35)),)))
     lines = figure.axes[0].lines
     (dotted,) = [line for line in lines if is_dotted(line)]
     assert dotted.get_xydata() == pytest.approx(estimate.position[19:36])
@@ -156,7 +121,7 @@ BARE = Track(5, [0, 1, 2], [0.0, 0.1, 0.2], [[0, 0], [nan, nan], [1, 1]])
     ids=["nobody", "bare", "one frame", "no head", "body NaN", "covariance NaN", "no position", "odd label"],
 )
 def test_every_figure_can_be_drawn_of_odd_tracks(tracks, tmp_path):
-    plot_tracks(TrackSet(tracks), show_velocity=True).savefig(tmp_path / "a.png")
+    plot_tracks(TrackSet(tracks)).savefig(tmp_path / "a.png")
     for track in tracks:
         plot_angles(track).savefig(tmp_path / "b.png")
         plot_angles(track, BARE).savefig(tmp_path / "c.png")
@@ -248,8 +213,8 @@ def walkers_along(count, step):
 
 
 def test_people_are_told_apart_by_colour_and_dashes():
-    lines = plot_tracks(walkers_along(CROWD, 1.0), show_truth=False).axes[0].lines
-    paths = [line for line in lines if len(line.get_xdata()) > 1]
+    lines = plot_tracks(walkers_along(CROWD, 1.0)).axes[0].lines
+    paths = [line for line in lines if len(line.get_xdata()) > 1 and np.isfinite(line.get_xdata()).all()]
     looks = {(line.get_color(), str(line._unscaled_dash_pattern)) for line in paths[:24]}
     assert len(paths) == CROWD and len(looks) == 24
 
@@ -275,15 +240,3 @@ def test_of_a_crowd_those_who_stay_and_those_who_walk_back_stand_apart():
     people = TrackSet(tuple(replace(track, track_id=i) for i, track in enumerate(tracks)))
     titles = [axes.get_title(loc="left") for axes in plot_tracks(people).axes]
     assert {"towards +x: 20", "towards −x: 20", "stayed within 2 m: 20"} <= set(titles)
-
-
-def test_numbers_of_errors_do_not_lie_across_the_axis():
-    rows = [
-        {"method": name, "metric": "time", "unit": "ms", "median": value, "low": value, "high": 1.1 * value}
-        for name, value in (("quick", 0.0488), ("slower", 0.112), ("slow", 7.0))
-    ]
-    figure = plot_errors(rows)
-    figure.draw_without_rendering()
-    axes = figure.axes[0]
-    assert len(axes.texts) == 3
-    assert all(text.get_window_extent().x0 >= axes.get_window_extent().x0 - 1.0 for text in axes.texts)

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_up import observed, scene, walker
-from page_scripts import in_node
+from page_scripts import delta_decode, in_node
 
 from graphtrack.geometry.angles import difference, wrap
-from graphtrack.report.coding import ANGLE_STEP, LENGTH_STEP, TIME_STEP, delta_code, delta_decode
+from graphtrack.report.coding import ANGLE_STEP, LENGTH_STEP, TIME_STEP, delta_code
 from graphtrack.report.pairing import pair_tracks
 from graphtrack.report.replay import replay_data, thin
 from graphtrack.report.shapes import probability_ellipse
@@ -25,10 +25,6 @@ def test_codes_bring_back_every_value_to_half_a_step(values):
     assert np.array_equal(np.isnan(back), np.isnan(values))
     known = np.isfinite(values)
     assert np.all(np.abs(back - values)[known] <= LENGTH_STEP / 2 + 1e-9)
-
-
-def test_a_channel_without_values_takes_no_room():
-    assert delta_code(np.full(5, np.nan), LENGTH_STEP) is None
 
 
 def decoded(person, name, step):
@@ -83,27 +79,6 @@ def test_of_too_many_samples_one_of_every_few_frames_is_kept():
     # The last frame is always among them: every sixth leaves room for it, every fifth would not.
     assert data["every"] == 6 and data["frame"] == pytest.approx(6 / 25)
     assert set(np.diff(decoded(data["people"][0], "t", TIME_STEP))[:-1].round(3)) == {0.24}
-
-
-def test_frames_up_to_the_highest_rate_all_stay_and_quicker_ones_are_thinned_evenly():
-    def every(hz):
-        return replay_data(pair_tracks(TrackSet((walker(hz=hz, n=301),))))["every"]
-
-    assert [every(hz) for hz in (25, 30, 60, 120)] == [1, 1, 2, 4]
-
-
-def test_whoever_has_most_frames_a_second_sets_the_step():
-    slow, quick, once = walker(1, hz=2.5), walker(2, hz=25.0), walker(3, n=1)
-    assert replay_data(pair_tracks(TrackSet((slow, quick, once))))["frame"] == pytest.approx(0.04)
-    assert replay_data(pair_tracks(TrackSet((slow, once))))["frame"] == pytest.approx(0.4)
-    assert replay_data(pair_tracks(TrackSet((once,))))["frame"] is None
-
-
-def test_twenty_people_over_600_frames_stay_below_a_megabyte():
-    estimates, observations = scene(people=20, n=600)
-    assert (
-        len(json.dumps(replay_data(pair_tracks(estimates, observations)), separators=(",", ":"))) < 1_000_000
-    )
 
 
 def test_absent_channels_and_people_are_absent():

@@ -65,20 +65,6 @@ def test_with_mixed_rates_a_step_is_the_next_frame_of_anybody():
     assert back == pytest.approx(on[::-1])
 
 
-def test_cameras_a_few_milliseconds_apart_take_a_frame_together():
-    first = walker(1, hz=10.0, n=20)
-    later = walker(2, hz=10.0, n=20, t=first.t + 0.004)
-    on, _ = steps(data_of(first, later), 10)
-    assert np.diff(on) == pytest.approx(np.full(10, 0.1), abs=0.005)
-
-
-def test_steps_of_thinned_data_are_even():
-    data = data_of(walker(hz=25.0, n=100), max_samples=34)
-    on, _ = steps(data, 10)
-    assert data["frame"] == pytest.approx(0.12)
-    assert on == pytest.approx(np.arange(11) * 0.12, abs=1e-3)
-
-
 PEOPLE = [
     {"id": "1", "label": "Anna"},
     {"id": "2", "label": ""},
@@ -105,11 +91,6 @@ def test_people_are_found_by_whole_ids_and_parts_of_labels():
     assert in_node(("people.js",), code) == found
 
 
-def test_an_id_that_nobody_has_finds_those_that_begin_with_it():
-    code = f"return findPeople({json.dumps([{**p, 'name': p['id']} for p in PEOPLE[2:]])}, '1');"
-    assert in_node(("people.js",), code) == [0, 1]
-
-
 def test_pages_hold_everything_once():
     code = """return [0, 1, 24, 25, 300].map((count) => {
       const first = pageOf(count, 24, 0), seen = [];
@@ -121,11 +102,6 @@ def test_pages_hold_everything_once():
       return [whole, pageOf(count, 24, 99).page === first.pages - 1];
     });"""
     assert in_node(("people.js",), code) == [[True, True]] * 5
-
-
-def test_a_few_rows_too_many_make_no_page():
-    code = """return [20, 21, 24, 25, 44, 45].map((count) => pageOf(count, 20, 0).pages);"""
-    assert in_node(("people.js",), code) == [1, 1, 1, 2, 2, 3]
 
 
 def test_gaps_of_an_angle_are_from_the_sample_before_to_the_one_after():

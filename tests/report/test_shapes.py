@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.report.shapes import angle_bands, break_at_seam, finite_runs, open_holes, probability_ellipse
@@ -82,12 +81,3 @@ def test_runs_and_holes():
     assert np.isnan(values).tolist() == [False, False, False, True, False, False]
     assert opened_t[3] == pytest.approx(2.6)
     assert np.all(np.diff(opened_t) > 0)
-
-
-def test_nees_band_is_that_of_a_mean_of_chi_squares():
-    from graphtrack.report.rows import nees_rows
-
-    row = nees_rows([{"method": "m", "quantity": "position", "nees": 2.0, "dof": 2, "count": 50}])[0]
-    means = stats.chi2.rvs(2, size=(20_000, 50), random_state=1).mean(axis=1)
-    low, high = row.band
-    assert np.mean((means >= low) & (means <= high)) == pytest.approx(0.95, abs=0.006)

@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -67,3 +68,14 @@ def in_browser(page: str, code: str, folder: Path) -> Any:
     answer = json.loads(html.unescape(found[1]))
     assert answer["errors"] == []
     return answer["result"]
+
+
+def delta_decode(codes, step, n):
+    """The inverse of `delta_code`: (n,) values, NaN where there is none."""
+    out = np.full(n, np.nan)
+    last = 0
+    for i, code in enumerate(codes or ()):
+        if code is not None:
+            last += code
+            out[i] = last * step
+    return out

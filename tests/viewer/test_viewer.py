@@ -19,7 +19,7 @@ from graphtrack.cli.options import Showing
 from graphtrack.errors import InputError
 from graphtrack.viewer import recording
 from graphtrack.viewer.layout import Extent
-from graphtrack.viewer.pictures import FrameTimes, PersonBoxes, small
+from graphtrack.viewer.pictures import PersonBoxes
 
 
 def walks(*, hole: bool = False) -> gt.TrackSet:
@@ -162,17 +162,6 @@ def test_pictures_come_with_boxes_in_pixels_of_the_video(tmp_path: Path) -> None
     centres = np.array(list(shown["Boxes2D:centers"].values()))[:, 0]
     half = np.array(list(shown["Boxes2D:half_sizes"].values()))[:, 0]
     np.testing.assert_allclose(np.hstack([centres - half, 2.0 * half]), box[:2])
-
-
-def test_small_pictures_stay_as_they_are() -> None:
-    image = np.zeros((400, 500, 3), np.uint8)
-    assert small(image)[0] is image and small(np.zeros((1000, 500, 3), np.uint8))[0].shape == (640, 320, 3)
-
-
-def test_frames_between_those_of_tracks_have_times_between_theirs() -> None:
-    times = FrameTimes(walks(hole=True))
-    assert times.within(39) and not times.within(40)
-    np.testing.assert_allclose(times(np.array([0, 31, 39])), [0.0, 3.1, 3.9])
 
 
 def test_the_ground_that_is_seen_grows_when_somebody_leaves_it() -> None:

@@ -4,46 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphtrack.evaluation.reproduce.caviar_controls import CONTROLS, ControlGain, control_gains
 from graphtrack.evaluation.reproduce.caviar_people import (
     FITS,
-    GRAPHS,
     LEAST_LABELS,
-    Fitted,
     Person,
     detected,
-    deviation,
     fit_filters,
     outcomes,
     people,
     relabelled_rate,
 )
 from graphtrack.evaluation.reproduce.experiment import (
-    ISAM2,
     Cell,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
+    page,
+    tabulated,
 )
-from graphtrack.evaluation.statistics import travel_velocity
+from graphtrack.evaluation.reproduce.fitting import PREDICTED as METHODS
+from graphtrack.evaluation.reproduce.fitting import Fitted
+from graphtrack.evaluation.statistics import deviation, travel_velocity
 from graphtrack.geometry.angles import FloatArray
 
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 RATES = (1.0, 0.8, 0.6)
-METHODS = (
-    *("printed", "consistent", "kf fitted", "intentional", *GRAPHS),
-    *(f"{name}{ISAM2}" for name in GRAPHS),
-)
 OWN = ("printed", "consistent")
 """Baxter et al.'s filters with its parameters."""
 
@@ -67,7 +59,7 @@ def chosen(settings: Settings) -> list[Person]:
 
 
 def seeds_at(rate: float, settings: Settings) -> int:
-    """How often the detections are drawn."""
+    """Number of draws of the detections."""
     return 1 if rate == 1.0 else 2 if settings.quick else 10
 
 
@@ -140,10 +132,11 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     progress(1)
     stds = [own.kalman.likelihood.position_std for own in fitted[:FOLDS]]
     rates = [own.rate for own in fitted[:FOLDS]]
+    detail = _detail(found, everyone)
     return Reproduction(
         "baxter-caviar",
-        (_people(everyone), _detail(found, everyone), _controls(controls), _beside(found)),
-        _figure(found, controls),
+        (_people(everyone), detail, _controls(controls), _beside(found)),
+        page(_panels(detail, controls), columns=2),
         (
             "Labelled positions, in metres, are observations and truth; MSE is of one-step predictions. "
             "Who is not detected shows no head either. Nobody sees the body.",
@@ -165,161 +158,96 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     )
 
 
-def _people(everyone: Sequence[Person]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("People with labelled heads; ε = direction of travel − head, as in baxter-statistics")
+def _people(everyone: Sequence[Person]) -> Records:
     for one in everyone:
         track = one.track
         mean, std = deviation(track)
         steps = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
         speed = np.linalg.norm(travel_velocity(track), axis=1)
-        records.append(
-            {
-                "person": one.name,
-                "frames": len(track),
-                "heads": int(np.isfinite(np.asarray(track.head)).sum()),
-                "speed (m/s)": float(np.nanmedian(speed)),
-                "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
-                "relabelled (1/s)": relabelled_rate(track),
-                "ε, mean (°)": float(np.degrees(mean)),
-                "ε, std (°)": float(np.degrees(std)),
-            }
-        )
-    return Table.of(
-        "People with labelled heads; ε = direction of travel − head, as in baxter-statistics", records
-    )
+        yield {
+            "person": one.name,
+            "frames": len(track),
+            "heads": int(np.isfinite(np.asarray(track.head)).sum()),
+            "speed (m/s)": float(np.nanmedian(speed)),
+            "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
+            "relabelled (1/s)": relabelled_rate(track),
+            "ε, mean (°)": float(np.degrees(mean)),
+            "ε, std (°)": float(np.degrees(std)),
+        }
 
 
-def _detail(found: Outcomes, everyone: Sequence[Person]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ")
+def _detail(found: Outcomes, everyone: Sequence[Person]) -> Records:
     frames = sum(len(one.track) - 1 for one in everyone)
     for rate in RATES:
         for method in ("kf", *METHODS):
             error, likelihood = (spread(ratios) for ratios in gains(found, rate, method))
             fair, _ = gains(found, rate, method, over="kf fitted")
             sums = found[rate, method].sum(axis=1).mean(axis=0)
-            records.append(
-                {
-                    "detection %": round(100 * rate),
-                    "method": method,
-                    "RMSE (m)": float(np.sqrt(sums[0] / frames)),
-                    "MSE gain": error[0],
-                    "± people": error[1],
-                    "± seeds": error[2],
-                    "MSE gain over kf fitted": float(np.median(fair)),
-                    "nats a detection": float(sums[1] / (rate * frames)),
-                    "CLL gain": likelihood[0],
-                    "± people ": likelihood[1],
-                    "± seeds ": likelihood[2],
-                }
-            )
-    return Table.of(
-        "Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ", records
-    )
+            yield {
+                "detection %": round(100 * rate),
+                "method": method,
+                "RMSE (m)": float(np.sqrt(sums[0] / frames)),
+                "MSE gain": error[0],
+                "± people": error[1],
+                "± seeds": error[2],
+                "MSE gain over kf fitted": float(np.median(fair)),
+                "nats a detection": float(sums[1] / (rate * frames)),
+                "CLL gain": likelihood[0],
+                "± people ": likelihood[1],
+                "± seeds ": likelihood[2],
+            }
 
 
-def _controls(controls: Sequence[ControlGain]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Where the gains come from: one thing changed at a time, all detected")
+def _controls(controls: Sequence[ControlGain]) -> Records:
     for control in CONTROLS:
         record: dict[str, Cell] = {"what is changed": control.name}
         for gain in controls:
             if gain.control == control.name:
                 record[f"{gain.method}: MSE gain"] = float(np.median(gain.error))
                 record[f"{gain.method}: CLL gain"] = float(np.median(gain.likelihood))
-        records.append(record)
-    return Table.of("Where the gains come from: one thing changed at a time, all detected", records)
+        yield record
 
 
-def _beside(found: Outcomes) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video")
+def _beside(found: Outcomes) -> Records:
     for rate in RATES:
         for method in METHODS:
             error, likelihood = (spread(ratios)[0] for ratios in gains(found, rate, method))
             fair = float(np.median(gains(found, rate, method, over="kf fitted")[0]))
-            records.append(
-                {
-                    "detection %": round(100 * rate),
-                    "paper: CLL gain": PAPER[rate],
-                    "ours": method,
-                    "CLL gain": likelihood,
-                    "MSE gain": error,
-                    "MSE gain over kf fitted": fair,
-                }
-            )
-    return Table.of(
-        "Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video", records
-    )
+            yield {
+                "detection %": round(100 * rate),
+                "paper: CLL gain": PAPER[rate],
+                "ours": method,
+                "CLL gain": likelihood,
+                "MSE gain": error,
+                "MSE gain over kf fitted": fair,
+            }
 
 
-def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
-    from graphtrack.evaluation.reproduce.style import with_whiskers
-    from graphtrack.report.style import NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, tidy
-
-    figure = new_figure(11.0, 8.8)
-    grid = figure.subplots(2, 2, height_ratios=[1.0, 1.35])
-    x = np.arange(len(RATES), dtype=float)
-    for measure, axes in enumerate(grid[0]):
-        axes.axhline(1.0, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=1)
-        shown = METHODS if measure == 0 else OWN
-        for k, method in enumerate(shown):
-            values = [spread(gains(found, rate, method)[measure]) for rate in RATES]
-            middle, half = np.array([value[:2] for value in values], dtype=float).T
-            place = x + 0.1 * (k - 0.5 * (len(shown) - 1))
-            with_whiskers(axes, place, middle, half, method, line=False)
-        axes.set_xticks(x, [f"{rate:.0%} detected" for rate in RATES])
-        axes.set_xlim(-0.5, len(RATES) - 0.5)
-        axes.set_title(
-            ("MSE" if measure == 0 else "CLL") + " gain over Baxter et al.'s Kalman filter, median "
-            "± 1 σ of people",
-            fontsize=10,
-            loc="left",
-        )
-        tidy(axes, grid="y")
-    grid[0, 0].set_yscale("log")
-    _plain_ticks(grid[0, 0], (0.05, 0.1, 0.2, 0.5, 1.0, 2.0))
-    grid[0, 1].plot(
-        [x[-1]],
-        [float(PAPER[0.6])],
-        marker="D",
-        color=TRUTH_COLOUR,
-        linestyle="",
-        label="paper, CAVIAR",
-        zorder=4,
-    )
-    for measure, axes in enumerate(grid[1]):
-        _control_bars(axes, controls, measure)
-    handles: dict[str, Artist] = {}
-    for axes in grid[0]:
-        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(
-        list(handles.values()), list(handles), loc="outside lower center", ncols=5, frameon=False, fontsize=9
-    )
-    return figure
-
-
-def _control_bars(axes: Axes, controls: Sequence[ControlGain], measure: int) -> None:
-    from graphtrack.evaluation.reproduce.style import COLOURS
-    from graphtrack.report.style import NEUTRAL_COLOUR, tidy
-
-    names = [control.name for control in CONTROLS]
-    place = np.arange(len(names), dtype=float)
-    for k, method in enumerate(OWN):
-        own = [gain for gain in controls if gain.method == method]
-        values = [float(np.median(gain.error if measure == 0 else gain.likelihood)) for gain in own]
-        axes.barh(place + 0.36 * (k - 0.5), values, 0.34, color=COLOURS[method], zorder=2)
-        unknown = [at for at, value in zip(place.tolist(), values, strict=True) if not np.isfinite(value)]
-        for at in unknown if k == 0 else []:
-            axes.text(0.02, at, "log-likelihood above 0", va="center", fontsize=8, color=NEUTRAL_COLOUR)
-    axes.axvline(1.0, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=3)
-    axes.set_yticks(place, names if measure == 0 else [""] * len(names))
-    axes.invert_yaxis()
-    name = "MSE" if measure == 0 else "CLL"
-    axes.set_title(f"{name} gain with one thing changed, all detected", fontsize=10, loc="left")
-    tidy(axes, grid="x")
-
-
-def _plain_ticks(axes: Axes, values: Sequence[float]) -> None:
-    axes.set_yticks(list(values), [f"{value:g}" for value in values])
-    axes.minorticks_off()
+def _panels(detail: Table, controls: Sequence[ControlGain]) -> list[Panel]:
+    rows = [row for row in detail.records() if row["method"] != "kf"]
+    own = [row for row in rows if row["method"] in OWN]
+    x, by, over = "detection %", "method", "gain over Baxter et al.'s Kalman filter"
+    changed: list[dict[str, Cell]] = [
+        {
+            "control": one.control,
+            "method": one.method,
+            "MSE gain": float(np.median(one.error)),
+            "CLL gain": float(np.median(one.likelihood)),
+        }
+        for one in controls
+    ]
+    return [
+        Panel(f"MSE {over}", rows, x, "MSE gain", by, spread="± people", level=1.0),
+        Panel(f"CLL {over}", own, x, "CLL gain", by, spread="± people ", level=1.0),
+        *(
+            Panel(f"{name} gain, one thing changed", changed, "control", f"{name} gain", by, level=1.0)
+            for name in ("MSE", "CLL")
+        ),
+    ]
 
 
 def work(settings: Settings) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +14,16 @@ from graphtrack.evaluation.reproduce.experiment import (
     TURNING,
     Cell,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
     evenly,
-    quietly,
+    interval_cells,
+    page,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.reproduce.occlusion_methods import (
@@ -30,7 +33,6 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
     ONLINE,
     PRESETS,
     QUICK,
-    Predictor,
     WithheldWindows,
     error_of,
     fitted,
@@ -40,10 +42,6 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import TURN_SECONDS, add_noise, occlude, turning, withhold
 from graphtrack.tracks import Track, TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PAPER = {7: 64.0, 8: 75.5, 9: 84.5, 10: 12.9, 11: 73.2, 15: 62.0, 22: 68.3}
 """Baxter et al. 2014, Table I: number of the trajectory → reduction of the MSE in %."""
@@ -56,9 +54,6 @@ SHARP = (4, 5, 6)
 
 BEFORE, AFTER = 40, 20
 """Frames kept before and after the middle of a window: what is further off does not matter to it."""
-
-FLOOR = -60.0
-"""Per cent below which the figure does not go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +96,9 @@ def cases(settings: Settings) -> list[Case]:
         parts[0] += windows[:training]
         parts[1] += windows[training:]
     found.append(Case("corpus, 3 s", parts[0], parts[1], "kf"))
-    mocap = settings.recording(*MOCAP)
+    mocap = settings.tracks(*MOCAP)
     if mocap is not None:
-        clips = quietly(mocap).select(TURNING).map(thinned)
-        clips = evenly(clips, 20 if settings.quick else 160, least_seconds=3.5)
+        clips = evenly(mocap.select(TURNING).map(thinned), 20 if settings.quick else 160, least_seconds=3.5)
         noisy = add_noise(clips, position_std=0.05, head_kappa=4.0, rng=settings.rng(0))
         windows = _windows(noisy.map(lambda track: replace(track, body=None, true_body=None)), 1.0)
         found.append(
@@ -129,7 +123,7 @@ def _windows(
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment."""
     effort = QUICK if settings.quick else FULL
-    found, examples = [], []
+    found = []
     for case in cases(settings):
         methods = fitted(case.training, effort, progress)
         hidden = [(withhold(t, w, ("head", "head_kappa")), w) for t, w in case.judged]
@@ -139,12 +133,12 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
                 errors[name] = error_of(predictor, pairs)
                 progress(1)
             found.append(WindowErrors(case, head, errors))
-        examples.append((case, methods, _typical(found[-2].by_method)))
     rng = settings.rng(99)
+    detail = _detail(found, rng)
     return Reproduction(
         "baxter-occlusion",
-        (_detail(found, rng), trajectories(found), _beside(found, rng)),
-        _figure(found, examples, rng),
+        (detail, trajectories(found), _beside(found, rng)),
+        page(_panels(detail), columns=2),
         (
             "Position and body are withheld in the window, the head as the table says; nobody sees the body.",
             "Reduction: share by which the mean squared error is below a Kalman filter's (Baxter et "
@@ -170,31 +164,20 @@ def reference(errors: WindowErrors, method: str) -> FloatArray:
     return errors.by_method["kf" if method in OWN_FILTERS else errors.case.reference]
 
 
-def _typical(by_method: Mapping[str, FloatArray]) -> int:
-    """The track whose gain from the head is the median."""
-    gain = by_method["intentional"] - by_method["kf fitted"]
-    return int(np.argsort(gain)[len(gain) // 2])
-
-
-def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Error in the withheld window")
+def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
     for errors in found:
         for method, own in errors.by_method.items():
             interval = bootstrap(reduction, own, reference(errors, method), rng=rng)
-            records.append(
-                {
-                    "data": errors.case.name,
-                    "head": errors.head,
-                    "group": "offline" if method in OFFLINE else "online",
-                    "method": method,
-                    "tracks": len(own),
-                    "RMSE (m)": float(np.sqrt(own.mean())),
-                    "reduction %": 100.0 * interval.value,
-                    "low": 100.0 * interval.low,
-                    "high": 100.0 * interval.high,
-                }
-            )
-    return Table.of("Error in the withheld window", records)
+            yield {
+                "data": errors.case.name,
+                "head": errors.head,
+                "group": "offline" if method in OFFLINE else "online",
+                "method": method,
+                "tracks": len(own),
+                "RMSE (m)": float(np.sqrt(own.mean())),
+                **interval_cells("reduction %", interval, scale=100.0),
+            }
 
 
 def trajectories(found: Sequence[WindowErrors]) -> Table:
@@ -241,9 +224,9 @@ def _turn(track: Track, window: BoolArray) -> float:
     return float(np.nanmax(found, initial=0.0))
 
 
-def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
+@tabulated("Paper / ours: reduction of the MSE in the window, head visible")
+def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
     """Baxter et al.'s mean over seven trajectories beside our reductions, head visible."""
-    records: list[dict[str, Cell]] = []
     for errors in found:
         if errors.head == "hidden":
             continue
@@ -252,91 +235,28 @@ def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
                 continue
             own, base = errors.by_method[method], reference(errors, method)
             interval = bootstrap(reduction, own, base, rng=rng)
-            records.append(
-                {
-                    "paper: mean of 7 (%)": float(np.mean(list(PAPER.values()))),
-                    "paper: from … to (%)": f"{min(PAPER.values())} … {max(PAPER.values())}",
-                    "ours: data": errors.case.name,
-                    "ours: method": method,
-                    "ours: reduction (%)": 100.0 * interval.value,
-                    "low": 100.0 * interval.low,
-                    "high": 100.0 * interval.high,
-                    "median of tracks (%)": 100.0 * float(np.median(1.0 - own / base)),
-                }
-            )
-    return Table.of("Paper / ours: reduction of the MSE in the window, head visible", records)
+            yield {
+                "paper: mean of 7 (%)": float(np.mean(list(PAPER.values()))),
+                "paper: from … to (%)": f"{min(PAPER.values())} … {max(PAPER.values())}",
+                "ours: data": errors.case.name,
+                "ours: method": method,
+                **interval_cells("ours: reduction (%)", interval, scale=100.0),
+                "median of tracks (%)": 100.0 * float(np.median(1.0 - own / base)),
+            }
 
 
-def _figure(
-    found: Sequence[WindowErrors],
-    examples: Sequence[tuple[Case, Mapping[str, Predictor], int]],
-    rng: np.random.Generator,
-) -> Figure:
-    from graphtrack.evaluation.reproduce.style import COLOURS, bars
-    from graphtrack.report.style import TRUTH_COLOUR, new_figure, tidy
-
-    figure = new_figure(12.0, 4.2 * len(examples) + 0.8)
-    grid = figure.subplots(len(examples), 3, squeeze=False, width_ratios=[1.0, 1.35, 0.8])
-    for line, (case, methods, number) in zip(grid, examples, strict=True):
-        track, window = case.judged[number]
-        axes = line[0]
-        near = np.flatnonzero(window)
-        span = slice(max(int(near[0]) - 8, 0), int(near[-1]) + 9)
-        truth = np.asarray(track.true_position)
-        axes.plot(*truth[span].T, color=TRUTH_COLOUR, linewidth=1.0, dashes=(5, 2.5), label="truth")
-        axes.plot(*track.position[span].T, ".", color="#9AA1AB", markersize=4, label="observed")
-        for name in ("kf fitted", "intentional", "graph joint", "graph joint-intentional"):
-            path = methods[name](replace(track, true_position=None, true_head=None))
-            axes.plot(*path[window].T, color=COLOURS[name], linewidth=1.6, label=name)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title(f"{case.name}: a window, online (m)", fontsize=10, loc="left")
-        axes.legend(frameon=False, fontsize=8)
-        tidy(axes)
-        parts = [errors for errors in found if errors.case is case]
-        online = [m for m in ONLINE if m in methods and m not in ("kf", "printed")]
-        online = [m for m in online if m != case.reference]
-        values, spans = _bars(parts, online, rng)
-        bars(line[1], [f"head {p.head}" for p in parts], values, spans)
-        line[1].axhline(0.0, color=TRUTH_COLOUR, linewidth=0.8)
-        _cut_below(line[1], FLOOR)
-        line[1].set_title("online: MSE below the Kalman filter's (%)", fontsize=10, loc="left")
-        roots = {m: [float(np.sqrt(p.by_method[m].mean())) for p in parts] for m in OFFLINE}
-        bars(line[2], [f"head {p.head}" for p in parts], roots)
-        line[2].set_title("offline: RMSE (m)", fontsize=10, loc="left")
-    # The first line has them all.
-    shown = [
-        (handle, f"{group}: {label}")
-        for group, axes in (("online", grid[0, 1]), ("offline", grid[0, 2]))
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    ]
-    handles, labels = zip(*shown, strict=True)
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    return figure
-
-
-def _cut_below(axes: Axes, floor: float) -> None:
-    """End the axis where bars are longer than that, and write what they would reach."""
-    from matplotlib.patches import Rectangle
-
-    longer = [bar for bar in axes.patches if isinstance(bar, Rectangle) and bar.get_height() < floor]
-    if not longer:
-        return
-    axes.set_ylim(bottom=floor)
-    for bar in longer:
-        x, text = bar.get_x() + 0.5 * bar.get_width(), f"to −{-bar.get_height():,.0f}"
-        axes.text(x, 0.96 * floor, text, rotation=90, ha="center", va="bottom", color="white", fontsize=8)
-
-
-def _bars(
-    parts: Sequence[WindowErrors], methods: Sequence[str], rng: np.random.Generator
-) -> tuple[dict[str, Sequence[float]], dict[str, Sequence[tuple[float, float]]]]:
-    values: dict[str, Sequence[float]] = {}
-    spans: dict[str, Sequence[tuple[float, float]]] = {}
-    for method in methods:
-        found = [bootstrap(reduction, p.by_method[method], reference(p, method), rng=rng) for p in parts]
-        values[method] = [100.0 * interval.value for interval in found]
-        spans[method] = [(100.0 * interval.low, 100.0 * interval.high) for interval in found]
-    return values, spans
+def _panels(detail: Table) -> list[Panel]:
+    panels = []
+    for data in dict.fromkeys(row["data"] for row in detail.records()):
+        rows = [row for row in detail.records() if row["data"] == data]
+        online = [row for row in rows if row["group"] == "online" and row["method"] not in ("kf", "printed")]
+        offline = [row for row in rows if row["group"] == "offline"]
+        title = f"{data}: MSE below the Kalman filter's (%)"
+        panels.append(
+            Panel(title, online, "head", "reduction %", "method", ("low", "high"), level=0.0, least=-60.0)
+        )
+        panels.append(Panel(f"{data}: RMSE (m), offline", offline, "head", "RMSE (m)", "method"))
+    return panels
 
 
 def work(settings: Settings) -> int:

@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphtrack.display import HEAD_COLOUR
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.reproduce.experiment import (
-    ASKANCE,
     CAVIAR,
+    GAITS,
     MOCAP,
     SALSA,
-    TURNING,
-    WALKING,
     Cell,
     Experiment,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
-    quietly,
+    tabulated,
 )
 from graphtrack.evaluation.statistics import (
     HISTOGRAM_EDGES,
@@ -29,6 +29,7 @@ from graphtrack.evaluation.statistics import (
     DeviationStatistics,
     deviation_statistics,
 )
+from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.tracks import TrackSet
 
@@ -54,19 +55,16 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             notes.append(f"{name} is left out: found {error.found}")
         progress(1)
 
-    mocap = settings.recording(*MOCAP)
-    if mocap is not None:
-        clips = quietly(mocap)
-        add(clips.select(WALKING), "mocap, walking")
-        add(clips.select(TURNING), "mocap, turning")
-        add(clips.select(*ASKANCE), "mocap, sideways and back")
-    caviar = settings.recording(*CAVIAR)
+    clips = settings.tracks(*MOCAP)
+    if clips is not None:
+        for name, patterns in GAITS.items():
+            add(clips.select(*patterns), name)
+    caviar, salsa = settings.tracks(*CAVIAR), settings.tracks(*SALSA)
     if caviar is not None:
-        add(quietly(caviar), "CAVIAR mws1gt")
-    salsa = settings.recording(*SALSA)
+        add(caviar, "CAVIAR mws1gt")
     if salsa is not None:
         # At one row in three seconds a window of 24 frames would be more than a minute.
-        add(quietly(salsa), "SALSA, party", 2)
+        add(salsa, "SALSA, party", 2)
         notes.append("SALSA has a frame every 3 s: its velocity is averaged over 2 frames.")
     behaviours = range(0, len(NUMERALS), 3 if settings.quick else 1)
     corpus = [
@@ -107,33 +105,27 @@ def _within(one: DeviationStatistics, reach: float) -> float:
     return float(one.density @ (high - low))
 
 
-def _beside(found: list[DeviationStatistics]) -> Table:
+@tabulated("Paper / ours: the same statistic; only CAVIAR is the same source")
+def _beside(found: list[DeviationStatistics]) -> Records:
     paper: dict[str, tuple[str, int]] = {
         "CAVIAR mws1gt": ("CAVIAR", 37),
         "mocap, walking": ("Benfold", 154),
         "mocap, turning": ("PETS 2007", 34),
     }
-    records: list[dict[str, Cell]] = []
     for one in found:
         data, people = paper.get(one.name, ("–", None))
-        records.append(
-            {
-                "paper: data": data,
-                "paper: people": people,
-                "paper: mean, std": "in the picture only" if people else "–",
-                "ours: data": one.name,
-                "ours: people": one.people,
-                "ours: mean (°)": float(np.degrees(one.mean)),
-                "ours: std (°)": float(np.degrees(one.std)),
-            }
-        )
-    return Table.of("Paper / ours: the same statistic; only CAVIAR is the same source", records)
+        yield {
+            "paper: data": data,
+            "paper: people": people,
+            "paper: mean, std": "in the picture only" if people else "–",
+            "ours: data": one.name,
+            "ours: people": one.people,
+            "ours: mean (°)": float(np.degrees(one.mean)),
+            "ours: std (°)": float(np.degrees(one.std)),
+        }
 
 
 def _figure(found: list[DeviationStatistics]) -> Figure:
-    from graphtrack.display import HEAD_COLOUR
-    from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
-
     columns = min(len(found), 3)
     lines = -(-len(found) // columns)
     figure = new_figure(max(3.6 * columns, 5.4), 2.7 * lines + 0.3)

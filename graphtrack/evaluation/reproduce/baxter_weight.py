@@ -5,44 +5,49 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphtrack.baselines.intentional_continuous import intentional_states
 from graphtrack.evaluation.reproduce.experiment import (
-    ASKANCE,
+    GAITS,
     LAG,
     MOCAP,
-    TURNING,
-    WALKING,
     Cell,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
-    quietly,
+    page,
+    paired,
+    tabulated,
     thinned,
 )
-from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
-from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
-from graphtrack.evaluation.resampling import bootstrap, mean_difference
+from graphtrack.evaluation.reproduce.fitting import (
+    fit,
+    from_the_past,
+    model_of,
+    one_step_ahead,
+    with_density,
+    with_head_rate,
+)
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import track_online
 from graphtrack.inference.deviation import GrowingRate
-from graphtrack.model import Model, Parameters
+from graphtrack.model import Parameters
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks import Track
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 CONSTANT, GROWS, FALLS = "constant", "grows", "falls"
 WEIGHTS = {CONSTANT: 0.0, GROWS: 1.0, FALLS: -1.0}
-"""How λ goes with the deviation → sign of ρ."""
+"""Dependence of λ on the deviation → sign of ρ."""
+
+ENDS = {weight: (f"{weight}: low", f"{weight}: high") for weight in (GROWS, FALLS)}
+"""Weights that are compared with a constant one → columns of the ends of the interval."""
 
 GRAPH = "graph, joint-intentional"
 METHODS = ("intentional", GRAPH)
@@ -51,7 +56,7 @@ SEEN_EVERY = 5
 """Positions of motion capture are observed twice a second, so that a prediction is one over half a second."""
 
 GROWTH, OFFSET = 1.5, 0.5
-"""Where the searches begin: |ρ| in 1/rad and τ in radians."""
+"""Start of the searches: |ρ| in 1/rad and τ in radians."""
 
 Score = Callable[..., FloatArray]
 """Parameters → mean log-likelihood of the innovations of each track (n,)."""
@@ -76,7 +81,7 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was fitted for a source, method and weight, and how likely it makes the judged tracks.
+    """The fit of a source, method and weight, and the likelihood of the judged tracks.
 
     Attributes
     ----------
@@ -102,19 +107,14 @@ def sources(settings: Settings) -> list[Source]:
             ]
             parts.append([track for corpus in corpora for track in corpus.tracks()])
         found.append(Source(f"corpus, {share:.0%} detected", 2.5, *parts))
-    recording = settings.recording(*MOCAP)
-    if recording is not None:
-        clips = quietly(recording)
-        patterns = {
-            "mocap, walking": (WALKING,),
-            "mocap, turning": (TURNING,),
-            "mocap, sideways and back": ASKANCE,
-        }
-        for i, (name, pattern) in enumerate(patterns.items()):
-            chosen = evenly(clips.select(*pattern).map(thinned), 6 if settings.quick else 80, 2.5)
-            noisy = list(add_noise(chosen, position_std=0.05, head_kappa=4.0, rng=settings.rng(3, i)))
-            rare = [_seldom_seen(track) for track in noisy]
-            found.append(Source(name, 1.0, rare[::2], rare[1::2]))
+    clips = settings.tracks(*MOCAP)
+    if clips is None:
+        return found
+    for i, (name, patterns) in enumerate(GAITS.items()):
+        chosen = evenly(clips.select(*patterns).map(thinned), 6 if settings.quick else 80, 2.5)
+        noisy = list(add_noise(chosen, position_std=0.05, head_kappa=4.0, rng=settings.rng(3, i)))
+        rare = [_seldom_seen(track) for track in noisy]
+        found.append(Source(name, 1.0, rare[::2], rare[1::2]))
     return found
 
 
@@ -122,12 +122,6 @@ def _seldom_seen(track: Track) -> Track:
     """The track with a position in every so many-th frame, and the head in all."""
     position = np.where((np.arange(len(track)) % SEEN_EVERY == 0)[:, None], track.position, np.nan)
     return replace(track, position=position, body=None, true_body=None)
-
-
-def model_of(density: float, factor: float, rate: float) -> Model:
-    """The graph of q, the strength of the couplings, and λ."""
-    parameters = with_coupling(with_density(Parameters(), density), factor)
-    return Model("joint-intentional", with_head_rate(parameters, rate))
 
 
 def _mean(logs: FloatArray) -> float:
@@ -150,7 +144,7 @@ def graph_nats(
     ----------
     every : 1: of all frames, by the tracker; else of every so many-th one with a position, which is faster
     """
-    model, found = model_of(density, factor, rate.rate), []
+    model, found = model_of("joint-intentional")(density, factor, rate.rate), []
     for track in tracks:
         given = rate.given_to(track)
         if every == 1:
@@ -211,10 +205,21 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         for source in sources(settings)
         for method in METHODS
     }
+    beside = _beside(results, settings.rng(99))
+    panels = [
+        Panel(
+            f"{weight} − constant",
+            beside.records(),
+            *("ours: data", f"{weight} − constant (nats)", "ours: method"),
+            ends=ends,
+            level=0.0,
+        )
+        for weight, ends in ENDS.items()
+    ]
     return Reproduction(
         "baxter-weight",
-        (_detail(results), _beside(results, settings.rng(99))),
-        _figure(results),
+        (_detail(results), beside),
+        page(panels),
         (
             "λ_t = 2λ/(1 + exp(−ρ(ŝ_t − τ))), ŝ the mean deviation of the observed head from the direction "
             "of travel before each step: over 2.5 s on the corpus (Baxter et al.: eleven steps), 1 s on "
@@ -232,30 +237,27 @@ def _evaluations(settings: Settings) -> int:
     return 6 if settings.quick else 35
 
 
-def _detail(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Weight of the head: what was fitted, and log-likelihood of held-out tracks")
+def _detail(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Records:
     for (data, method), by_weight in results.items():
         for weight, found in by_weight.items():
             at_rest, at_right_angles = found.rate.of(np.array([0.0, np.pi / 2.0]))
-            records.append(
-                {
-                    "data": data,
-                    "method": method,
-                    "weight": weight,
-                    "λ (1/s)": found.rate.rate,
-                    "ρ (1/rad)": found.rate.growth,
-                    "τ (°)": float(np.degrees(found.rate.offset)),
-                    "λ at 0° (1/s)": float(at_rest),
-                    "λ at 90° (1/s)": float(at_right_angles),
-                    "tracks": len(found.nats),
-                    "nats": float(np.nanmean(found.nats)),
-                }
-            )
-    return Table.of("Weight of the head: what was fitted, and log-likelihood of held-out tracks", records)
+            yield {
+                "data": data,
+                "method": method,
+                "weight": weight,
+                "λ (1/s)": found.rate.rate,
+                "ρ (1/rad)": found.rate.growth,
+                "τ (°)": float(np.degrees(found.rate.offset)),
+                "λ at 0° (1/s)": float(at_rest),
+                "λ at 90° (1/s)": float(at_right_angles),
+                "tracks": len(found.nats),
+                "nats": float(np.nanmean(found.nats)),
+            }
 
 
-def _beside(results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Paper / ours: log-likelihood of held-out tracks, paired with a constant weight")
+def _beside(results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.random.Generator) -> Records:
     for (data, method), by_weight in results.items():
         record: dict[str, Cell] = {
             "paper": "the weight grows with the deviation",
@@ -263,41 +265,10 @@ def _beside(results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.rand
             "ours: method": method,
             "tracks": len(by_weight[CONSTANT].nats),
         }
-        for weight in (GROWS, FALLS):
-            apart = bootstrap(mean_difference, by_weight[weight].nats, by_weight[CONSTANT].nats, rng=rng)
-            record |= {
-                f"{weight} − constant (nats)": apart.value,
-                f"{weight}: low": apart.low,
-                f"{weight}: high": apart.high,
-            }
-        records.append(record)
-    return Table.of("Paper / ours: log-likelihood of held-out tracks, paired with a constant weight", records)
-
-
-def _figure(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Figure:
-    from graphtrack.report.style import new_figure, tidy
-
-    names = list(dict.fromkeys(data for data, _ in results))
-    figure = new_figure(2.6 * len(names), 5.0)
-    grid = figure.subplots(len(METHODS), len(names), sharex=True, squeeze=False)
-    deviation = np.radians(np.linspace(0.0, 120.0, 121))
-    colours = dict(zip(WEIGHTS, ("#5F6672", "#D55E00", "#0072B2"), strict=True))
-    for row, method in enumerate(METHODS):
-        for column, data in enumerate(names):
-            axes = grid[row, column]
-            for weight, found in results[data, method].items():
-                axes.plot(
-                    np.degrees(deviation), found.rate.of(deviation), color=colours[weight], label=weight
-                )
-            axes.set_ylim(bottom=0.0)
-            tidy(axes)
-            if row == 0:
-                axes.set_title(data, fontsize=9)
-        grid[row, 0].set_ylabel(f"{method}: λ (1/s)")
-    for axes in grid[-1]:
-        axes.set_xlabel("deviation (°)")
-    grid[0, 0].legend(frameon=False, fontsize=8)
-    return figure
+        for weight, ends in ENDS.items():
+            nats = by_weight[weight].nats, by_weight[CONSTANT].nats
+            record |= paired(f"{weight} − constant (nats)", *nats, rng, *ends)
+        yield record
 
 
 def work(settings: Settings) -> int:

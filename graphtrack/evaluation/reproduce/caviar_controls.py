@@ -1,4 +1,4 @@
-"""What makes Baxter et al.'s gains on CAVIAR what they are: one thing changed at a time."""
+"""Causes of Baxter et al.'s gains on CAVIAR: one thing changed at a time."""
 
 from __future__ import annotations
 

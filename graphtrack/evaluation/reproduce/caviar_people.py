@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, intentional_filter
 from graphtrack.baselines.intentional_continuous import intentional_states
-from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG, Progress, Settings, quietly
-from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
-from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
-from graphtrack.evaluation.statistics import head_deviation
-from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.inference import track_online
-from graphtrack.inference.online_engines import OnlineEngine
+from graphtrack.evaluation.reproduce.experiment import Progress, Settings, quietly
+from graphtrack.evaluation.reproduce.fitting import (
+    GRAPHS,
+    Fitted,
+    fit,
+    fitted_graph,
+    graph_predictions,
+    model_of,
+    squared_error,
+    with_density,
+)
+from graphtrack.geometry.angles import difference
 from graphtrack.model import Model, Parameters
 from graphtrack.tracks import Track
 
@@ -26,9 +30,6 @@ LEAST_LABELS = 50
 RELABELLED = float(np.radians(2.0))
 """Change of a head from frame to frame beyond which it was labelled anew: the same direction in the image
 turns by less in the world as somebody walks through the wide-angle view."""
-
-GRAPHS = {"graph joint": "joint", "graph joint-intentional": "joint-intentional"}
-"""Method → preset."""
 
 
 @dataclass(frozen=True)
@@ -79,37 +80,10 @@ def detected(track: Track, rate: float, rng: np.random.Generator) -> Track:
 
 
 def relabelled_rate(track: Track) -> float:
-    """How often a second the labelled head changes."""
+    """Changes of the labelled head per second."""
     head = np.asarray(track.head)
     head = head[np.isfinite(head)]
     return float(np.sum(np.abs(difference(head[1:], head[:-1])) > RELABELLED) / (track.t[-1] - track.t[0]))
-
-
-def deviation(track: Track) -> tuple[float, float]:
-    """Circular mean and spread (radians) of the direction of travel minus the head, where people move."""
-    found = head_deviation(track)
-    found = found[np.isfinite(found)]
-    if not len(found):
-        return float("nan"), float("nan")
-    mean = np.angle(np.mean(np.exp(1j * found)))
-    return float(mean), float(np.sqrt(np.mean(difference(found, mean) ** 2)))
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """What was fitted on some people, to judge others.
-
-    Attributes
-    ----------
-    kalman, intentional : parameters of each filter
-    rate : λ of the intentional tracker, 1/s
-    graphs : method → model
-    """
-
-    kalman: Parameters
-    intentional: Parameters
-    rate: float
-    graphs: Mapping[str, Model]
 
 
 def with_noise(density: float, std: float) -> Parameters:
@@ -134,26 +108,12 @@ def fit_filters(training: Sequence[Track], progress: Progress, *, quick: bool) -
     *own, rate = fit(cost, [density, std, 1.0], evaluations=60 // effort)
     progress(1)
 
-    def graph(preset: str, *start: float) -> Model:
-        def model(q: float, factor: float, *head_rate: float) -> Model:
-            parameters = with_coupling(with_noise(q, std), factor)
-            return Model(preset, with_head_rate(parameters, *head_rate) if head_rate else parameters)
-
-        def graph_cost(*values: float) -> float:
-            candidate, logs = model(*values), []
-            for track in training:
-                before = np.arange(5, len(track), 10)
-                logs.append(one_step_ahead(from_the_past(track, candidate, before), track, candidate)[1])
-            return -float(np.nanmean(np.concatenate(logs)))
-
-        found = model(*fit(graph_cost, start, evaluations=(8 + 8 * len(start)) // effort**2))
+    graphs: dict[str, Model] = {}
+    for name, more in (("graph joint", ()), ("graph joint-intentional", (float(np.clip(rate, 0.1, 30.0)),))):
+        start = (density, 3.0, *more)
+        make = model_of(GRAPHS[name], with_noise(density, std))
+        graphs[name] = fitted_graph(make, training, start, (8 + 8 * len(start)) // effort**2)
         progress(1)
-        return found
-
-    graphs = {
-        "graph joint": graph("joint", density, 3.0),
-        "graph joint-intentional": graph("joint-intentional", density, 3.0, float(np.clip(rate, 0.1, 30.0))),
-    }
     return Fitted(with_noise(density, std), with_noise(own[0], own[1]), rate, graphs)
 
 
@@ -161,16 +121,12 @@ FITS = 1 + len(GRAPHS)
 """Units of progress of `fit_filters`."""
 
 
-def prediction_error(predicted: FloatArray, track: Track) -> float:
-    """Sum of squared distances (m²) of one-step predictions (n, 2) from the true positions."""
-    return float(np.nansum((predicted - np.asarray(track.true_position)) ** 2))
-
-
 def own_outcome(track: Track, parameters: IntentionalParameters, *, steered: bool) -> tuple[float, float]:
     """Sum of squared errors and CLL of Baxter et al.'s filter; not steered, of the Kalman filter of its Q
     and R."""
     found = intentional_filter(track.position, track.head if steered else None, parameters)
-    return prediction_error(found.predicted_mean[0, :, :2], track), float(np.nansum(found.log_likelihood))
+    error = squared_error(found.predicted_mean[0, :, :2], track.true_position)
+    return float(error), float(np.nansum(found.log_likelihood))
 
 
 def outcomes(track: Track, fitted: Fitted) -> dict[str, tuple[float, float]]:
@@ -182,12 +138,8 @@ def outcomes(track: Track, fitted: Fitted) -> dict[str, tuple[float, float]]:
         ("intentional", fitted.intentional, fitted.rate),
     ):
         states = intentional_states(track, parameters, rate)
-        error = prediction_error(states.predicted_mean[0, :, :2], track)
-        found[name] = error, float(np.nansum(states.log_likelihood))
-    blind = replace(track, true_position=None, true_head=None)
-    engines: dict[str, OnlineEngine] = {"": "chain", ISAM2: "isam2"}
-    for (name, model), (suffix, engine) in product(fitted.graphs.items(), engines.items()):
-        estimate = track_online(blind, model, engine=engine, lag=LAG)
-        predicted, logs = one_step_ahead(estimate, track, model)
-        found[name + suffix] = prediction_error(predicted, track), float(np.nansum(logs))
+        error = squared_error(states.predicted_mean[0, :, :2], track.true_position)
+        found[name] = float(error), float(np.nansum(states.log_likelihood))
+    for name, predicted, logs in graph_predictions(track, fitted.graphs):
+        found[name] = float(squared_error(predicted, track.true_position)), float(np.nansum(logs))
     return found

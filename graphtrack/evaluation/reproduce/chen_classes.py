@@ -3,54 +3,49 @@ wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
-from graphtrack.evaluation.reproduce import chen_image
 from graphtrack.evaluation.reproduce.chen_engines import LAG, OTHERS, engine_table
-from graphtrack.evaluation.reproduce.chen_joint import (
+from graphtrack.evaluation.reproduce.chen_image import IMAGE_GROUPS, image_scores
+from graphtrack.evaluation.reproduce.chen_tables import (
     ANGLES,
     POSITION_STD,
-    PRESETS,
-    Estimator,
+    Methods,
     Scores,
     beside,
+    by_angle,
+    default_models,
+    detail,
+    draw_errors,
+    estimated_errors,
+    most_likely_error,
 )
-from graphtrack.evaluation.reproduce.chen_tables import WITH_FULL, detail, draw_errors, most_likely_error
 from graphtrack.evaluation.reproduce.experiment import (
-    ASKANCE,
+    GAITS,
     MOCAP,
-    TURNING,
-    WALKING,
     Experiment,
     Progress,
     Reproduction,
     Settings,
     evenly,
-    quietly,
 )
-from graphtrack.geometry.angles import mean_absolute_error
 from graphtrack.inference import smooth, track_online
-from graphtrack.model import Model
+from graphtrack.report.style import new_figure
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FLIPPED, AT_RANDOM = 0.2, 0.1
 """Shares of the answers that take front for back, and that are any class."""
 
 BESIDE = "Paper / ours: mean error in degrees (Chen et al.'s classifiers on CHIL, ours as the notes say)"
 
-METHODS: Mapping[str, tuple[str, Estimator]] = {
+METHODS: Methods = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
     "particle, closest class": (
         "online",
@@ -71,17 +66,12 @@ WITH_MODES = ("graph, chain", "graph, isam2", "smoother")
 def people(settings: Settings) -> dict[str, TrackSet]:
     """People by source whose body and head are seen by classifiers with a known confusion."""
     count = 4 if settings.quick else 42
-    found = {}
-    mocap = settings.recording(*MOCAP)
-    if mocap is not None:
-        clips = quietly(mocap)
-        found["mocap, walking"] = evenly(clips.select(WALKING), count, 2.0)
-        found["mocap, turning"] = evenly(clips.select(TURNING), count, 2.0)
-        found["mocap, sideways and back"] = evenly(clips.select(*ASKANCE), count, 2.0)
+    clips = settings.tracks(*MOCAP)
+    if clips is not None:
+        found = {name: evenly(clips.select(*of), count, 2.0) for name, of in GAITS.items()}
     else:
-        found["drawn from the joint model"] = simulate(
-            "joint", n_tracks=count, n_steps=120, rng=settings.rng(1)
-        )
+        drawn = simulate("joint", n_tracks=count, n_steps=120, rng=settings.rng(1))
+        found = {"drawn from the joint model": drawn}
     return {
         name: classified(
             add_noise(tracks, position_std=POSITION_STD, rng=settings.rng(2, i)), settings.rng(3, i)
@@ -102,22 +92,9 @@ def classified(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
 
 def scores(data: str, tracks: TrackSet, progress: Progress) -> Scores:
     """Every method on every person, with each of the presets that it knows."""
-    found: dict[tuple[str, str, str], list[float]] = {}
-    for track in tracks:
-        for angle in ANGLES:
-            found.setdefault(("observation", "", angle), []).append(most_likely_error(track, track, angle))
-    for preset in WITH_FULL:
-        model = Model(preset)
-        for method, (_, estimator) in METHODS.items():
-            if preset == "full" and method not in WITH_MODES:
-                continue
-            for track in tracks:
-                estimate = estimator(track, model)
-                for angle in ANGLES:
-                    error = mean_absolute_error(getattr(estimate, angle), getattr(track, f"true_{angle}"))
-                    found.setdefault((preset, method, angle), []).append(float(np.degrees(error)))
-                progress(1)
-    return Scores(data, len(tracks), {key: np.array(values) for key, values in found.items()})
+    seen = [[most_likely_error(track, track, angle) for angle in ANGLES] for track in tracks]
+    estimates = estimated_errors(tracks, METHODS, default_models(METHODS, WITH_MODES), progress)
+    return Scores(data, len(tracks), by_angle(("observation", ""), seen) | estimates)
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
@@ -127,7 +104,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     pictured = []
     for i, (name, tracks) in enumerate(everyone.items()):
         few = tracks[: 1 if settings.quick else 12]
-        pictured.append(chen_image.image_scores(name, few, partial(classified, rng=settings.rng(4, i))))
+        pictured.append(image_scores(name, few, partial(classified, rng=settings.rng(4, i))))
         progress(1)
     rng = settings.rng(99)
     notes = (
@@ -145,39 +122,28 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "the position was observed; of the first people only.",
         "Every engine: the people of the first source.",
     )
-    in_image = replace(
-        detail(pictured, chen_image.GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
+    pictured_table = replace(
+        detail(pictured, IMAGE_GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
     )
     whole = detail(found, GROUPS, rng)
-    engines = engine_table(found[0], next(iter(everyone.values())), settings.rng(98), progress)
-    return Reproduction(
-        "chen-classes",
-        (whole, in_image, engines, beside(found, GROUPS, BESIDE)),
-        _figure(found, rng),
-        notes,
-    )
-
-
-def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
-    from graphtrack.report.style import new_figure
-
     figure = new_figure(4.2 * len(found) + 1.0, 7.2)
     grid = figure.subplots(2, len(found), sharex=True, sharey="row", squeeze=False)
     draw_errors(grid, found, GROUPS, rng)
     grid[0, 0].legend(frameon=False, fontsize=8)
-    return figure
+    engines = engine_table(found[0], next(iter(everyone.values())), settings.rng(98), progress)
+    return Reproduction(
+        "chen-classes",
+        (whole, pictured_table, engines, beside(found, GROUPS, BESIDE)),
+        figure,
+        notes,
+    )
 
 
 def work(settings: Settings) -> int:
-    """Estimates."""
-    total, everyone = 0, people(settings)
-    total += len(OTHERS) * len(next(iter(everyone.values())))
-    for tracks in everyone.values():
-        total += 1  # answers in the image
-        for method in METHODS:
-            presets = len(PRESETS) + (method in WITH_MODES)
-            total += presets * len(tracks)
-    return total
+    """Estimates, and the people of each source who are seen in the image."""
+    everyone = people(settings)
+    estimates = len(default_models(METHODS, WITH_MODES)) * sum(len(tracks) for tracks in everyone.values())
+    return estimates + len(everyone) + len(OTHERS) * len(next(iter(everyone.values())))
 
 
 EXPERIMENT = Experiment(

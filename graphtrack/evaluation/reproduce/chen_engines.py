@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from graphtrack.evaluation.reproduce.chen_joint import ANGLES, Scores
-from graphtrack.evaluation.reproduce.chen_tables import detail
+from graphtrack.evaluation.reproduce.chen_tables import ANGLES, Methods, Scores, detail, estimated_errors
 from graphtrack.evaluation.reproduce.experiment import Progress, Table
-from graphtrack.geometry.angles import FloatArray, mean_absolute_error
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import smooth_track, track_online
 from graphtrack.model import Model
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks import TrackSet
 
 LAG = 2.0
 """Seconds that the online graphs keep open, as `graphtrack track` does."""
@@ -22,12 +20,12 @@ LAG = 2.0
 KNOWN = {"chain": "graph, chain", "isam2": "graph, isam2", "chain, offline": "smoother"}
 """Engine → method of the experiment that it is already."""
 
-OTHERS: Mapping[str, Callable[[Track, Model], Track]] = {
-    "isam2, full history": partial(track_online, engine="isam2", lag=None),
-    "fixed-lag": partial(track_online, engine="fixed-lag", lag=LAG),
-    "gtsam, offline": lambda track, model: smooth_track(track, model, engine="gtsam").track,
+OTHERS: Methods = {
+    "isam2, full history": ("online", partial(track_online, engine="isam2", lag=None)),
+    "fixed-lag": ("online", partial(track_online, engine="fixed-lag", lag=LAG)),
+    "gtsam, offline": ("offline", lambda track, model: smooth_track(track, model, engine="gtsam").track),
 }
-"""Name → estimator of those that the experiment has only here."""
+"""Those that the experiment has only here."""
 
 _PRESET = "joint"
 
@@ -46,20 +44,8 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
         errors["observation", "", angle] = known.errors["observation", "", angle]
         for name, method in KNOWN.items():
             errors[_PRESET, name, angle] = known.errors[_PRESET, method, angle]
-    model = Model(_PRESET)
-    for name, estimator in OTHERS.items():
-        found = []
-        for track in tracks:
-            estimate = estimator(track, model)
-            found.append(
-                [
-                    mean_absolute_error(getattr(estimate, angle), getattr(track, f"true_{angle}"))
-                    for angle in ANGLES
-                ]
-            )
-            progress(1)
-        for angle, of_people in zip(ANGLES, np.degrees(found).T, strict=True):
-            errors[_PRESET, name, angle] = of_people
+    models = {(_PRESET, name): Model(_PRESET) for name in OTHERS}
+    errors |= estimated_errors(tracks, OTHERS, models, progress)
     groups = {name: "offline" if name.endswith("offline") else "online" for name in (*KNOWN, *OTHERS)}
     table = detail([Scores(known.data, known.people, errors)], groups, rng)
     return replace(table, title="Every engine, with joint")

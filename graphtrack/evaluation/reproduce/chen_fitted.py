@@ -6,22 +6,31 @@ presets alike, on people who are not reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
-from graphtrack.evaluation.reproduce.experiment import ISAM2, Cell, Progress, Table
+from graphtrack.evaluation.reproduce.chen_tables import (
+    ANGLES,
+    PAPER,
+    Errors,
+    Estimator,
+    Methods,
+    errors_of,
+)
+from graphtrack.evaluation.reproduce.experiment import (
+    ISAM2,
+    Cell,
+    Progress,
+    Records,
+    Table,
+    paired,
+    tabulated,
+)
 from graphtrack.evaluation.reproduce.fitting import fit
-from graphtrack.evaluation.resampling import bootstrap, mean_difference
-from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.model import Model
-from graphtrack.tracks import Track, TrackSet
-
-ANGLES: tuple[Literal["body", "head"], ...] = ("body", "head")
-PAPER = {"observation": (41.7, 30.3), "separate": (32.9, 25.8), "joint": (21.9, 17.6)}
-"""Chen et al. 2011, Table 2: mean errors of body and head in degrees."""
+from graphtrack.tracks import TrackSet
 
 SHARED: Mapping[str, tuple[str, str]] = {
     "q (m²/s³)": ("motion", "acceleration_density"),
@@ -38,10 +47,6 @@ FITTED = {"joint-body": tuple(SHARED)[:-1], "joint": tuple(SHARED)}
 PAIRS = (("graph", "particle"), (f"graph{ISAM2}", "particle"), ("smoother", "ffbs"))
 """Methods that are compared on the same people, the first less the second."""
 
-Estimator = Callable[[Track, Model], Track]
-
-Errors = Mapping[tuple[str, str, str], FloatArray]
-"""(data, method, angle) → mean errors (n,) in degrees of the people."""
 
 Models = Mapping[tuple[str, str], Model]
 """(preset, method) → the model with the parameters fitted for that method."""
@@ -65,7 +70,7 @@ def with_shared(model: Model, values: Mapping[str, float]) -> Model:
 
 def fitted_models(
     tracks: TrackSet,
-    methods: Mapping[str, tuple[str, Estimator]],
+    methods: Methods,
     evaluations: int,
     progress: Progress,
 ) -> dict[tuple[str, str], Model]:
@@ -111,33 +116,6 @@ def fits(methods: Mapping[str, object]) -> int:
     return len(FITTED) * sum(not method.endswith(ISAM2) for method in methods)
 
 
-def errors_of(estimate: Track, track: Track) -> list[float]:
-    """Mean errors of body and head in degrees."""
-    return [
-        float(np.degrees(mean_absolute_error(getattr(estimate, angle), getattr(track, f"true_{angle}"))))
-        for angle in ANGLES
-    ]
-
-
-def fitted_errors(
-    people: Mapping[str, TrackSet],
-    methods: Mapping[str, tuple[str, Estimator]],
-    models: Models,
-    progress: Progress,
-) -> dict[str, dict[tuple[str, str, str], FloatArray]]:
-    """The errors of every method with the parameters fitted for it: preset → errors by source, method and
-    angle."""
-    found: dict[str, dict[tuple[str, str, str], FloatArray]] = {preset: {} for preset in FITTED}
-    for data, tracks in people.items():
-        for preset, by_method in found.items():
-            for name, (_, estimator) in methods.items():
-                model = models[preset, name]
-                errors = np.array([errors_of(estimator(track, model), track) for track in tracks])
-                by_method |= {(data, name, angle): errors[:, i] for i, angle in enumerate(ANGLES)}
-                progress(len(tracks))
-    return found
-
-
 def parameter_table(models: Models) -> Table:
     """The parameters fitted for each method, with the package's own in the first row."""
     records: list[dict[str, Cell]] = [
@@ -151,69 +129,45 @@ def parameter_table(models: Models) -> Table:
     return Table.of("Parameters fitted for each method, on other people", records)
 
 
+@tabulated("Errors with the parameters fitted for each method")
 def fitted_table(
-    scores: Mapping[str, Errors],
-    fitted: Mapping[str, Errors],
-    methods: Mapping[str, tuple[str, Estimator]],
-    rng: np.random.Generator,
-) -> Table:
+    scores: Mapping[str, Errors], fitted: Mapping[str, Errors], methods: Methods, rng: np.random.Generator
+) -> Records:
     """Errors with the default parameters and with those fitted, by source, angle and method.
 
     Parameters
     ----------
-    scores : with the default parameters: source → (preset, method, angle) → errors
-    fitted : of `fitted_errors`
+    scores, fitted : by source
     rng : source of the intervals' resampling
     """
-    records: list[dict[str, Cell]] = []
     for data, errors in scores.items():
         for i, angle in enumerate(ANGLES):
             for method, (group, _) in methods.items():
-                joint, body = (fitted[preset][data, method, angle] for preset in ("joint", "joint-body"))
-                coupled = bootstrap(mean_difference, joint, body, rng=rng)
-                records.append(
-                    {
-                        "data": data,
-                        "angle": angle,
-                        "group": group,
-                        "method": method,
-                        "paper: joint (°)": PAPER["joint"][i],
-                        "joint, default (°)": float(errors["joint", method, angle].mean()),
-                        "joint, fitted (°)": float(joint.mean()),
-                        "joint-body, fitted (°)": float(body.mean()),
-                        "joint − joint-body, fitted (°)": coupled.value,
-                        "low": coupled.low,
-                        "high": coupled.high,
-                    }
-                )
-    return Table.of("Errors with the parameters fitted for each method", records)
+                joint, body = (fitted[data][preset, method, angle] for preset in ("joint", "joint-body"))
+                yield {
+                    "data": data,
+                    "angle": angle,
+                    "group": group,
+                    "method": method,
+                    "paper: joint (°)": PAPER["joint"][i],
+                    "joint, default (°)": float(errors["joint", method, angle].mean()),
+                    "joint, fitted (°)": float(joint.mean()),
+                    "joint-body, fitted (°)": float(body.mean()),
+                    **paired("joint − joint-body, fitted (°)", joint, body, rng),
+                }
 
 
+@tabulated("Methods compared on the same people, joint, 95 % intervals")
 def pair_table(
-    scores: Mapping[str, Errors],
-    fitted: Mapping[str, Errors],
-    rng: np.random.Generator,
-) -> Table:
-    """Paired differences of `PAIRS` with `joint`, with the default parameters and with those fitted.
-
-    Parameters
-    ----------
-    scores, fitted, rng : as in `fitted_table`
-    """
-    records: list[dict[str, Cell]] = []
+    scores: Mapping[str, Errors], fitted: Mapping[str, Errors], rng: np.random.Generator
+) -> Records:
+    """Paired differences of `PAIRS` with `joint`, with the default parameters and with those fitted."""
     for data, errors in scores.items():
         for angle in ANGLES:
             for first, second in PAIRS:
                 record: dict[str, Cell] = {"data": data, "angle": angle, "difference": f"{first} − {second}"}
-                for which, one, other in (
-                    ("default", errors["joint", first, angle], errors["joint", second, angle]),
-                    ("fitted", fitted["joint"][data, first, angle], fitted["joint"][data, second, angle]),
-                ):
-                    apart = bootstrap(mean_difference, one, other, rng=rng)
-                    record |= {
-                        f"{which} (°)": apart.value,
-                        f"{which}: low": apart.low,
-                        f"{which}: high": apart.high,
-                    }
-                records.append(record)
-    return Table.of("Methods compared on the same people, joint, 95 % intervals", records)
+                for which, of in (("default", errors), ("fitted", fitted[data])):
+                    ends = f"{which}: low", f"{which}: high"
+                    one, other = (of["joint", method, angle] for method in (first, second))
+                    record |= paired(f"{which} (°)", one, other, rng, *ends)
+                yield record

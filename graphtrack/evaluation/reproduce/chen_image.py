@@ -9,9 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
-from graphtrack.evaluation.reproduce.chen_joint import ANGLES, PRESETS, Scores
-from graphtrack.evaluation.reproduce.chen_tables import most_likely_error
-from graphtrack.geometry.angles import FloatArray, class_centres, mean_absolute_error
+from graphtrack.evaluation.reproduce.chen_tables import (
+    ANGLES,
+    PRESETS,
+    Scores,
+    by_angle,
+    errors_of,
+    most_likely_error,
+)
+from graphtrack.geometry.angles import FloatArray, class_centres
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks import Track, TrackSet
 
@@ -22,7 +28,7 @@ OPTIONS = {
 }
 """Filter → whether it is given the image's likelihoods, and its options; the last is eq. 13–14 as printed."""
 
-GROUPS = dict.fromkeys(OPTIONS, "online")
+IMAGE_GROUPS = dict.fromkeys(OPTIONS, "online")
 
 _FOCAL, _SIZE = 760.0, (640.0, 480.0)
 _HEIGHT, _BEHIND = 3.0, 6.0
@@ -40,20 +46,17 @@ def image_scores(data: str, tracks: TrackSet, classify: Callable[[TrackSet], Tra
     """
     camera = camera_before(tracks)
     answered = classify(tracks.map(lambda track: in_image(track, camera)))
-    found: dict[tuple[str, str, str], list[float]] = {}
-    for truth, seen in zip(tracks, answered, strict=True):
-        turned = turned_to_world(seen, camera)
-        for angle in ANGLES:
-            error = most_likely_error(turned, truth, angle)
-            found.setdefault(("observation", "", angle), []).append(error)
-        for method, (as_seen, options) in OPTIONS.items():
-            for preset in PRESETS:
-                given = seen if as_seen else turned
-                estimate = particle_filter(given, preset, camera=camera, options=options).track
-                for angle in ANGLES:
-                    error = mean_absolute_error(getattr(estimate, angle), getattr(truth, f"true_{angle}"))
-                    found.setdefault((preset, method, angle), []).append(float(np.degrees(error)))
-    return Scores(data, len(tracks), {key: np.array(values) for key, values in found.items()})
+    turned = [turned_to_world(seen, camera) for seen in answered]
+    pairs = list(zip(turned, tracks, strict=True))
+    seen = [[most_likely_error(one, truth, angle) for angle in ANGLES] for one, truth in pairs]
+    found = by_angle(("observation", ""), seen)
+    for method, (as_seen, options) in OPTIONS.items():
+        given = answered.tracks if as_seen else turned
+        for preset in PRESETS:
+            estimates = [particle_filter(one, preset, camera=camera, options=options).track for one in given]
+            errors = [errors_of(*pair) for pair in zip(estimates, tracks, strict=True)]
+            found |= by_angle((preset, method), errors)
+    return Scores(data, len(tracks), found)
 
 
 def camera_before(tracks: TrackSet) -> GroundCamera:

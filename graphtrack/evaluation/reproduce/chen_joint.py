@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import integrate, optimize
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.evaluation.reproduce.chen_fitted import ANGLES as ANGLES
 from graphtrack.evaluation.reproduce.chen_fitted import (
     FITTED,
-    errors_of,
     fits,
-    fitted_errors,
     fitted_models,
     fitted_table,
     pair_table,
     parameter_table,
 )
-from graphtrack.evaluation.reproduce.chen_fitted import PAPER as PAPER
-from graphtrack.evaluation.reproduce.chen_fitted import Estimator as Estimator
+from graphtrack.evaluation.reproduce.chen_tables import (
+    ANGLES,
+    PAPER,
+    POSITION_STD,
+    PRESETS,
+    WITH_FULL,
+    Methods,
+    Scores,
+    beside,
+    by_angle,
+    default_models,
+    errors_of,
+    estimated_errors,
+)
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
     ISAM2,
@@ -32,27 +39,24 @@ from graphtrack.evaluation.reproduce.experiment import (
     WALKING,
     Cell,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
-    quietly,
+    interval_cells,
+    page,
+    paired,
+    tabulated,
     thinned,
 )
-from graphtrack.evaluation.resampling import bootstrap, mean_difference
-from graphtrack.geometry.angles import FloatArray, von_mises_log_density
+from graphtrack.evaluation.resampling import bootstrap
+from graphtrack.geometry.angles import von_mises_log_density
 from graphtrack.inference import smooth, track_online
-from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-PRESETS = ("separate", "joint-body", "joint")
-"""Nothing coupled; the paper's separate filtering, κ₂ = 0 in eq. 10; the paper's joint filtering."""
 
 PATHS = ParticleOptions(paths=40)
 
@@ -60,10 +64,8 @@ BESIDE = "Paper / ours: mean error in degrees (Chen et al. 2011: on CHIL, with i
 
 WALKERS = "mocap, walking"
 
-POSITION_STD = 0.1
-"""Metres of noise on the positions."""
 
-METHODS: Mapping[str, tuple[str, Estimator]] = {
+METHODS: Methods = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
     "graph": ("online", lambda track, model: track_online(track, model, engine="chain", lag=LAG)),
     f"graph{ISAM2}": ("online", lambda track, model: track_online(track, model, engine="isam2", lag=LAG)),
@@ -76,15 +78,6 @@ GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
 WITH_MODES = ("graph", f"graph{ISAM2}", "smoother")
 """Methods that know the preset ``full`` as well, `joint` that is told whether people face where they go."""
-
-
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """Mean absolute errors in degrees, one number a person: (preset, method, angle) → (n,)."""
-
-    data: str
-    people: int
-    errors: Mapping[tuple[str, str, str], FloatArray]
 
 
 def concentration_of(error: float) -> float:
@@ -103,15 +96,14 @@ def people(settings: Settings) -> dict[str, TrackSet]:
     """Noisy people by source, as wrong as Chen et al.'s observations are."""
     count = 6 if settings.quick else 40
     found = {}
-    mocap = settings.recording(*MOCAP)
-    if mocap is not None:
-        clips = quietly(mocap)
+    clips = settings.tracks(*MOCAP)
+    if clips is not None:
         found[WALKERS] = evenly(clips.select(WALKING).map(thinned), count, 2.0)
         found["mocap, sideways and back"] = evenly(clips.select(*ASKANCE).map(thinned), count, 2.0)
-    salsa = settings.recording(*SALSA)
+    salsa = settings.tracks(*SALSA)
     if salsa is not None:
         steps = 30 if settings.quick else 250
-        found["SALSA, party"] = quietly(salsa).map(lambda track: track[:steps])
+        found["SALSA, party"] = salsa.map(lambda track: track[:steps])
     drawn = simulate("joint", n_tracks=max(count // 2, 4), n_steps=100, rng=settings.rng(1))
     found["drawn from the joint model"] = drawn
     return {name: _noisy(tracks, settings.rng(2, i)) for i, (name, tracks) in enumerate(found.items())}
@@ -120,12 +112,12 @@ def people(settings: Settings) -> dict[str, TrackSet]:
 def others(settings: Settings, reported: Mapping[str, TrackSet]) -> TrackSet:
     """Noisy people who walk ahead and are not reported, for parameters to be fitted on."""
     count = 3 if settings.quick else 24
-    mocap = settings.recording(*MOCAP)
-    if mocap is None:
+    clips = settings.tracks(*MOCAP)
+    if clips is None:
         tracks = simulate("joint", n_tracks=count, n_steps=100, rng=settings.rng(3))
     else:
         known = {track.track_id for track in reported[WALKERS]}
-        clips = quietly(mocap).select(WALKING)
+        clips = clips.select(WALKING)
         left = clips.with_tracks(track for track in clips if track.track_id not in known)
         tracks = evenly(left.map(thinned), count, 2.0)
     return _noisy(tracks, settings.rng(4))
@@ -136,29 +128,16 @@ def _noisy(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
     return add_noise(tracks, position_std=POSITION_STD, body_kappa=body, head_kappa=head, rng=rng)
 
 
-def scores(data: str, tracks: TrackSet, progress: Progress) -> Scores:
-    """Every method on every person, with the separate and with the joint model."""
-    models = {preset: Model(preset) for preset in (*PRESETS, "full")}
-    found: dict[tuple[str, str, str], list[float]] = {}
-    for track in tracks:
-        for angle, error in zip(ANGLES, errors_of(track, track), strict=True):
-            found.setdefault(("observation", "", angle), []).append(error)
-        for preset, model in models.items():
-            for method, (_, estimator) in METHODS.items():
-                if preset == "full" and method not in WITH_MODES:
-                    continue
-                for angle, error in zip(ANGLES, errors_of(estimator(track, model), track), strict=True):
-                    found.setdefault((preset, method, angle), []).append(error)
-        progress(1)
-    return Scores(data, len(tracks), {key: np.array(values) for key, values in found.items()})
-
-
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment."""
     everyone = people(settings)
-    found = [scores(name, tracks, progress) for name, tracks in everyone.items()]
+    found = []
+    for name, tracks in everyone.items():
+        seen = by_angle(("observation", ""), [errors_of(track, track) for track in tracks])
+        estimates = estimated_errors(tracks, METHODS, default_models(METHODS, WITH_MODES), progress)
+        found.append(Scores(name, len(tracks), seen | estimates))
     models = fitted_models(others(settings, everyone), METHODS, _evaluations(settings), progress)
-    fitted = fitted_errors(everyone, METHODS, models, progress)
+    fitted = {name: estimated_errors(tracks, METHODS, models, progress) for name, tracks in everyone.items()}
     by_default = {one.data: one.errors for one in found}
     rng = settings.rng(99)
     notes = [
@@ -197,7 +176,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             pair_table(by_default, fitted, settings.rng(97)),
             beside(found, GROUPS, BESIDE),
         ),
-        _figure(found, rng),
+        page(_panels(found, rng), columns=len(found)),
         tuple(notes),
     )
 
@@ -207,154 +186,82 @@ def _evaluations(settings: Settings) -> int:
     return 7 if settings.quick else 100
 
 
-def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint")
+def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Records:
     for one in found:
         for angle in ANGLES:
             for method, (group, _) in METHODS.items():
                 separate, body, joint = (one.errors[preset, method, angle] for preset in PRESETS)
-                interval = bootstrap(mean_difference, joint, body, rng=rng)
-                records.append(
-                    {
-                        "data": one.data,
-                        "people": one.people,
-                        "angle": angle,
-                        "group": group,
-                        "method": method,
-                        "observation (°)": float(one.errors["observation", "", angle].mean()),
-                        "separate (°)": float(separate.mean()),
-                        "joint-body (°)": float(body.mean()),
-                        "joint (°)": float(joint.mean()),
-                        "joint − joint-body (°)": interval.value,
-                        "low": interval.low,
-                        "high": interval.high,
-                    }
-                )
-    return Table.of(
-        "Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint", records
-    )
+                yield {
+                    "data": one.data,
+                    "people": one.people,
+                    "angle": angle,
+                    "group": group,
+                    "method": method,
+                    "observation (°)": float(one.errors["observation", "", angle].mean()),
+                    "separate (°)": float(separate.mean()),
+                    "joint-body (°)": float(body.mean()),
+                    "joint (°)": float(joint.mean()),
+                    **paired("joint − joint-body (°)", joint, body, rng),
+                }
 
 
-def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Table:
-    """What the modes of ``full`` make of it."""
-    records: list[dict[str, Cell]] = []
+@tabulated("Beyond Chen et al. 2011: the graph, told whether people face where they go (full)")
+def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Records:
+    """The errors with ``full``, which has modes of the couplings."""
     for one in found:
         for angle in ANGLES:
             for method in WITH_MODES:
                 own, separate = (one.errors[preset, method, angle] for preset in ("full", "separate"))
-                interval = bootstrap(mean_difference, own, separate, rng=rng)
-                records.append(
-                    {
-                        "data": one.data,
-                        "angle": angle,
-                        "group": METHODS[method][0],
-                        "method": method,
-                        "separate (°)": float(separate.mean()),
-                        "joint (°)": float(one.errors["joint", method, angle].mean()),
-                        "full (°)": float(own.mean()),
-                        "full − separate (°)": interval.value,
-                        "low": interval.low,
-                        "high": interval.high,
-                    }
-                )
-    return Table.of(
-        "Beyond Chen et al. 2011: the graph, told whether people face where they go (full)", records
-    )
+                yield {
+                    "data": one.data,
+                    "angle": angle,
+                    "group": METHODS[method][0],
+                    "method": method,
+                    "separate (°)": float(separate.mean()),
+                    "joint (°)": float(one.errors["joint", method, angle].mean()),
+                    "full (°)": float(own.mean()),
+                    **paired("full − separate (°)", own, separate, rng),
+                }
 
 
-def beside(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:
-    """Chen et al.'s Table 2 beside the errors of some methods, of which ``groups`` says whether they are
-    online."""
-    records: list[dict[str, Cell]] = []
+NO_ENDS: Mapping[str, Cell] = {"low": None, "high": None}
+
+
+def _panels(found: Sequence[Scores], rng: np.random.Generator) -> list[Panel]:
+    panels = []
     for i, angle in enumerate(ANGLES):
         for one in found:
-            for method, group in groups.items():
-                records.append(
-                    {
-                        "angle": angle,
-                        **{f"paper: {name}": PAPER[name][i] for name in PAPER},
-                        "ours: data": one.data,
-                        "ours: method": f"{method} ({group})",
-                        "ours: observation": float(one.errors["observation", "", angle].mean()),
-                        "ours: separate": float(one.errors["joint-body", method, angle].mean()),
-                        "ours: joint": float(one.errors["joint", method, angle].mean()),
-                    }
-                )
-    return Table.of(title, records)
-
-
-def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
-    from matplotlib.lines import Line2D
-
-    from graphtrack.evaluation.reproduce.style import colour_of, filling
-    from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
-
-    names = ["Chen et al. 2011", *(one.data for one in found)]
-    figure = new_figure(3.0 * len(names), 7.2)
-    grid = figure.subplots(2, len(names), sharex=True, sharey="row")
-    stages = ("observation", *PRESETS, "full")
-    for row, angle in enumerate(ANGLES):
-        for column, name in enumerate(names):
-            axes = grid[row, column]
-            if column == 0:
-                values = [PAPER[stage][row] for stage in ("observation", "separate", "joint")]
-                axes.plot(
-                    (0, 2, 3), values, "o-", color=NEUTRAL_COLOUR, label="Chen et al. 2011, particle filter"
-                )
-            else:
-                one = found[column - 1]
-                for k, (method, group) in enumerate(GROUPS.items()):
-                    own = stages if method in WITH_MODES else stages[:-1]
-                    keys = [(s, "" if s == "observation" else method, angle) for s in own]
-                    drawn = [
-                        bootstrap(lambda v: np.mean(v, axis=-1), one.errors[key], rng=rng) for key in keys
-                    ]
-                    x = np.arange(len(own)) + 0.06 * (k - 2.0)
-                    value = np.array([interval.value for interval in drawn])
-                    spread = [value - [i.low for i in drawn], [i.high for i in drawn] - value]
-                    style = "-" if group == "online" else "--"
-                    axes.errorbar(
-                        x,
-                        value,
-                        spread,
-                        fmt="o" + style,
-                        color=colour_of(method),
-                        markerfacecolor=filling(method),
-                        markersize=4,
-                        label=method,
+            rows: list[dict[str, Cell]] = [
+                {
+                    "model": preset,
+                    "error": PAPER[name][i],
+                    "method": "Chen et al. 2011",
+                    "low": None,
+                    "high": None,
+                }
+                for preset, name in (("joint-body", "separate"), ("joint", "joint"))
+            ]
+            for (preset, method, of), errors in one.errors.items():
+                if of == angle:
+                    mean = bootstrap(lambda v: np.mean(v, axis=-1), errors, rng=rng)
+                    rows.append(
+                        {"model": preset, "method": method or "observation", **interval_cells("error", mean)}
                     )
-            tidy(axes, grid="y")
-            axes.set_xticks(range(5), ["seen", "separate", "joint-\nbody", "joint", "full"])
-            axes.set_xlim(-0.4, 4.4)
-            if row == 0:
-                axes.set_title(name, fontsize=10)
-        # After all are drawn, for they share their axis.
-        top = max(axes.dataLim.y1 for axes in grid[row])
-        grid[row, 0].set_ylim(0.0, 1.05 * top)
-        grid[row, 0].set_ylabel(f"{angle}: mean error (°)")
-    grid[0, 0].legend(frameon=False, fontsize=8)
-    handles = [
-        Line2D(
-            [],
-            [],
-            color=colour_of(method),
-            marker="o",
-            markerfacecolor=filling(method),
-            linestyle="-" if group == "online" else "--",
-            label=method,
-        )
-        for method, group in GROUPS.items()
-    ]
-    grid[0, 1].legend(handles=handles, frameon=False, fontsize=8)
-    return figure
+            order = ("observation", *WITH_FULL)
+            rows.sort(key=lambda row: order.index(str(row["model"])))
+            title = f"{one.data}: {angle} (°)"
+            panels.append(Panel(title, rows, "model", "error", "method", ends=("low", "high")))
+    return panels
 
 
 def work(settings: Settings) -> int:
-    """People, those that parameters are fitted on at each evaluation, and those reported with them."""
+    """Estimates: with default parameters, at each evaluation of the fits, and with the fitted parameters."""
     everyone = people(settings)
     reported = sum(len(tracks) for tracks in everyone.values())
     fitting = _evaluations(settings) * len(others(settings, everyone))
-    return reported + fits(METHODS) * fitting + len(FITTED) * len(METHODS) * reported
+    known = len(default_models(METHODS, WITH_MODES)) + len(FITTED) * len(METHODS)
+    return known * reported + fits(METHODS) * fitting
 
 
 EXPERIMENT = Experiment(

@@ -1,9 +1,8 @@
-"""What the modes of the couplings bring, to people who face where they go and to those who do not."""
+"""The effect of coupling modes, on people who face where they go and on those who do not."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,23 +11,23 @@ from graphtrack.evaluation.metrics import angular_error, position_rmse
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
     MOCAP,
+    NO_MOCAP,
     Cell,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
-    quietly,
+    page,
+    paired,
+    tabulated,
 )
-from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import smooth, track_online
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks import Track, TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PRESETS = ("separate", "joint", "joint-intentional", "full")
 POSITION_STD, BODY_KAPPA, HEAD_KAPPA = 0.1, 1.2, 2.3
@@ -55,10 +54,9 @@ Errors = Mapping[tuple[str, str, str], FloatArray]
 
 def people(settings: Settings) -> dict[str, TrackSet]:
     """The clips that nothing was fitted to, those of odd place; nothing without the recording."""
-    mocap = settings.recording(*MOCAP)
-    if mocap is None:
+    whole = settings.tracks(*MOCAP)
+    if whole is None:
         return {}
-    whole = quietly(mocap)
     held = whole.with_tracks(whole.tracks[1::2])
     askance = held.select(*ASKANCE)
     known = {track.track_id for track in askance}
@@ -117,7 +115,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment; nothing without the recording."""
     found = errors(settings, progress)
     if not found:
-        return Reproduction("gaits", (), None, ("motion capture is needed: --data",))
+        return Reproduction("gaits", (), None, (NO_MOCAP,))
     notes = (
         f"Clips of motion capture at 30 Hz that nothing was fitted to; positions with {POSITION_STD} m of "
         f"noise, body κ = {BODY_KAPPA}, head κ = {HEAD_KAPPA}; ordinary: they walk, turn and run.",
@@ -126,70 +124,49 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     )
     rng = settings.rng(99)
     tables = _detail(found), _differences(found, rng), _rivals(found, rng)
-    return Reproduction("gaits", tables, _figure(found), notes)
+    rows = tables[0].records()
+    panels = [
+        Panel(f"{who}: {measure}", [row for row in rows if row["people"] == who], "model", measure, "")
+        for measure in MEASURES[:2]
+        for who in (ORDINARY, SIDEWAYS)
+    ]
+    return Reproduction("gaits", tables, page(panels, columns=2), notes)
 
 
-def _detail(found: Errors) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Errors by model")
+def _detail(found: Errors) -> Records:
     for (who, way, preset), values in found.items():
         record: dict[str, Cell] = {"people": who, "": way, "model": preset}
         record |= {"clips": values.shape[1], "draws": len(values)}
         for k, measure in enumerate(MEASURES):
             record[measure] = float(values[..., k].mean())
             record[f"{measure}, median"] = float(np.median(values[..., k]))
-        records.append(record)
-    return Table.of("Errors by model", records)
+        yield record
 
 
-def _differences(found: Errors, rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("The error of full less another's")
+def _differences(found: Errors, rng: np.random.Generator) -> Records:
     for who, way in dict.fromkeys(key[:2] for key in found):
         for other in PRESETS[:-1]:
             record: dict[str, Cell] = {"people": who, "": way, "full less": other}
-            records.append(record | _paired(found[who, way, "full"], found[who, way, other], rng))
-    return Table.of("The error of full less another's", records)
+            yield record | _paired(found[who, way, "full"], found[who, way, other], rng)
 
 
-def _rivals(found: Errors, rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("The error of the graph (online, chain) less that of the particle filter")
+def _rivals(found: Errors, rng: np.random.Generator) -> Records:
     for who in dict.fromkeys(key[0] for key in found):
         for preset in PRESETS:
             record: dict[str, Cell] = {"people": who, "model": preset}
-            records.append(record | _paired(found[who, CHAIN, preset], found[who, PARTICLES, preset], rng))
-    return Table.of("The error of the graph (online, chain) less that of the particle filter", records)
+            yield record | _paired(found[who, CHAIN, preset], found[who, PARTICLES, preset], rng)
 
 
 def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dict[str, Cell]:
     """Differences of errors (draws, clips, 3), each clip's mean over its draws, with their intervals."""
     record: dict[str, Cell] = {}
     for k, measure in enumerate(MEASURES):
-        interval = bootstrap(mean_difference, *(one[..., k].mean(axis=0) for one in (own, other)), rng=rng)
-        record |= {measure: interval.value, f"{measure}, low": interval.low}
-        record[f"{measure}, high"] = interval.high
+        mine, its = (one[..., k].mean(axis=0) for one in (own, other))
+        record |= paired(measure, mine, its, rng, f"{measure}, low", f"{measure}, high")
     return record
-
-
-def _figure(found: Errors) -> Figure:
-    from graphtrack.report.style import new_figure, tidy
-
-    figure = new_figure(9.0, 5.4)
-    grid = figure.subplots(2, 2, sharex=True, sharey="row")
-    styles = ("s-", "o-", "o", "^:")
-    for row, measure in enumerate(MEASURES[:2]):
-        for axes, who in zip(grid[row], (ORDINARY, SIDEWAYS), strict=True):
-            for way, style in zip(ESTIMATORS, styles, strict=True):
-                values = [float(found[who, way, preset][..., row].mean()) for preset in PRESETS]
-                fill = "white" if way.endswith("isam2") else None
-                axes.plot(values, style, markerfacecolor=fill, markersize=5, label=way)
-            axes.set_xticks(range(len(PRESETS)), [preset.replace("-", "-\n") for preset in PRESETS])
-            tidy(axes, grid="y")
-            if row == 0:
-                axes.set_title(who, loc="left", fontsize=10)
-        # After all are drawn, for they share their axis.
-        grid[row, 0].set_ylim(0.0, 1.05 * max(axes.dataLim.y1 for axes in grid[row]))
-        grid[row, 0].set_ylabel(measure)
-    grid[0, 0].legend(frameon=False, fontsize=8)
-    return figure
 
 
 def work(settings: Settings) -> int:

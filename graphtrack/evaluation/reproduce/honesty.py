@@ -1,26 +1,29 @@
-"""Are stated uncertainties honest? NEES and coverage by preset, noise and rate, on motion capture."""
+"""Calibration of covariances: NEES and coverage by preset, noise and rate, on motion capture."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from graphtrack.evaluation.calibration import DEGREES, TrackCalibration, pooled, track_calibration
+from graphtrack.evaluation.calibration import DEGREES, TrackCalibration, calibration_rows, track_calibration
 from graphtrack.evaluation.metrics import true_velocity
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
     MOCAP,
+    NO_MOCAP,
     Cell,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
     evenly,
-    quietly,
+    page,
+    tabulated,
     thinned,
 )
 from graphtrack.geometry.angles import FloatArray
@@ -28,9 +31,6 @@ from graphtrack.inference.offline import smooth
 from graphtrack.inference.recorded import track_online
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks import Track, TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PRESETS = ("separate", "joint", "full")
 POSITION_STDS = (0.05, 0.1, 0.3)
@@ -86,10 +86,9 @@ def judged(setting: Setting, preset: str, estimator: str) -> list[dict[str, Trac
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment; nothing without the recording."""
-    mocap = settings.recording(*MOCAP)
-    if mocap is None:
-        return Reproduction("honesty", (), None, ("motion capture is needed: --data",))
-    whole = quietly(mocap)
+    whole = settings.tracks(*MOCAP)
+    if whole is None:
+        return Reproduction("honesty", (), None, (NO_MOCAP,))
     # The clips of even place are those that parameters were fitted to.
     held = [replace(track, track_id=i) for i, track in enumerate(whole.tracks[1::2])]
     clips = evenly(whole.with_tracks(held), FEW if settings.quick else CLIPS)
@@ -99,21 +98,24 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             for estimator in ESTIMATORS:
                 parts = judged(setting, preset, estimator)
                 heading = {"": estimator, "model": preset, "σ (m)": setting.position_std, "Hz": setting.rate}
-                for quantity in DEGREES:
-                    known = [part[quantity] for part in parts if quantity in part]
-                    if known:
-                        rows.append({**heading, "of": quantity, **pooled(known)})
+                rows += [{**heading, "of": row["quantity"], **row} for row in calibration_rows(parts)]
                 progress(1)
     notes = (
         f"{len(clips)} clips of motion capture that nothing was fitted to; body κ = {BODY_KAPPA}, head κ = "
         f"{HEAD_KAPPA}; true velocities are those of 30 Hz. Joint without side-stepping and backwards.",
         "NEES a degree of freedom should be 1, intervals should hold the truth as often as they say.",
     )
-    return Reproduction("honesty", (_grid(rows), _beside(rows)), _figure(rows), notes)
+    cells = [{**row, "of model": f"{row['model']}, {row['']}", "at": f"{row['Hz']:g} Hz"} for row in rows]
+    panels = [
+        Panel(f"{quantity}: NEES", [cell for cell in cells if cell["of"] == quantity], *columns, level=1.0)
+        for columns in (("of model", "nees", "at"),)
+        for quantity in DEGREES
+    ]
+    return Reproduction("honesty", (_grid(rows), _beside(rows)), page(panels, columns=2), notes)
 
 
-def _grid(rows: Sequence[Mapping[str, Any]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("NEES a degree of freedom, and how often intervals hold the truth")
+def _grid(rows: Sequence[Mapping[str, Any]]) -> Records:
     keys = ("", "model", "σ (m)", "Hz")
     for heading in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
         record: dict[str, Cell] = dict(zip(keys, heading, strict=True))
@@ -122,54 +124,24 @@ def _grid(rows: Sequence[Mapping[str, Any]]) -> Table:
                 record[f"{row['of']}: NEES"] = row["nees"]
                 for level in (50, 95):
                     record[f"{row['of']}: in {level} % (%)"] = 100.0 * row[f"coverage_{level}"]
-        records.append(record)
-    return Table.of("NEES a degree of freedom, and how often intervals hold the truth", records)
+        yield record
 
 
-def _beside(rows: Sequence[Mapping[str, Any]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Paper / ours: what a covariance promises, and all cells of the grid")
+def _beside(rows: Sequence[Mapping[str, Any]]) -> Records:
     for quantity in DEGREES:
         own = [row for row in rows if row["of"] == quantity]
         nees, wide = [row["nees"] for row in own], [100.0 * row["coverage_95"] for row in own]
-        records.append(
-            {
-                "of": quantity,
-                "paper: NEES": 1.0,
-                "ours: least": min(nees),
-                "ours: median": float(np.median(nees)),
-                "ours: greatest": max(nees),
-                "paper: in 95 % (%)": 95.0,
-                "ours: least (%)": min(wide),
-                "ours: greatest (%)": max(wide),
-            }
-        )
-    return Table.of("Paper / ours: what a covariance promises, and all cells of the grid", records)
-
-
-def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    from graphtrack.report.style import new_figure, quantity_colour, tidy
-
-    figure = new_figure(9.0, 4.2)
-    panels = figure.subplots(1, len(DEGREES), sharey=True)
-    headings = list(dict.fromkeys((row["model"], row[""]) for row in rows))
-    for axes, quantity in zip(panels, DEGREES, strict=True):
-        axes.axvspan(0.85, 1.2, color="#E3E6EA")
-        axes.axvline(1.0, color="#9AA1AB", linewidth=1.0)
-        for row in rows:
-            if row["of"] == quantity:
-                place = headings.index((row["model"], row[""]))
-                shift = 0.25 * (list(EVERY).index(row["Hz"]) - 1)
-                axes.plot(row["nees"], place + shift, "o", color=quantity_colour(quantity), markersize=4)
-        axes.set_title(f"{quantity}: NEES", loc="left", fontsize=10)
-        axes.set_xscale("log")
-        axes.set_xlim(0.5, 4.0)
-        axes.set_xticks([0.5, 1.0, 2.0, 4.0], ["0.5", "1", "2", "4"])
-        axes.minorticks_off()
-        tidy(axes, grid="x")
-    panels[0].set_yticks(range(len(headings)), [f"{model}, {engine}" for model, engine in headings])
-    panels[0].invert_yaxis()
-    figure.supxlabel("a dot a noise; in each line 30, 10 and 2.5 Hz from above", fontsize=9)
-    return figure
+        yield {
+            "of": quantity,
+            "paper: NEES": 1.0,
+            "ours: least": min(nees),
+            "ours: median": float(np.median(nees)),
+            "ours: greatest": max(nees),
+            "paper: in 95 % (%)": 95.0,
+            "ours: least (%)": min(wide),
+            "ours: greatest (%)": max(wide),
+        }
 
 
 def work(settings: Settings) -> int:

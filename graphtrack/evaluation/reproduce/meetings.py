@@ -1,10 +1,10 @@
-"""Who is who where people meet and turn: identity switches with and without body and head."""
+"""Identity switches of people who meet and turn, with and without body and head."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,15 @@ from graphtrack.association.offline import associate_detections
 from graphtrack.association.online import OnlineAssociation
 from graphtrack.evaluation.reproduce.experiment import (
     MOCAP,
-    Cell,
+    NO_MOCAP,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
-    Table,
-    quietly,
+    page,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.reproduce.honesty import BODY_KAPPA, HEAD_KAPPA
@@ -28,9 +30,6 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.table.detections import Detections
 from graphtrack.tracks import Track, TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PAIRS, FEW = 120, 12
 SEEDS = 3
@@ -101,7 +100,7 @@ def meetings(clips: TrackSet, pairs: int, rng: np.random.Generator) -> TrackSet:
 
 
 def detected(people: TrackSet, position_std: float, rng: np.random.Generator) -> tuple[Detections, IntArray]:
-    """What a detector makes of people, in random order; whose each detection is (n,)."""
+    """Detections of people in random order, and the person of each detection (n,)."""
     noisy = add_noise(
         people, position_std=position_std, body_kappa=BODY_KAPPA, head_kappa=HEAD_KAPPA, rng=rng
     )
@@ -141,11 +140,11 @@ EVIDENCE: Mapping[str, tuple[str, ...]] = {
     "and head": ("head",),
     "and both": ("body", "head"),
 }
-"""What the trackers are given, beside the places of the same detections."""
+"""Channels that the trackers are given in addition to positions."""
 
 
 def switches(whose: IntArray, identity: IntArray) -> int:
-    """How often a person's detection has another identity than the person's one before it; −1: none."""
+    """Number of detections with another identity than the person's previous one; −1: none."""
     changed = 0
     for person in np.unique(whose):
         known = identity[(whose == person) & (identity >= 0)]
@@ -155,11 +154,10 @@ def switches(whose: IntArray, identity: IntArray) -> int:
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment; nothing without the recording."""
-    mocap = settings.recording(*MOCAP)
-    if mocap is None:
-        return Reproduction("meetings", (), None, ("motion capture is needed: --data",))
-    clips = quietly(mocap)
-    clips = clips.with_tracks(thinned(track) for track in clips)
+    clips = settings.tracks(*MOCAP)
+    if clips is None:
+        return Reproduction("meetings", (), None, (NO_MOCAP,))
+    clips = clips.map(thinned)
     counts: dict[tuple[float, str, str], list[int]] = {}
     for seed in _seeds(settings):
         people = meetings(clips, FEW if settings.quick else PAIRS, settings.rng(seed))
@@ -180,47 +178,34 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "All pairs are in one recording, from which the scene's parameters are learned; online is what was "
         "said at once. A switch is a detection whose identity is not that of the person's one before.",
     )
-    return Reproduction("meetings", (_table(counts),), _figure(counts), notes)
+    table = _table(counts)
+    panels = [
+        Panel(
+            f"identity switches, {way}",
+            [row for row in table.records() if row[""] == way],
+            *("of", "switches", "σ (m)"),
+            ends=("least", "most"),
+        )
+        for way in TRACKERS
+    ]
+    return Reproduction("meetings", (table,), page(panels), notes)
 
 
-def _table(counts: Mapping[tuple[float, str, str], list[int]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Identity switches, means and extremes of the seeds")
+def _table(counts: Mapping[tuple[float, str, str], list[int]]) -> Records:
     for (std, way, evidence), found in counts.items():
         plain: Any = np.array(counts[std, way, "positions"], float)
         fewer = 100.0 * (1.0 - np.array(found) / np.maximum(plain, 1.0))
-        records.append(
-            {
-                "": way,
-                "σ (m)": std,
-                "of": evidence,
-                "switches": float(np.mean(found)),
-                "least": min(found),
-                "most": max(found),
-                "fewer (%)": float(np.mean(fewer)),
-                "fewer, least (%)": float(fewer.min()),
-            }
-        )
-    return Table.of("Identity switches, means and extremes of the seeds", records)
-
-
-def _figure(counts: Mapping[tuple[float, str, str], list[int]]) -> Figure:
-    from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
-
-    figure = new_figure(3.6 * len(TRACKERS), 3.0)
-    panels = figure.subplots(1, len(TRACKERS), sharey=True)
-    places = np.arange(len(EVIDENCE))
-    for axes, way in zip(panels, TRACKERS, strict=True):
-        for std, marker in zip(POSITION_STDS, "os", strict=True):
-            found = np.array([counts[std, way, evidence] for evidence in EVIDENCE], float)
-            (line,) = axes.plot(places, found.mean(axis=1), marker=marker, label=f"σ = {std:g} m")
-            axes.vlines(places, found.min(axis=1), found.max(axis=1), color=line.get_color(), alpha=0.5)
-        axes.set_title(way, fontsize=9, loc="left", color=NEUTRAL_COLOUR)
-        axes.set_xticks(places, list(EVIDENCE))
-        tidy(axes)
-    panels[0].set_ylim(bottom=0.0)
-    panels[0].set_ylabel("identity switches", fontsize=9)
-    panels[0].legend(frameon=False, fontsize=8)
-    return figure
+        yield {
+            "": way,
+            "σ (m)": std,
+            "of": evidence,
+            "switches": float(np.mean(found)),
+            "least": min(found),
+            "most": max(found),
+            "fewer (%)": float(np.mean(fewer)),
+            "fewer, least (%)": float(fewer.min()),
+        }
 
 
 def _seeds(settings: Settings) -> range:

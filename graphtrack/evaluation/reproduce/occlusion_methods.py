@@ -13,8 +13,7 @@ from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG, Progress
-from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
-from graphtrack.evaluation.reproduce.prediction import from_the_past
+from graphtrack.evaluation.reproduce.fitting import fit, from_the_past, model_of, with_density
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference import smooth, track_online
 from graphtrack.inference.online_engines import OnlineEngine
@@ -42,7 +41,7 @@ WithheldWindows = Sequence[tuple[Track, BoolArray]]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is spent on fitting and sampling.
+    """Effort of fitting and sampling.
 
     Attributes
     ----------
@@ -63,7 +62,7 @@ FULL = Effort({1: 16, 2: 20, 3: 30}, 2, 1000, 4000, 1000)
 QUICK = Effort({1: 12, 2: 9, 3: 12}, 3, 1000, 1000, 500)
 
 DENSITY, FACTOR, RATE = 0.2, 3.0, 2.0
-"""Where every search begins: q in m²/s³, the strength of the couplings, λ in 1/s."""
+"""Start of every search: q in m²/s³, the strength of the couplings, λ in 1/s."""
 
 
 def in_steps(parameters: IntentionalParameters | None) -> Predictor:
@@ -90,16 +89,6 @@ def unseen(track: Track) -> NDArray[np.intp]:
     """The frames without a position, after the first one with."""
     seen = np.asarray(np.isfinite(track.position).all(axis=1))
     return np.flatnonzero(~seen & np.logical_or.accumulate(seen))
-
-
-def model_of(preset: str) -> Callable[..., Model]:
-    """The model of q, the strength of the couplings and, where the head steers, λ."""
-
-    def make(density: float, factor: float, *head_rate: float) -> Model:
-        parameters = with_coupling(with_density(Parameters(), density), factor)
-        return Model(preset, with_head_rate(parameters, *head_rate) if head_rate else parameters)
-
-    return make
 
 
 def kalman(density: float) -> Predictor:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +16,12 @@ from graphtrack.evaluation.reproduce.experiment import (
     SALSA,
     Cell,
     Experiment,
+    Panel,
     Progress,
     Reproduction,
     Settings,
     Table,
-    quietly,
+    page,
 )
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.inference.offline import smooth
@@ -34,13 +34,10 @@ from graphtrack.simulation.party import party
 from graphtrack.table.groups import UNLABELLED
 from graphtrack.tracks import Track, TrackSet
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 SIDES = (8.0, 12.0, 18.0)
 """Metres of the squares that walkers cross."""
 PEOPLE = 20
-"""Who are in a square at a time, about."""
+"""People in a square at a time, about."""
 STOPPING = (0.0, 0.5)
 """Shares of walkers who stop on their way, for 4 s on average."""
 SEEDS, PARTIES = 6, 4
@@ -62,7 +59,7 @@ BEFORE = replace(DEFAULT, encounter_odds=0.0)
 PARAMETERS: Mapping[str, GroupParameters] = {"without": BEFORE, "with": DEFAULT}
 """Without the odds against groups of people who just met, and with them."""
 EVIDENCE: Mapping[str, str] = {"positions": "position", "positions and heads": "joint"}
-"""What is observed, and the model that smooths it."""
+"""Observations → the model that smooths them."""
 
 
 def independent_walkers(
@@ -152,10 +149,9 @@ def _walkers(settings: Settings) -> Iterator[_Scene]:
 
 def _recorded(settings: Settings) -> Iterator[_Scene]:
     for name, parts in RECORDINGS.items():
-        path = settings.recording(*parts)
-        if path is None:
+        known = settings.tracks(*parts)
+        if known is None:
             continue
-        known = quietly(path)
         for seed in range(_count(settings, SEEDS)):
             yield _Scene({"people of": name}, at_random_times(known, settings.rng(seed, 1)))
 
@@ -218,8 +214,8 @@ def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Tr
             truth = dict(zip(keys, columns["group"].tolist(), strict=True))
             scenes.append((estimated(known.tracks, evidence, rng), truth))
         yield f"simulated parties, {evidence}", scenes
-    path, labels = settings.recording(*SALSA), settings.recording("salsa", "groups.txt")
-    if path is None or labels is None:
+    recorded, labels = settings.tracks(*SALSA), settings.recording("salsa", "groups.txt")
+    if recorded is None or labels is None:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
@@ -228,7 +224,7 @@ def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Tr
             ("SALSA to 1000 s", -np.inf, LEARNED_UNTIL),
             ("SALSA from 1000 s", LEARNED_UNTIL, np.inf),
         ):
-            people = quietly(path).map(
+            people = recorded.map(
                 lambda track, b=begin, e=end: track[(track.t >= b) & (track.t < e)]  # type: ignore[misc]
             )
             frame, t = (np.concatenate([getattr(track, key) for track in people]) for key in ("frame", "t"))
@@ -256,28 +252,25 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         f"σ = {POSITION_STD} m, head κ = {HEAD_KAPPA:g}; recorded people, each shifted to a random time.",
         "Without and with the log odds against groups of people who just met (encounter_odds).",
     )
-    return Reproduction("strangers", tuple(tables), _figure(walkers), notes)
-
-
-def _figure(records: list[dict[str, Cell]]) -> Figure:
-    from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
-
-    figure = new_figure(7.2, 3.0)
-    panels = figure.subplots(1, len(EVIDENCE), sharey=True)
-    for axes, evidence in zip(panels, EVIDENCE, strict=True):
-        for way, marker in (("offline", "o"), ("online", "s")):
-            stopping = [record for record in records if record["who stop (%)"]]
-            chosen = [r for r in stopping if (r["evidence"], r["way"]) == (evidence, way)]
-            for name, style in (("without", "--"), ("with", "-")):
-                rates = [float(r[f"conversing, {name} (%)"] or 0.0) for r in chosen]
-                axes.plot(SIDES, rates, style, marker=marker, label=f"{way}, {name}")
-        axes.set_title(evidence, fontsize=9, loc="left", color=NEUTRAL_COLOUR)
-        axes.set_xlabel("side of the square (m)", fontsize=9)
-        tidy(axes)
-    panels[0].set_ylim(bottom=0.0)
-    panels[0].set_ylabel("walkers who stop,\n“conversing” (%)", fontsize=9)
-    panels[0].legend(frameon=False, fontsize=8)
-    return figure
+    stopping = [row for row in walkers if row["who stop (%)"]]
+    panels = [
+        Panel(
+            f"walkers who stop, {evidence}: “conversing” (%)",
+            [
+                {
+                    "side (m)": row["side (m)"],
+                    "share": row[f"conversing, {name} (%)"],
+                    "by": f"{row['way']}, {name}",
+                }
+                for row in stopping
+                if row["evidence"] == evidence
+                for name in PARAMETERS
+            ],
+            *("side (m)", "share", "by"),
+        )
+        for evidence in EVIDENCE
+    ]
+    return Reproduction("strangers", tuple(tables), page(panels), notes)
 
 
 def _count(settings: Settings, many: int) -> int:
@@ -288,7 +281,7 @@ def work(settings: Settings) -> int:
     """Scenes in which groups are found."""
     seeds = _count(settings, SEEDS)
     there = sum(settings.recording(*parts) is not None for parts in RECORDINGS.values())
-    salsa = settings.recording(*SALSA) is not None and settings.recording("salsa", "groups.txt") is not None
+    salsa = all(settings.recording(*parts) is not None for parts in (SALSA, ("salsa", "groups.txt")))
     return seeds * (len(SIDES) * len(STOPPING) * len(EVIDENCE) + there) + len(EVIDENCE) + 4 * salsa
 
 

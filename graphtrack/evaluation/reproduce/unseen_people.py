@@ -1,4 +1,4 @@
-"""Does the default hold for people of a source that nothing was fitted to? Each source is left out in turn.
+"""The default on people of a source that nothing was fitted to: each source is left out in turn.
 
 The constants of `full` are fitted on all sources but one, by least squares of the errors against the best of
 the simpler presets, and judged on other people of the source that was left out.
@@ -6,10 +6,9 @@ the simpler presets, and judged on other people of the source that was left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -21,12 +20,15 @@ from graphtrack.evaluation.reproduce.experiment import (
     SALSA,
     Cell,
     Experiment,
+    Panel,
     Progress,
+    Records,
     Reproduction,
     Settings,
     Table,
     evenly,
-    quietly,
+    page,
+    tabulated,
     thinned,
 )
 from graphtrack.evaluation.reproduce.strangers import independent_walkers
@@ -38,9 +40,6 @@ from graphtrack.model.parameters import scale_of
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.strollers import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.tracks import Track, TrackSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SIMPLER = ("separate", "joint")
 ONLINE = "full, online"
@@ -124,10 +123,9 @@ def simulated(habits: StrollerParameters, number: int, settings: Settings, strea
 
 def motion_capture(settings: Settings, stream: int) -> People:
     """Clips that walk, turn and run, at 30 and 10 Hz, and odd gaits; those of even place to fit on."""
-    path = settings.recording(*MOCAP)
-    if path is None:
+    whole = settings.tracks(*MOCAP)
+    if whole is None:
         return {}
-    whole = quietly(path)
     half = whole.with_tracks(whole.tracks[stream::2])
     odd = half.select(*ASKANCE)
     known = {track.track_id for track in odd}
@@ -142,10 +140,9 @@ def motion_capture(settings: Settings, stream: int) -> People:
 
 def party(settings: Settings, stream: int) -> People:
     """People who stand and talk; the first 1,000 s to fit on."""
-    path = settings.recording(*SALSA)
-    if path is None:
+    whole = settings.tracks(*SALSA)
+    if whole is None:
         return {}
-    whole = quietly(path)
     kept = whole.map(lambda track: track[np.flatnonzero((track.t < 1000.0) == (stream == 0))])
     noisy = add_noise(kept, position_std=0.1, body_kappa=1.2, head_kappa=3.4, rng=settings.rng(43, stream))
     return {"1/3 Hz": noisy, "1/3 Hz, no body": noisy.map(lambda t: replace(t, body=None, body_kappa=None))}
@@ -258,7 +255,7 @@ def fit(people: Sequence[People], rounds: int, progress: Progress) -> Parameters
 # -- the experiment ------------------------------------------------------------------------------------------
 
 
-def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Iterator[dict[str, Cell]]:
+def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Records:
     for setting, tracks in people.items():
         estimates = {name: estimated(tracks, model) for name, model in models.items()}
         errors = {name: errors_of(tracks, found) for name, found in estimates.items()}
@@ -305,11 +302,23 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "a stop the body turns 360° more or less than in truth.",
     )
     tables = (Table.of("Errors and coverage", rows), _summary(rows), _spread(constants))
-    return Reproduction("unseen-people", tables, _figure(rows), notes)
+    shown = [row for row in rows if row["model"] in ("full", "full, fitted without it")]
+    panels = [
+        Panel(
+            f"{name}: error over the best other's",
+            shown,
+            "source",
+            f"{name} of the best other",
+            "model",
+            level=1.0,
+        )
+        for name in QUANTITIES
+    ]
+    return Reproduction("unseen-people", tables, page(panels), notes)
 
 
-def _summary(rows: Sequence[Mapping[str, Cell]]) -> Table:
-    records: list[dict[str, Cell]] = []
+@tabulated("Errors over the best other's, by source")
+def _summary(rows: Sequence[Mapping[str, Cell]]) -> Records:
     for model in dict.fromkeys(row["model"] for row in rows):
         for source in dict.fromkeys(row["source"] for row in rows):
             own = [row for row in rows if row["model"] == model and row["source"] == source]
@@ -321,57 +330,22 @@ def _summary(rows: Sequence[Mapping[str, Cell]]) -> Table:
                 held = [float(row[f"{angle} in 95 % (%)"] or np.nan) for row in own]
                 record |= {f"{angle} in 95 %, least (%)": min(held), f"{angle}, greatest (%)": max(held)}
             record["wrong turns"] = sum(int(row["wrong turns"] or 0) for row in own)
-            records.append(record)
-    return Table.of("Errors over the best other's, by source", records)
+            yield record
 
 
-def _spread(constants: Sequence[Mapping[str, Cell]]) -> Table:
+@tabulated("Constants fitted with one source left out")
+def _spread(constants: Sequence[Mapping[str, Cell]]) -> Records:
     default = default_parameters("full")
-    records: list[dict[str, Cell]] = []
     for key in FITTED:
         group, name = key.split(".")
         values = [float(one[key] or 0.0) for one in constants]
-        records.append(
-            {
-                "parameter": key,
-                "default": getattr(getattr(default, group), name),
-                "least": min(values),
-                "median": float(np.median(values)),
-                "greatest": max(values),
-            }
-        )
-    return Table.of("Constants fitted with one source left out", records)
-
-
-def _figure(rows: Sequence[Mapping[str, Cell]]) -> Figure:
-    from graphtrack.report.style import new_figure, quantity_colour, tidy
-
-    figure = new_figure(9.0, 4.6)
-    panels = figure.subplots(1, len(QUANTITIES), sharey=True)
-    sources = list(dict.fromkeys(str(row["source"]) for row in rows))
-    for axes, quantity in zip(panels, QUANTITIES, strict=True):
-        axes.axvline(1.0, color="#9AA1AB", linewidth=1.0)
-        for model, shift, marker in (("full", -0.15, "o"), ("full, fitted without it", 0.15, "s")):
-            own = [row for row in rows if row["model"] == model]
-            places = [sources.index(str(row["source"])) + shift for row in own]
-            ratios = [row[f"{quantity} of the best other"] for row in own]
-            fill = quantity_colour(quantity) if marker == "o" else "white"
-            axes.plot(
-                ratios,
-                places,
-                marker,
-                color=quantity_colour(quantity),
-                markerfacecolor=fill,
-                markersize=4,
-                label=model,
-            )
-        axes.set_title(quantity, loc="left", fontsize=10)
-        tidy(axes, grid="x")
-    panels[0].set_yticks(range(len(sources)), sources)
-    panels[0].invert_yaxis()
-    panels[0].legend(frameon=False, fontsize=8)
-    figure.supxlabel("error over the least of separate, joint and full online; a dot a setting", fontsize=9)
-    return figure
+        yield {
+            "parameter": key,
+            "default": getattr(getattr(default, group), name),
+            "least": min(values),
+            "median": float(np.median(values)),
+            "greatest": max(values),
+        }
 
 
 def _rounds(settings: Settings) -> int:

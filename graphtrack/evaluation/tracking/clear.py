@@ -9,13 +9,13 @@ TrackEval, so that figures can be compared.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from graphtrack.evaluation.tracking.detections import IntArray
-from graphtrack.evaluation.tracking.similarity import EPSILON, SharedFrames
+from graphtrack.evaluation.tracking.similarity import EPSILON, SharedFrames, Summed
 from graphtrack.geometry.angles import BoolArray, FloatArray
 
 MOSTLY_TRACKED, MOSTLY_LOST = 0.8, 0.2
@@ -28,8 +28,8 @@ NOBODY = -1
 
 
 @dataclass(frozen=True)
-class ClearCounts:
-    """What was counted.
+class ClearCounts(Summed):
+    """Counts of CLEAR MOT.
 
     Attributes
     ----------
@@ -49,9 +49,6 @@ class ClearCounts:
     partly_tracked: int
     mostly_lost: int
     similarity: float
-
-    def __add__(self, other: ClearCounts) -> ClearCounts:
-        return ClearCounts(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     @property
     def mota(self) -> float:
@@ -77,7 +74,7 @@ class ClearCounts:
 
 @dataclass(frozen=True, eq=False)
 class FrameMatches:
-    """Who is matched with whom in a frame that has both truth and estimates, k pairs.
+    """Matches in a frame that has both truth and estimates, k pairs.
 
     Attributes
     ----------
@@ -142,7 +139,8 @@ def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
         fragmentations += int(np.count_nonzero(matched.found_again))
         total += float(matched.similarity.sum())
         found[matched.truth] += 1
-    tracked, lost = _mostly(found / frames.truth_rows)
+    share = found / frames.truth_rows
+    tracked, lost = (int(np.count_nonzero(some)) for some in (share > MOSTLY_TRACKED, share < MOSTLY_LOST))
     n_people = len(frames.truth_rows)
     return ClearCounts(
         matches=matches,
@@ -163,8 +161,3 @@ def _matched(similarity: FloatArray, kept: BoolArray, threshold: float) -> tuple
     rows, columns = linear_sum_assignment(worth, maximize=True)
     matched = worth[rows, columns] > EPSILON
     return rows[matched], columns[matched]
-
-
-def _mostly(share: FloatArray) -> tuple[int, int]:
-    """How many people are mostly tracked, and how many mostly lost, by the share of their rows found."""
-    return int(np.count_nonzero(share > MOSTLY_TRACKED)), int(np.count_nonzero(share < MOSTLY_LOST))

@@ -31,7 +31,7 @@ REHEARSED = 5
 
 @dataclass(frozen=True)
 class TrackerResult:
-    """What came out of a method.
+    """The result of a method.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class TrackerResult:
 
 @dataclass(frozen=True)
 class TrackerComparison:
-    """What came out of comparing trackers.
+    """The result of comparing trackers.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Who is where in which frame: what is compared, whether it lies on the ground or in the image."""
+"""Detections with an identity: positions on the ground or boxes in the image."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def known_detections(track_id: IntArray, frame: IntArray, place: FloatArray) -> 
 
 
 def true_detections(tracks: TrackSet) -> Detections:
-    """Where people are by the truth: the true positions where any are known, else the positions.
+    """Detections of the truth: the true positions where any are known, else the positions.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def true_detections(tracks: TrackSet) -> Detections:
 
 
 def estimated_detections(tracks: TrackSet) -> Detections:
-    """Where people are by the estimates: their positions.
+    """Detections of the estimates: their positions.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def boxes(rows: Rows) -> Detections:
 
 
 def missing_in_words(truth: Detections, estimates: Detections) -> tuple[str, ...]:
-    """How many rows were left out, if any were."""
+    """Numbers of rows that were left out, in words."""
     both = (("truth", truth), ("estimates", estimates))
     return tuple(
         f"{counted(of.missing, 'row')} of the {name} without a place: left out"

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from graphtrack.evaluation.tracking.detections import IntArray
-from graphtrack.evaluation.tracking.similarity import EPSILON, SharedFrames
+from graphtrack.evaluation.tracking.similarity import EPSILON, SharedFrames, Summed
 from graphtrack.geometry.angles import FloatArray
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
@@ -26,7 +26,7 @@ ALPHAS = np.arange(0.05, 0.99, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
-class HotaCounts:
+class HotaCounts(Summed):
     """Sums over the rows, (19,) each, one a value of `ALPHAS`.
 
     Attributes
@@ -44,11 +44,6 @@ class HotaCounts:
     association_recall: FloatArray
     association_precision: FloatArray
     similarity: FloatArray
-
-    def __add__(self, other: HotaCounts) -> HotaCounts:
-        return HotaCounts(
-            *(mine + its for mine, its in zip(vars(self).values(), vars(other).values(), strict=True))
-        )
 
     def curves(self) -> dict[str, FloatArray]:
         """The figures at each α, (19,) each: HOTA, DetA, AssA and what they are made of, and LocA."""
@@ -94,7 +89,7 @@ def _matches(frames: SharedFrames) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _alike(frames: SharedFrames) -> FloatArray:
-    """How alike a true person and a track are over the whole sequence, (people, tracks), from 0 to 1.
+    """Similarity of true people and tracks over the whole sequence, (people, tracks), from 0 to 1.
 
     The rows that they may have in common over the rows of both. In a frame a pair counts by its similarity
     over all similarities of either of them, so that a crowd gives nobody more than one row.

@@ -13,23 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.evaluation.tracking.similarity import SharedFrames
+from graphtrack.evaluation.tracking.similarity import SharedFrames, Summed
 
 
 @dataclass(frozen=True)
-class IdentityCounts:
+class IdentityCounts(Summed):
     """Rows of the truth and of the estimates under the best pairing: IDTP, IDFN, IDFP."""
 
     true_positives: int
     misses: int
     false_positives: int
-
-    def __add__(self, other: IdentityCounts) -> IdentityCounts:
-        return IdentityCounts(
-            self.true_positives + other.true_positives,
-            self.misses + other.misses,
-            self.false_positives + other.false_positives,
-        )
 
     @property
     def idp(self) -> float:

@@ -41,7 +41,7 @@ Pair = tuple[str, Detections, Detections]
 def score(
     estimates: Given, truth: Given, *, metres: float | None = None, iou: float | None = None
 ) -> TrackingScore:
-    """How well tracks and identities are kept: HOTA, IDF1, MOTA and what they are made of.
+    """Score tracks and identities: HOTA, IDF1, MOTA and their parts.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
 
 
 def similarity_of(threshold: Threshold) -> Similarity:
-    """How alike two detections are where matches are demanded like that."""
+    """The similarity of two detections for a threshold."""
     if threshold.measure == "iou":
         return box_similarity
     # Zero at twice the distance: then a similarity of one half stands for the distance itself.

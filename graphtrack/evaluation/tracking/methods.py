@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
@@ -15,7 +16,7 @@ from graphtrack.association.rows import associated
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.baselines.hungarian import HungarianParameters, track_detections
 from graphtrack.errors import InputError
-from graphtrack.evaluation.tracking.peers import TUNED, PeerName, PeerParameters, load, track_boxes
+from graphtrack.evaluation.tracking.peers import TUNED, PeerName, load, track_boxes
 from graphtrack.inference.offline import solve
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
@@ -28,7 +29,7 @@ TRACKERS = ("associate", "online", "hungarian")
 
 
 class TrackingMethod(Protocol):
-    """What finds out who is who.
+    """A tracker of many people.
 
     Attributes
     ----------
@@ -43,92 +44,70 @@ class TrackingMethod(Protocol):
 
     @property
     def online(self) -> bool:
-        """Whether what it says of a frame depends on what came before alone."""
+        """True if the output of a frame depends on the past alone."""
 
     @property
     def information(self) -> str:
-        """What it does, in words."""
+        """A description in words."""
 
     def track(self, detections: Detections) -> TrackSet:
         """The people, from detections of a whole recording, which an online method reads frame by frame."""
 
 
 @dataclass(frozen=True)
-class Associated:
+class FunctionTracker:
+    """A tracker made of a function of detections."""
+
+    name: str
+    online: bool
+    information: str
+    function: Callable[[Detections], TrackSet]
+
+    def track(self, detections: Detections) -> TrackSet:
+        """The function's tracks."""
+        return self.function(detections)
+
+
+def _associate(model: Model) -> FunctionTracker:
     """`associate`, then the smoother, as `graphtrack smooth` has them one after the other."""
 
-    model: Model
-
-    name = "associate"
-    online = False
-    information = "past and future; smoothed, gaps filled"
-
-    def track(self, detections: Detections) -> TrackSet:
-        """All people at once, each from first to last."""
+    def track(detections: Detections) -> TrackSet:
         try:
-            found = associated(_rows(detections), self.model.scene)
+            found = associated(_rows(detections), model.scene)
         except InputError:  # of detections, which have places and times: nobody is there
             return TrackSet(())
-        return smoothed(found, self.model)
+        return smoothed(found, model)
+
+    return FunctionTracker("associate", False, "past and future; smoothed, gaps filled", track)
 
 
-@dataclass(frozen=True)
-class Online:
-    """`OnlineTracker`, as `graphtrack track` has it: what it said at once."""
+def _online(model: Model) -> FunctionTracker:
+    """`OnlineTracker`, as `graphtrack track` has it: its first answers."""
 
-    model: Model
-
-    name = "online"
-    online = True
-    information = "past only; predicted while probably there"
-
-    def track(self, detections: Detections) -> TrackSet:
-        """Frame by frame."""
+    def track(detections: Detections) -> TrackSet:
         try:
-            return track_rows(_rows(detections), OnlineTracker(self.model))
-        except InputError:  # nobody was said to be there
+            return track_rows(_rows(detections), OnlineTracker(model))
+        except InputError:  # nobody was reported
             return TrackSet(())
 
+    return FunctionTracker("online", True, "past only; predicted while probably there", track)
 
-@dataclass(frozen=True)
-class Hungarian:
+
+def _hungarian(model: Model) -> FunctionTracker:
     """Our plain Kalman filter and Hungarian method."""
-
-    parameters: HungarianParameters = field(default_factory=HungarianParameters)
-
-    name = "hungarian"
-    online = True
-
-    @property
-    def information(self) -> str:
-        """What it reports of those who are not seen."""
-        return f"past only; predicted for up to {self.parameters.coasting:g} s"
-
-    def track(self, detections: Detections) -> TrackSet:
-        """Frame by frame."""
-        return track_detections(detections, self.parameters)
+    parameters = HungarianParameters()
+    information = f"past only; predicted for up to {parameters.coasting:g} s"
+    track = partial(track_detections, parameters=parameters)
+    return FunctionTracker("hungarian", True, information, track)
 
 
-@dataclass(frozen=True)
-class Peer:
-    """A tracker of the package ``trackers``; see `graphtrack.evaluation.tracking.peers`."""
+def _peer(name: PeerName) -> FunctionTracker:
+    """A tracker of the package ``trackers``; an `InputError` when it runs where that is not installed."""
 
-    name: PeerName
-    parameters: PeerParameters
+    def track(detections: Detections) -> TrackSet:
+        return track_boxes(detections, TUNED[name], *load(name))
 
-    online = True
-    information = "past only; boxes, where they were detected"
-
-    def track(self, detections: Detections) -> TrackSet:
-        """Frame by frame.
-
-        Raises
-        ------
-        InputError
-            If the package is not installed.
-        """
-        make, boxes_of = load(self.name)
-        return track_boxes(detections, self.parameters, make, boxes_of)
+    return FunctionTracker(name, True, "past only; boxes, where they were detected", track)
 
 
 def _rows(detections: Detections) -> Rows:
@@ -157,11 +136,11 @@ def smoothed(tracks: TrackSet, model: Model) -> TrackSet:
 
 registry: Mapping[str, Callable[[Model], TrackingMethod]] = MappingProxyType(
     {
-        "associate": Associated,
-        "online": Online,
-        "hungarian": lambda model: Hungarian(),
-        "bytetrack": lambda model: Peer("bytetrack", TUNED["bytetrack"]),
-        "ocsort": lambda model: Peer("ocsort", TUNED["ocsort"]),
+        "associate": _associate,
+        "online": _online,
+        "hungarian": _hungarian,
+        "bytetrack": lambda model: _peer("bytetrack"),
+        "ocsort": lambda model: _peer("ocsort"),
     }
 )
 """Name → factory of the method, for the model that smooths. Another method is another line here."""

@@ -32,7 +32,7 @@ CONFIDENT = 1.0
 
 @dataclass(frozen=True)
 class PeerParameters:
-    """What a tracker of boxes is told.
+    """Parameters of a tracker of boxes.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ TUNED: dict[PeerName, PeerParameters] = {
     "bytetrack": PeerParameters(minimum_iou=0.1, longest_gap=3.2),
     "ocsort": PeerParameters(side=1.4, minimum_iou=0.1, minimum_frames=1),
 }
-"""What `tuning` finds best on made-up crowds at 2.5 Hz."""
+"""The best parameters on simulated crowds at 2.5 Hz, by `tuning`."""
 
 _CLASSES: dict[PeerName, str] = {"bytetrack": "ByteTrackTracker", "ocsort": "OCSORTTracker"}
 

@@ -1,4 +1,4 @@
-"""What is made of the counts: the figures of a sequence, and those of all sequences together."""
+"""Metrics from counts: of a sequence, and of all sequences together."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from graphtrack.display import LONGEST, MOST, counted, html_table
 from graphtrack.evaluation.tracking.clear import ClearCounts, clear_counts
 from graphtrack.evaluation.tracking.hota import ALPHAS, HotaCounts, hota_counts
 from graphtrack.evaluation.tracking.identity import IdentityCounts, identity_counts
-from graphtrack.evaluation.tracking.similarity import SharedFrames
+from graphtrack.evaluation.tracking.similarity import SharedFrames, Summed
 
 TOGETHER = "together"
 
@@ -46,7 +46,7 @@ IN_SHORT = ("hota", "det_a", "ass_a", "idf1", "mota", "precision", "recall", "sw
 
 @dataclass(frozen=True)
 class Threshold:
-    """How close two detections have to be to be the same person's.
+    """The largest distance or least overlap of two detections of the same person.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Threshold:
 
 @dataclass(frozen=True)
 class SequenceScore:
-    """How well tracks and identities were kept in one sequence, or in all together.
+    """Metrics of tracks and identities in one sequence, or in all together.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class SequenceScore:
 
 @dataclass(frozen=True)
 class TrackingScore:
-    """How well tracks and identities were kept.
+    """Metrics of tracks and identities.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class TrackingScore:
 
 
 @dataclass(frozen=True)
-class Counts:
+class Counts(Summed):
     """All that is counted in one sequence, or in several."""
 
     frames: int
@@ -182,16 +182,6 @@ class Counts:
     hota: HotaCounts
     identity: IdentityCounts
     clear: ClearCounts
-
-    def __add__(self, other: Counts) -> Counts:
-        return Counts(
-            self.frames + other.frames,
-            self.people + other.people,
-            self.tracks + other.tracks,
-            self.hota + other.hota,
-            self.identity + other.identity,
-            self.clear + other.clear,
-        )
 
 
 def count(frames: SharedFrames, threshold: Threshold) -> Counts:
@@ -209,6 +199,11 @@ def count(frames: SharedFrames, threshold: Threshold) -> Counts:
 def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
     """The figures that follow from what was counted."""
     clear, identity, curves = counts.clear, counts.identity, counts.hota.curves()
+    means = {"hota": "HOTA", "det_a": "DetA", "ass_a": "AssA", "loc_a": "LocA"}
+    alike: dict[str, Any] = {key: float(curves[curve].mean()) for key, curve in means.items()}
+    alike |= {
+        name: getattr(clear, name) for name in ("mota", "motp", "precision", "recall", "matches", *COUNTS)
+    }
     return SequenceScore(
         name=name,
         frames=counts.frames,
@@ -216,26 +211,11 @@ def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
         tracks=counts.tracks,
         rows=clear.matches + clear.misses,
         estimated_rows=clear.matches + clear.false_positives,
-        hota=float(curves["HOTA"].mean()),
-        det_a=float(curves["DetA"].mean()),
-        ass_a=float(curves["AssA"].mean()),
-        loc_a=float(curves["LocA"].mean()),
         idf1=identity.idf1,
         idp=identity.idp,
         idr=identity.idr,
-        mota=clear.mota,
-        motp=clear.motp,
         mean_distance=threshold.distance(clear.motp) if clear.matches else None,
-        precision=clear.precision,
-        recall=clear.recall,
-        matches=clear.matches,
-        misses=clear.misses,
-        false_positives=clear.false_positives,
-        switches=clear.switches,
-        fragmentations=clear.fragmentations,
-        mostly_tracked=clear.mostly_tracked,
-        partly_tracked=clear.partly_tracked,
-        mostly_lost=clear.mostly_lost,
+        **alike,
         curves={key: tuple(values.tolist()) for key, values in {"alpha": ALPHAS, **curves}.items()},
     )
 

@@ -1,9 +1,10 @@
-"""How alike two detections are, from 0 to 1, and the frames in which truth and estimates are compared."""
+"""Similarity of two detections, from 0 to 1, and the frames in which truth and estimates are compared."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 
@@ -15,7 +16,7 @@ Similarity = Callable[[FloatArray, FloatArray], FloatArray]
 """Places (n, k) and (m, k) → similarities (n, m)."""
 
 EPSILON = float(np.finfo(float).eps)
-"""What a similarity may fall short of a threshold, and a sum may exceed zero, by rounding."""
+"""Rounding tolerance of similarities and sums."""
 
 
 def ground_similarity(truth: FloatArray, estimates: FloatArray, zero_distance: float) -> FloatArray:
@@ -67,6 +68,14 @@ class SharedFrames:
 
     def __len__(self) -> int:
         return len(self.similarity)
+
+
+class Summed:
+    """Counts that add up over sequences, field by field."""
+
+    def __add__(self, other: Self) -> Self:
+        pairs: Any = self
+        return type(self)(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(pairs)))
 
 
 def share_frames(

@@ -33,7 +33,7 @@ PLACES = (
     Place(width=20.0, depth=10.0, arrivals=0.8, pairs=0.5),
     Place(speed=1.0, sway=0.25, stops=0.3),
 )
-"""Where the crowds are that `made_up_scenes` has: one a place."""
+"""The places of the crowds of `made_up_scenes`, one each."""
 
 FAULTS = Detector(missed=0.15, occluded_share=0.5, occluded_seconds=2.0, clutter=1.0, clutter_count="fixed")
 
@@ -81,7 +81,7 @@ def made_up_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[Scene, ...]
 
 
 def worth(score: SequenceScore) -> float:
-    """What is made as great as can be: the mean of HOTA, IDF1 and MOTA."""
+    """The objective that is maximised: the mean of HOTA, IDF1 and MOTA."""
     return (score.hota + score.idf1 + score.mota) / 3.0
 
 

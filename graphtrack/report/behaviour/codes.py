@@ -38,7 +38,7 @@ Index = NDArray[np.intp]
 def behaviour_codes(
     behaviour: Behaviour, tracks: Sequence[Track], kept: Sequence[Index]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """What belongs to the scene, and what to each person, for `graphtrack.report.replay.replay_data`.
+    """Codes of the scene and of each person, for `graphtrack.report.replay.replay_data`.
 
     Parameters
     ----------

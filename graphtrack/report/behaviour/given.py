@@ -1,4 +1,4 @@
-"""What is shown beside tracks: groups, looks and forecasts of the people in them, checked to be of them."""
+"""Groups, looks and forecasts that are shown with tracks, checked to be of their people."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SAME_TIME = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Behaviour:
-    """What people do, besides moving; None or nothing where it is not known.
+    """Groups, attention and forecasts of people; None where not known.
 
     Attributes
     ----------

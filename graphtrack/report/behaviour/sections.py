@@ -46,7 +46,7 @@ def behaviour_sections(behaviour: Behaviour, tracks: TrackSet, pairs: Sequence[P
 
 
 def behaviour_cards(behaviour: Behaviour) -> tuple[Card, ...]:
-    """How many groups, and how much of the time people look at somebody or something."""
+    """Number of groups, and the share of the time that people look at somebody or something."""
     cards = []
     if behaviour.groups is not None:
         grouped = float(np.mean(behaviour.groups.group >= 0)) if len(behaviour.groups) else 0.0

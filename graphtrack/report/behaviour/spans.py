@@ -1,4 +1,4 @@
-"""What is said of each group: from when to when, of whom, how many, how sure."""
+"""Summary of each group: times, members, sizes and probability."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from graphtrack.report.rows import ErrorRow, NeesRow, Records, distinct, error_rows, nees_rows
+from graphtrack.errors import InputError
+from graphtrack.evaluation.calibration import chi_square_band
+from graphtrack.report.rows import Records, distinct, records
 from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, quantity_colour, tidy
 
 PANELS_A_LINE = 3
@@ -34,13 +36,13 @@ def plot_errors(comparison: Records) -> Figure:
     InputError
         When there are no rows or a column is missing.
     """
-    rows = error_rows(comparison)
-    methods, metrics = distinct(row.method for row in rows), distinct(row.metric for row in rows)
+    rows = records(comparison, ("method", "metric", "unit"), ("median", "low", "high"))
+    methods, metrics = distinct(row["method"] for row in rows), distinct(row["metric"] for row in rows)
     figure, panels = _panels(len(metrics), len(methods))
     for axes, metric in zip(panels, metrics, strict=True):
-        mine = [row for row in rows if row.metric == metric]
+        mine = [row for row in rows if row["metric"] == metric]
         _draw_errors(axes, mine, methods)
-        unit = mine[0].unit
+        unit = mine[0]["unit"]
         axes.set_title(_words(metric) + (f" ({unit})" if unit else ""), loc="left", fontsize=10)
     return figure
 
@@ -67,11 +69,15 @@ def plot_nees(consistency: Records) -> Figure:
     InputError
         When there are no rows, a column is missing, or ``dof`` or ``count`` is not positive.
     """
-    rows = nees_rows(consistency)
-    methods, quantities = distinct(row.method for row in rows), distinct(row.quantity for row in rows)
+    rows = records(consistency, ("method", "quantity"), ("nees", "dof", "count"))
+    for row in rows:
+        for column in ("dof", "count"):
+            if not row[column] > 0.0:
+                raise InputError(f"{row[column]} for {row['method']}", "a positive number", column=column)
+    methods, quantities = distinct(row["method"] for row in rows), distinct(row["quantity"] for row in rows)
     figure, panels = _panels(len(quantities), len(methods))
     for axes, quantity in zip(panels, quantities, strict=True):
-        _draw_nees(axes, [row for row in rows if row.quantity == quantity], methods)
+        _draw_nees(axes, [row for row in rows if row["quantity"] == quantity], methods)
         axes.set_title(f"NEES of {_words(quantity)}", loc="left", fontsize=10)
     figure.supxlabel("← covariance too large      grey: 95 % χ² band      covariance too small →", fontsize=9)
     return figure
@@ -94,39 +100,41 @@ def _method_axis(axes: Axes, methods: Sequence[str]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-def _draw_errors(axes: Axes, rows: list[ErrorRow], methods: Sequence[str]) -> None:
+def _draw_errors(axes: Axes, rows: list[Mapping[str, Any]], methods: Sequence[str]) -> None:
     ends: list[float] = []
-    most = max((v for r in rows for v in (r.median, r.high) if np.isfinite(v)), default=0.0)
+    most = max((v for r in rows for v in (r["median"], r["high"]) if np.isfinite(v)), default=0.0)
     for row in rows:
-        if not np.isfinite(row.median):
+        median, span = row["median"], [row["low"], row["high"]]
+        if not np.isfinite(median):
             continue
-        y, colour = methods.index(row.method), quantity_colour(row.metric)
-        if np.isfinite([row.low, row.high]).all():
-            axes.plot([row.low, row.high], [y, y], color=colour, lw=3.0, alpha=0.35, solid_capstyle="round")
-            ends += [row.low, row.high]
-        axes.plot(row.median, y, "o", color=colour, markersize=7, markeredgecolor="white")
+        y, colour = methods.index(str(row["method"])), quantity_colour(row["metric"])
+        if np.isfinite(span).all():
+            axes.plot(span, [y, y], color=colour, lw=3.0, alpha=0.35, solid_capstyle="round")
+            ends += span
+        axes.plot(median, y, "o", color=colour, markersize=7, markeredgecolor="white")
         # A number in the middle above a dot at the axis would lie across it.
-        _write_above(axes, row.median, y, "left" if 0.0 <= row.median < 0.08 * most else "center")
-        ends.append(row.median)
+        _write_above(axes, median, y, "left" if 0.0 <= median < 0.08 * most else "center")
+        ends.append(median)
     _method_axis(axes, methods)
     # From zero, so that lengths compare; a metric that can be negative keeps its own range.
     if ends and min(ends) >= 0.0:
         axes.set_xlim(0.0, max(ends) * 1.12 or 1.0)
 
 
-def _draw_nees(axes: Axes, rows: list[NeesRow], methods: Sequence[str]) -> None:
+def _draw_nees(axes: Axes, rows: list[Mapping[str, Any]], methods: Sequence[str]) -> None:
     shown: list[float] = []
     for row in rows:
-        y, (low, high) = methods.index(row.method), row.band
+        nees, dof = row["nees"], row["dof"]
+        y, (low, high) = methods.index(str(row["method"])), chi_square_band(dof, row["count"])
         axes.barh(y, high - low, left=low, height=0.4, color="#C9CED6", zorder=1)
-        axes.plot([row.dof, row.dof], [y - 0.2, y + 0.2], color=NEUTRAL_COLOUR, linewidth=1.0, zorder=2)
+        axes.plot([dof, dof], [y - 0.2, y + 0.2], color=NEUTRAL_COLOUR, linewidth=1.0, zorder=2)
         shown += [low, high]
-        if np.isfinite(row.nees) and row.nees > 0.0:
-            inside = low <= row.nees <= high
-            colour = quantity_colour(row.quantity)
+        if np.isfinite(nees) and nees > 0.0:
+            inside = low <= nees <= high
+            colour = quantity_colour(row["quantity"])
             # Filled inside the band and hollow outside: the verdict does not hang on a colour.
             axes.plot(
-                row.nees,
+                nees,
                 y,
                 "o",
                 color=colour,
@@ -135,8 +143,8 @@ def _draw_nees(axes: Axes, rows: list[NeesRow], methods: Sequence[str]) -> None:
                 markeredgewidth=1.8,
                 zorder=3,
             )
-            _write_above(axes, row.nees, y)
-            shown.append(row.nees)
+            _write_above(axes, nees, y)
+            shown.append(nees)
     _method_axis(axes, methods)
     axes.set_xscale("log")
     axes.set_xlim(min(shown) / 1.5, max(shown) * 1.5)

@@ -1,4 +1,4 @@
-"""Where looks fall: on the ground, over time, and who looks at whom."""
+"""Plots of gaze: on the ground, over time, and who looks at whom."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR,
 from graphtrack.tracks import Track
 
 
-def plot_angles(estimate: Track, observation: Track | None = None, *, show_truth: bool = True) -> Figure:
+def plot_angles(estimate: Track, observation: Track | None = None) -> Figure:
     """Draw the body and head orientation of one person over time, in degrees.
 
     One panel for each angle that is estimated or observed: the estimate with its ±1σ and 95 % bands, the
@@ -23,17 +23,12 @@ def plot_angles(estimate: Track, observation: Track | None = None, *, show_truth
     ----------
     estimate : with ``body`` and ``head`` where they are known, and ``covariance`` for the bands
     observation : the track it was estimated from
-    show_truth : draw the true angles where either track knows them
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    return plot_angles_of(pair_track(estimate, observation), show_truth=show_truth)
-
-
-def plot_angles_of(pair: Pair, *, show_truth: bool = True) -> Figure:
-    """`plot_angles` of a track that is already paired with its observations."""
+    pair = pair_track(estimate, observation)
     names = [name for name in ANGLE_COLOURS if has_angle(pair, name)]
     figure = new_figure(9.4, 1.0 + 2.3 * max(len(names), 1))
     figure.suptitle(pair.name.replace("$", r"\$"), x=0.01, ha="left", fontsize=11)
@@ -44,13 +39,13 @@ def plot_angles_of(pair: Pair, *, show_truth: bool = True) -> Figure:
         return figure
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     for axes, name in zip(panels, names, strict=True):
-        _draw_angle(axes, pair, name, show_truth)
+        _draw_angle(axes, pair, name)
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9)
     panels[-1].set_xlabel("time (s)")
     return figure
 
 
-def _draw_angle(axes: Axes, pair: Pair, name: str, show_truth: bool) -> None:
+def _draw_angle(axes: Axes, pair: Pair, name: str) -> None:
     colour, estimate = ANGLE_COLOURS[name], pair.estimate
     angle, std = getattr(estimate, name), estimate.std(name)
     if pair.observation is not None:
@@ -69,7 +64,7 @@ def _draw_angle(axes: Axes, pair: Pair, name: str, show_truth: bool) -> None:
                     zorder=1.5,
                 )
     truth = pair.true_angle(name)
-    if show_truth and np.isfinite(truth).any():
+    if np.isfinite(truth).any():
         t, cut = break_at_seam(*open_holes(estimate.t, truth))
         axes.plot(t, np.degrees(cut), color=TRUTH_COLOUR, lw=1.0, dashes=(5, 2.5), label="truth", zorder=4)
     if angle is not None and np.isfinite(angle).any():

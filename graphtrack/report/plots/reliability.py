@@ -1,4 +1,4 @@
-"""Do intervals hold what they promise? How often they cover the truth, against how often they should."""
+"""Reliability diagrams: coverage of intervals against their probability."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def plot_reliability(calibration: Records) -> Figure:
         When there are no rows or a column is missing.
     """
     rows = records(calibration, _COLUMNS)
-    methods = distinct(str(row["method"]) for row in rows)
-    quantities = distinct(str(row["quantity"]) for row in rows)
+    methods = distinct(row["method"] for row in rows)
+    quantities = distinct(row["quantity"] for row in rows)
     figure = new_figure(0.9 + 2.7 * len(quantities), 3.4 + 0.17 * len(methods))
     panels = figure.subplots(1, len(quantities), squeeze=False, sharex=True, sharey=True).ravel()
     for axes, quantity in zip(panels, quantities, strict=True):

@@ -14,12 +14,19 @@ from matplotlib.patches import Ellipse as EllipsePatch
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from graphtrack.display import VELOCITY_COLOUR, person_colour
+from graphtrack.display import person_colour
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots.crowd import plot_crowd
 from graphtrack.report.shapes import finite_runs, longest_step, probability_ellipse
-from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, person_dash, tidy
+from graphtrack.report.style import (
+    ANGLE_COLOURS,
+    NEUTRAL_COLOUR,
+    TRUTH_COLOUR,
+    new_figure,
+    person_dash,
+    tidy,
+)
 from graphtrack.tracks import Track, TrackSet
 
 MARKED_GAP = 3
@@ -49,8 +56,6 @@ def plot_tracks(
     estimates: TrackSet,
     observations: TrackSet | None = None,
     *,
-    show_truth: bool = True,
-    show_velocity: bool = False,
     arrow_interval: float | None = None,
     title: str = "",
 ) -> Figure:
@@ -65,8 +70,7 @@ def plot_tracks(
     ----------
     estimates : tracks with whatever channels they have; people without a finite position are left out
     observations : the tracks they were estimated from, matched by ``track_id``
-    show_truth : draw true positions where either set knows them
-    show_velocity : add arrows along the velocity, half a second long
+
     arrow_interval : seconds between arrows; by default about a dozen for each person, fewer in a crowd
     title : shown above the axes
 
@@ -74,25 +78,12 @@ def plot_tracks(
     -------
     matplotlib.figure.Figure
     """
-    return plot_pairs(
-        pair_tracks(estimates, observations),
-        show_truth=show_truth,
-        show_velocity=show_velocity,
-        arrow_interval=arrow_interval,
-        title=title,
-    )
+    return plot_pairs(pair_tracks(estimates, observations), arrow_interval=arrow_interval, title=title)
 
 
-def plot_pairs(
-    pairs: tuple[Pair, ...],
-    *,
-    show_truth: bool = True,
-    show_velocity: bool = False,
-    arrow_interval: float | None = None,
-    title: str = "",
-) -> Figure:
+def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, title: str = "") -> Figure:
     """`plot_tracks` of tracks that are already paired with their observations."""
-    extent = _extent(pairs, show_truth)
+    extent = _extent(pairs)
     if is_crowd(pairs):
         return plot_crowd(pairs, extent, title)
     span_x, span_y = extent[1] - extent[0]
@@ -121,27 +112,13 @@ def plot_pairs(
     for index, (pair, at) in enumerate(zip(pairs, chosen, strict=True)):
         colour, dash = person_colour(index), person_dash(index)
         _draw_observations(axes, pair, colour)
-        if show_truth:
-            axes.plot(*pair.true_position.T, color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5), zorder=2.5)
+        axes.plot(*pair.true_position.T, color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5), zorder=2.5)
         _draw_path(axes, pair, colour, dash)
         _draw_ellipses(axes, pair, at, colour, enlarged)
-        if show_velocity and pair.estimate.velocity is not None:
-            position, velocity = pair.estimate.position[at], pair.estimate.velocity[at]
-            axes.quiver(
-                *position.T,
-                *velocity.T,
-                color=VELOCITY_COLOUR,
-                angles="xy",
-                scale_units="xy",
-                scale=2.0,
-                units="inches",
-                width=0.016 * size,
-                zorder=4,
-            )
         for name in ("body", "head"):
             _draw_heading(axes, pair.estimate, name, at, size, inch)
         _draw_id(axes, pair, colour)
-    handles = _legend(pairs, show_truth, show_velocity, enlarged)
+    handles = _legend(pairs, enlarged)
     if handles:
         figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=9)
     else:
@@ -151,16 +128,15 @@ def plot_pairs(
 
 
 def is_crowd(pairs: tuple[Pair, ...]) -> bool:
-    """Whether more than `CROWD` people have a position to draw."""
+    """True if more than `CROWD` people have a position to draw."""
     return sum(bool(finite_rows(pair.estimate.position).any()) for pair in pairs) > CROWD
 
 
-def _extent(pairs: tuple[Pair, ...], show_truth: bool) -> FloatArray:
+def _extent(pairs: tuple[Pair, ...]) -> FloatArray:
     """Lower and upper corner (2, 2) of all that is drawn, with a margin, at least two metres wide."""
     clouds = [pair.estimate.position for pair in pairs]
     clouds += [pair.observation.position for pair in pairs if pair.observation is not None]
-    if show_truth:
-        clouds += [pair.true_position for pair in pairs]
+    clouds += [pair.true_position for pair in pairs]
     points = np.concatenate([np.empty((0, 2)), *clouds])
     points = points[finite_rows(points)]
     if not len(points):
@@ -174,12 +150,8 @@ def _extent(pairs: tuple[Pair, ...], show_truth: bool) -> FloatArray:
 
 
 def _nice_interval(pairs: tuple[Pair, ...]) -> float:
-    durations = [float(np.ptp(pair.estimate.t)) for pair in pairs]
-    longest = max(durations, default=0.0)
-    if longest == 0.0:
-        return 1.0
-    wanted = longest / (12.0 if len(pairs) <= 8 else 7.0)
-    return _round_up(wanted)
+    longest = max((float(np.ptp(pair.estimate.t)) for pair in pairs), default=0.0)
+    return _round_up(longest / (12.0 if len(pairs) <= 8 else 7.0)) if longest > 0.0 else 1.0
 
 
 def _round_up(wanted: float) -> float:
@@ -314,9 +286,7 @@ def _draw_id(axes: Axes, pair: Pair, colour: str) -> None:
     )
 
 
-def _legend(
-    pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool, enlarged: float
-) -> list[Line2D | Patch]:
+def _legend(pairs: tuple[Pair, ...], enlarged: float) -> list[Line2D | Patch]:
     """Handles for what the figure really holds."""
     estimates = [pair.estimate for pair in pairs]
     if not any(finite_rows(estimate.position).any() for estimate in estimates):
@@ -342,13 +312,11 @@ def _legend(
     for name, colour in ANGLE_COLOURS.items():
         if any(getattr(e, name) is not None and np.isfinite(getattr(e, name)).any() for e in estimates):
             handles.append(_key(name, color=colour, **arrow))
-    if show_velocity and any(e.velocity is not None for e in estimates):
-        handles.append(_key("velocity (½ s)", color=VELOCITY_COLOUR, **arrow))
     if any(e.covariance is not None for e in estimates):
         words = "95 % of position" + (f", enlarged {enlarged:g}×" if enlarged > 1.0 else "")
         faint = (*to_rgb(NEUTRAL_COLOUR), 0.25)
         handles.append(Patch(facecolor=faint, edgecolor=NEUTRAL_COLOUR, linewidth=0.8, label=words))
-    if show_truth and any(np.isfinite(pair.true_position).any() for pair in pairs):
+    if any(np.isfinite(pair.true_position).any() for pair in pairs):
         handles.append(_key("truth", color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5)))
     if len(pairs) <= NAMED_PEOPLE:
         for i, pair in enumerate(pairs):

@@ -16,7 +16,7 @@ import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
 from graphtrack.baselines.hungarian import HungarianParameters
 from graphtrack.evaluation.tracking.compare import compare_trackers, read_detections
-from graphtrack.evaluation.tracking.methods import Hungarian, registry
+from graphtrack.evaluation.tracking.methods import make_tracker
 from graphtrack.evaluation.tracking.peers import (
     INSTALL,
     TUNED,
@@ -25,9 +25,9 @@ from graphtrack.evaluation.tracking.peers import (
     load,
     track_boxes,
 )
-from graphtrack.evaluation.tracking.similarity import box_similarity
-from graphtrack.evaluation.tracking.tuning import Scene, judged, made_up_scenes, tuned, worth
+from graphtrack.evaluation.tracking.tuning import Scene, tuned
 from graphtrack.io.options import ReadOptions
+from graphtrack.model import Model
 from graphtrack.simulation.crowd import Place, crowd
 from graphtrack.simulation.detector import Detector, detect
 from graphtrack.table.detections import Detections
@@ -107,7 +107,7 @@ def test_our_trackers_find_most_and_the_offline_one_more(scene: Scene) -> None:
 
 
 def test_figures_are_those_of_score(scene: Scene) -> None:
-    method = Hungarian()
+    method = make_tracker("hungarian", Model("joint"))
     (found,) = compare_trackers(scene.detections, scene.truth, [method], metres=0.7).results
     assert found.score == gt.score(method.track(scene.detections), scene.truth, metres=0.7).together
 
@@ -139,16 +139,6 @@ def test_detections_of_nobody_are_nobodys_tracks() -> None:
 def test_methods_that_are_none_are_refused(methods: list[str], scene: Scene) -> None:
     with pytest.raises(InputError, match="method"):
         compare_trackers(scene.detections, scene.truth, methods)
-
-
-def test_squares_overlap_as_their_distance_says() -> None:
-    parameters = PeerParameters(side=2.0, scale=10.0)
-    frame, position = np.zeros(2, np.int64), np.array([[0.0, 0.0], [0.5, 0.0]])
-    corners = corners_of(Detections(frame, np.zeros(2), position), parameters)
-    np.testing.assert_allclose(corners[0], [-10.0, -10.0, 10.0, 10.0])
-    left_top_size = np.column_stack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
-    overlap = box_similarity(left_top_size[:1], left_top_size[1:])[0, 0]
-    assert overlap == pytest.approx(1.5 / 2.5)
 
 
 def test_boxes_of_the_image_are_given_where_they_are_known() -> None:
@@ -225,18 +215,6 @@ def test_tuning_climbs_to_the_best_and_passes_over_what_is_refused() -> None:
     found = tuned(HungarianParameters(), grid, value, lambda parameters, worth: steps.append(worth))
     assert (found.gate, found.hits, found.frames) == (3.0, 4, 6)
     assert steps == sorted(steps) and steps
-
-
-def test_the_defaults_are_better_than_others_on_crowds_they_were_not_tuned_on() -> None:
-    scenes = made_up_scenes(5, seconds=40.0)
-
-    def value(parameters: HungarianParameters) -> float:
-        return worth(judged(Hungarian(parameters).track, scenes))
-
-    default = value(HungarianParameters())
-    assert default > value(HungarianParameters(gate=1.0)) + 0.02
-    assert default > value(HungarianParameters(longest_gap=0.4)) + 0.02
-    assert default > value(HungarianParameters(acceleration_density=3.0)) + 0.02
 
 
 def test_a_crowd_walks_as_the_place_says() -> None:
@@ -331,20 +309,6 @@ def test_detections_of_a_detector_have_its_boxes_in_the_order_of_time(tmp_path: 
     found, _ = read_detections(tmp_path / "det.txt", None, ReadOptions(metres_per_pixel=0.01, fps=10.0))
     np.testing.assert_array_equal(found.frame, [1, 2])
     np.testing.assert_array_equal(found.channels["box"], [[10, 20, 10, 20], [30, 40, 10, 20]])
-
-
-def test_all_methods_of_the_registry_say_what_they_are() -> None:
-    model = gt.Model("position")
-    for name, make in registry.items():
-        method = make(model)
-        assert method.name == name and method.information and isinstance(method.online, bool)
-
-
-def test_tracks_of_detections_are_of_the_detections(ducks: None, scene: Scene) -> None:
-    found = registry["bytetrack"](gt.Model("position")).track(scene.detections)
-    known = {tuple(place) for place in scene.detections.position}
-    assert all(tuple(place) in known for track in found for place in track.position)
-    assert isinstance(found.tracks[0], Track)
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """`graphtrack score`: pairs of files to tables and JSON, and what is wrong in one line."""
 
-import gzip
 import json
 
 import pytest
@@ -8,7 +7,6 @@ from command import run as run_program
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.io.pairs import paired_files
 
 HEADER = "track_id,frame,t,x,y\n"
 
@@ -92,15 +90,6 @@ def test_folders_of_files_with_the_same_names(here):
     assert gt.score("estimates", "true", metres=0.5).to_dict() == found
 
 
-def test_several_files_in_any_order_and_packed(here):
-    (here / "packed").mkdir()
-    (here / "packed" / "a.csv.gz").write_bytes(gzip.compress(table().encode()))
-    done = run("estimates/b.csv", "estimates/a.csv", "--truth", "packed/a.csv.gz", "--truth", "true/b.csv")
-    assert done.returncode == 0, done.stderr
-    pairs = [["estimates/b.csv", "estimates/a.csv"], ["packed/a.csv.gz", "true/b.csv"]]
-    assert gt.score(*pairs).together.matches == 60
-
-
 def test_what_a_reader_finds_beside_a_file_is_no_sequence(here):
     (here / "true" / "seqinfo.ini").write_text("[Sequence]\nframeRate=10\n")
     assert run("estimates", "--truth", "true").returncode == 0
@@ -177,9 +166,3 @@ def test_the_sequence_without_a_frame_in_common_is_named(here):
     (here / "true" / "b.csv").write_text(table(frames=range(50, 60)))
     with pytest.raises(InputError, match=r"^b: found no frame in common: estimates in frames 0 to 19"):
         gt.score("estimates", "true")
-
-
-def test_pairs_keep_the_order_of_the_estimates(here):
-    folder = here / "estimates"
-    pairs = paired_files([folder / "b.csv", folder / "a.csv"], [here / "true"])
-    assert list(pairs) == ["b", "a"] and pairs["a"] == (folder / "a.csv", here / "true" / "a.csv")

@@ -1,0 +1,45 @@
+"""The experiments of the papers, with their own numbers beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from types import MappingProxyType
+
+from graphtrack.evaluation.reproduce.baxter_caviar import EXPERIMENT as _baxter_caviar
+from graphtrack.evaluation.reproduce.baxter_occlusion import EXPERIMENT as _baxter_occlusion
+from graphtrack.evaluation.reproduce.baxter_simulated import EXPERIMENT as _baxter_simulated
+from graphtrack.evaluation.reproduce.baxter_statistics import EXPERIMENT as _baxter_statistics
+from graphtrack.evaluation.reproduce.baxter_weight import EXPERIMENT as _baxter_weight
+from graphtrack.evaluation.reproduce.chen_classes import EXPERIMENT as _chen_classes
+from graphtrack.evaluation.reproduce.chen_joint import EXPERIMENT as _chen_joint
+from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
+from graphtrack.evaluation.reproduce.gaits import EXPERIMENT as _gaits
+from graphtrack.evaluation.reproduce.honesty import EXPERIMENT as _honesty
+from graphtrack.evaluation.reproduce.meetings import EXPERIMENT as _meetings
+from graphtrack.evaluation.reproduce.strangers import EXPERIMENT as _strangers
+from graphtrack.evaluation.reproduce.unseen_people import EXPERIMENT as _unseen_people
+
+__all__ = ["EXPERIMENTS", "Experiment", "Reproduction", "Settings", "Table", "all_experiments"]
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
+    {
+        experiment.name: experiment
+        for experiment in (
+            *(_baxter_simulated, _baxter_caviar, _baxter_occlusion, _baxter_statistics, _baxter_weight),
+            *(_chen_joint, _chen_classes),
+            *(_gaits, _honesty, _meetings, _strangers, _unseen_people),
+        )
+    }
+)
+"""Name → experiment on tables."""
+
+GROUP = "graphtrack.experiments"
+"""Entry points under which other packages, such as ``perception``, add experiments."""
+
+
+def all_experiments() -> dict[str, Experiment]:
+    """Those on tables, and those that installed packages add, by name."""
+    points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
+    added: list[Experiment] = [point.load() for point in points]
+    return {**EXPERIMENTS, **{experiment.name: experiment for experiment in added}}
