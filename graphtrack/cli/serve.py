@@ -109,7 +109,7 @@ def serve(
     """Serve streams of rows over WebSocket and HTTP, with health and metrics."""
     from graphtrack.cli.track import asked_of, horizon_of
     from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.inference.online_engines import check_lag, online_engine
+    from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.io.cameras import read_homography
     from graphtrack.model import Model
 

@@ -90,11 +90,12 @@ def smooth(
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
     from graphtrack.gaps import at_times, with_times_at
     from graphtrack.inference.chain.engine import fit_lanes
-    from graphtrack.inference.offline import engine_of, solve_tracks
+    from graphtrack.inference.engines import engine_of
     from graphtrack.inference.solution import Failure, Solution
     from graphtrack.inference.warm import make_solver_ready
     from graphtrack.io import write
     from graphtrack.model import Model
+    from graphtrack.smoothing.recording import solve_tracks
     from graphtrack.trust import trusted
 
     options.check_outputs(

@@ -14,8 +14,8 @@ from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrapped
-from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import Estimate, OnlineSmoother
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.json_lines import plain_cells
 from graphtrack.io.readers.ndjson import Pairs, identity, parse_line, read_cells
 from graphtrack.model import Observation

@@ -14,7 +14,7 @@ from scipy import stats
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.offline import engine_of
+from graphtrack.inference.engines import engine_of
 from graphtrack.io.given import tracks_of
 from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite, uncertainty
 from graphtrack.learning.free import Free, free_parameters, with_values

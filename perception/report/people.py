@@ -14,9 +14,10 @@ from graphtrack.errors import InputError
 from graphtrack.evaluation.methods import make_method, own_model
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.offline import engine_of, solve_tracks
+from graphtrack.inference.engines import engine_of
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
+from graphtrack.smoothing.recording import solve_tracks
 from graphtrack.table.columns import to_columns
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes

@@ -24,9 +24,9 @@ from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_den
 from graphtrack.evaluation.reproduce.occlusion_methods import ONLINE, error_of
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.resampling import bootstrap, deviation, mean_difference, reduction
-from graphtrack.inference import track_online
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import TrackSet
 
 

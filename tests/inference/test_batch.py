@@ -15,7 +15,7 @@ from graphtrack.errors import InputError, SolveError
 from graphtrack.geometry.angles import UNIFORM_STD, difference, direction, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.homography import jacobian
-from graphtrack.inference import Failure, Solution, SolverOptions, smooth, smooth_track, solve
+from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import (
@@ -29,6 +29,7 @@ from graphtrack.model import (
     presets,
 )
 from graphtrack.model.parameters import steady
+from graphtrack.smoothing import smooth, solve
 from graphtrack.tracks import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)

@@ -10,8 +10,8 @@ from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.chain.covariance import back_from, pull_apart, sweep_pulls
 from graphtrack.inference.chain.elimination import eliminate, invert_cholesky, workspace
 from graphtrack.inference.offline import smooth_track
-from graphtrack.inference.recorded import track_online
 from graphtrack.model import Model
+from graphtrack.smoothing.recording import track_online
 
 
 def test_the_sweeps_solve_the_chain() -> None:

@@ -12,9 +12,10 @@ from walks import turned, walk, without
 from graphtrack import InputError
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
-from graphtrack.inference import smooth_track, track_online
+from graphtrack.inference import smooth_track
 from graphtrack.inference.deviation import GrowingRate, mean_deviation
 from graphtrack.model import Model
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 

@@ -21,7 +21,7 @@ from graphtrack.geometry.angles import (
     unit,
     wrap,
 )
-from graphtrack.inference import smooth_track, solve
+from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.coupling_modes import (
     AHEAD_BODY,
     AHEAD_VX,
@@ -32,7 +32,6 @@ from graphtrack.inference.chain.coupling_modes import (
 from graphtrack.inference.chain.mode_tables import transition
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.recorded import track_online
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.program import add_frame
@@ -48,6 +47,8 @@ from graphtrack.model.terms.gait import (
 )
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
+from graphtrack.smoothing import solve
+from graphtrack.smoothing.recording import track_online
 from graphtrack.tracks import Track, TrackSet
 
 GAIT = gait_of(Parameters().gait)

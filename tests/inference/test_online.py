@@ -16,13 +16,14 @@ from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track, track_online
+from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track
 from graphtrack.inference.graph.batch import anchors, build_graph
 from graphtrack.inference.prior import marginal_prior, variable_keys
-from graphtrack.inference.recorded import as_track
+from graphtrack.inference.state import as_track
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)

@@ -18,7 +18,7 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import smooth_track, track_online
+from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.window_arrays import FrameRows
 from graphtrack.inference.initial import initial_states, pack
@@ -32,6 +32,7 @@ from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.terms.motion import Motion
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 

@@ -11,7 +11,7 @@ from graphtrack.cli.stream import LONGEST_LINE, StreamBounds
 from graphtrack.cli.stream_behaviour import Asked
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.online_engines import OnlineEngine
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
 

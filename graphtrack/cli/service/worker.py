@@ -23,7 +23,7 @@ from graphtrack.cli.live import Listener, track_stream, warm_up
 from graphtrack.cli.saving import Answering
 from graphtrack.cli.service.settings import Answers, Limits
 from graphtrack.errors import GraphtrackError, InputError
-from graphtrack.inference.online_engines import online_engine
+from graphtrack.inference.engines import online_engine
 from graphtrack.model import Model
 
 DONE, ASIDE = b"#", b"!"

@@ -26,10 +26,10 @@ from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_den
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.resampling import bootstrap, deviation, mean_difference
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import track_online
-from graphtrack.inference.online_engines import OnlineEngine
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.simulation.corpus import NUMERALS, Corpus, CorpusParameters, simulate_behaviour
+from graphtrack.smoothing import track_online
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -30,11 +30,11 @@ from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_den
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import track_online
 from graphtrack.inference.deviation import GrowingRate
 from graphtrack.model import Model, Parameters
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 if TYPE_CHECKING:

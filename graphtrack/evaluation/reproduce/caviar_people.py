@@ -15,9 +15,9 @@ from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_den
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.statistics import head_deviation
 from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.inference import track_online
-from graphtrack.inference.online_engines import OnlineEngine
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model, Parameters
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 LEAST_LABELS = 50

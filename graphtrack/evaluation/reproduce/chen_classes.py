@@ -35,11 +35,11 @@ from graphtrack.evaluation.reproduce.experiment import (
     quietly,
 )
 from graphtrack.geometry.angles import mean_absolute_error
-from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, TrackSet
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from graphtrack.evaluation.reproduce.chen_joint import ANGLES, Scores
 from graphtrack.evaluation.reproduce.chen_tables import detail
 from graphtrack.evaluation.reproduce.experiment import Progress, Table
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
-from graphtrack.inference import smooth_track, track_online
+from graphtrack.inference import smooth_track
 from graphtrack.model import Model
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track, TrackSet
 
 LAG = 2.0

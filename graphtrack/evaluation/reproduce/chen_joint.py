@@ -42,10 +42,10 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray, von_mises_log_density
-from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import TrackSet
 
 if TYPE_CHECKING:

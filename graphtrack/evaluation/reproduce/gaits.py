@@ -23,8 +23,8 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import smooth, track_online
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:

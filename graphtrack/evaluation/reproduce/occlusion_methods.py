@@ -16,9 +16,9 @@ from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG, Progress
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past
 from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.inference import smooth, track_online
-from graphtrack.inference.online_engines import OnlineEngine
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model, Parameters
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import Track, TrackSet
 
 STEERED = "joint-intentional"

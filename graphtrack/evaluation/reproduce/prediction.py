@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from graphtrack.baselines.kalman import position_std
 from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.inference import Solution, solve
+from graphtrack.inference import Solution
 from graphtrack.model import Model
 from graphtrack.model.terms.intentional_motion import (
     HEAD_RATE,
@@ -19,6 +19,7 @@ from graphtrack.model.terms.intentional_motion import (
     smooth_speed,
     steered_step,
 )
+from graphtrack.smoothing import solve
 from graphtrack.tracks import Track, TrackSet
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import Field
-from graphtrack.model.observation import States
+from graphtrack.model.observation import Observation, States
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
 
@@ -22,6 +23,16 @@ if TYPE_CHECKING:
 GROUP = "group"
 """The input: the direction of the o-space, x and y of a vector as long as that counts in the frame, and the
 probability that there is a conversation."""
+
+Group = tuple[float, float, float]
+"""The value of `GROUP` in a frame."""
+
+
+def with_group_at(observation: Observation, group: Group | None) -> Observation:
+    """Return the observation with the input `GROUP`, unless it has it or ``group`` is None."""
+    if group is None or GROUP in observation.inputs:
+        return observation
+    return replace(observation, inputs={**observation.inputs, GROUP: group})
 
 
 @compiled

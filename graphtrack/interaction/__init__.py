@@ -1,0 +1,1 @@
+"""People of a scene together: groups, gaze, and smoothing with both."""
