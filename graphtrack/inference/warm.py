@@ -16,18 +16,13 @@ from graphtrack.inference.initial import initial_states, pack, pack_to_solve
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import Rehearsal, make_ready
-from graphtrack.tracks import Track
+from graphtrack.readiness import TRACK, Rehearsal, make_ready
 
 if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine
 
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
-
-_STEP = 0.1
-TRACK = Track(0, np.arange(4), np.linspace(0.0, 3 * _STEP, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
-"""A made-up person, for whom compiled functions are called the first time."""
 
 
 def make_all_ready(
@@ -107,7 +102,7 @@ def _graph_rehearsal(model: Model | None) -> Rehearsal:
 def _online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
     like = _like(model)
-    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 1.5 * _STEP, 1e-8, 5)), 20.0)
+    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 0.15, 1e-8, 5)), 20.0)
 
 
 def _like(model: Model) -> Model:
