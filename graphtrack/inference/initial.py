@@ -23,7 +23,7 @@ WINDOW = 0.5
 
 NO_PRIOR = np.zeros((0, 6))
 
-SLOW = 0.1
+CREEPING = 0.1
 """m/s up to which a direction of travel does not stand in for an orientation, whatever the threshold."""
 
 
@@ -71,7 +71,7 @@ def seen_in(packed: PackedTracks, model: Model) -> Seen:
         vectors_of(packed.directions("head"), packed.channel("head_likelihood"), len(packed.t))
         if model.has_head
         else none,
-        max(model.parameters.coupling.speed_threshold, SLOW),
+        max(model.parameters.coupling.speed_threshold, CREEPING),
         WINDOW,
     )
 

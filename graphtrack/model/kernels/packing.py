@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,23 @@ from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 class PackedTerm(Protocol):
     """The part of a `Term` that packing and evaluation of its kernels need."""
 
-    fields: ClassVar[tuple[Field, ...]]
-    shared: ClassVar[tuple[Field, ...]]
-    kernels: ClassVar[tuple[Kernel, ...]]
-    repeats: ClassVar[bool]
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """Fields of each frame's record that `pack` fills in."""
+
+    @property
+    def shared(self) -> tuple[Field, ...]:
+        """Fields that all frames share."""
+
+    @property
+    def kernels(self) -> tuple[Kernel, ...]:
+        """Compiled functions that add the term up."""
+
+    @property
+    def repeats(self) -> bool:
+        """Whether frames in which the same was observed are packed alike but for what is `live`."""
+
+    def __hash__(self) -> int: ...
 
     def pack(self, packed: PackedTracks) -> None:
         """Fill in the records' `fields`, and what is `shared`."""
