@@ -284,27 +284,6 @@ def test_an_angle_of_concentration_zero_says_nothing(preset: str) -> None:
         assert found.cost == pytest.approx(expected.cost, rel=1e-9)
 
 
-@pytest.mark.parametrize("dt", [0.0, -0.1])
-def test_times_that_stand_still_or_run_back_are_refused(dt: float) -> None:
-    track = walk(5)
-    with pytest.raises(InputError, match="times that do not increase"):
-        replace(track, t=track.t[0] + dt * np.arange(5))
-
-
-@pytest.mark.parametrize("value", [0.0, -0.1, np.inf])
-def test_variances_that_are_none_are_refused(value: float) -> None:
-    with pytest.raises(InputError, match="position_std"):
-        replace(walk(5), position_std=np.array([0.1, 0.1, value, np.nan, 0.1]))
-    with pytest.raises(InputError, match="position_std"):
-        LikelihoodParameters(position_std=value)
-
-
-@pytest.mark.parametrize("value", [-1.0, np.inf])
-def test_concentrations_that_are_none_are_refused(value: float) -> None:
-    with pytest.raises(InputError, match="body_kappa"):
-        replace(walk(5), body_kappa=np.array([4.0, 0.0, value, np.nan, 1.0]))
-
-
 def test_a_track_of_numbers_too_great_to_square_fails_alone() -> None:
     position = np.where(np.arange(12).reshape(6, 2) == 4, 1e8, 0.0)
     huge = replace(walk(6, track_id=2), position=position, position_std=np.full(6, 1e-153))
