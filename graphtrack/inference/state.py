@@ -115,7 +115,7 @@ class Window:
     steps : the steps whose variables are still open, oldest first
     values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
     prior : what remains of the steps before; None if there were none
-    anchor : else the angles (radians) that hold the first orientations; see `graph.batch.anchors`
+    anchor : else the angles (radians) that hold the first orientations; see `graph.batch.beginning`
     modes : probabilities of the couplings' modes before the window
     """
 

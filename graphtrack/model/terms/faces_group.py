@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,12 +13,10 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import Field
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import Observation, States
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 GROUP = "group"
 """The input: the direction of the o-space, x and y of a vector as long as that counts in the frame, and the
