@@ -16,11 +16,11 @@ import gtsam
 import numpy as np
 import pytest
 import simdkalman
+from costs import build_graph
 from filterpy.kalman import KalmanFilter
 from walks import walk
 
 from graphtrack.inference import Solution, smooth_track
-from graphtrack.inference.graph.batch import build_graph
 from graphtrack.inference.initial import initial_states
 from graphtrack.model import Model
 from graphtrack.model.observation import Step, chain

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 from calibration_formulas import calibrated
+from costs import build_graph
 from selection import others_slow
 from walks import walk, without
 
@@ -17,7 +18,6 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track
-from graphtrack.inference.graph.batch import build_graph
 from graphtrack.inference.prior import marginal_prior, variable_keys
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
