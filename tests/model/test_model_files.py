@@ -237,13 +237,6 @@ def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
         assert caught.value.path == str(path)
 
 
-def test_a_model_that_cannot_be_saved_leaves_no_file(tmp_path: Path) -> None:
-    target = tmp_path / "missing" / "model.toml"
-    with pytest.raises((InputError, OSError)):
-        Model().save(target)
-    assert list(tmp_path.iterdir()) == []
-
-
 class OfOnesOwn(BodyDynamics):
     """A term that no preset has."""
 
@@ -265,14 +258,6 @@ def test_terms_of_ones_own_are_not_left_out_in_silence(tmp_path: Path) -> None:
     assert OnlineSmoother.from_state(state, model).model is model
     with pytest.raises(InputError, match="OfOnesOwn"):
         OnlineSmoother.from_state(state, "joint")
-
-
-def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:
-    path = tmp_path / "model.toml"
-    path.write_text("x" * 100_000, encoding="utf-8")
-    Model("position").save(path)
-    assert Model.load(path).preset == "position"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @given(st.floats(0.0, 10.0), st.floats(1e-6, 10.0))
