@@ -257,7 +257,7 @@ def sweep_back(n: int, workspace: Workspace) -> Any:
     return decrement
 
 
-@inner
+@compiled
 def take_step(k: int, linked: bool, workspace: Workspace) -> None:
     """A frame's step from its part of the solution and the step of the frame after it, if ``linked``."""
     inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
