@@ -96,7 +96,7 @@ def smooth(
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.smoothing.recording import solve_tracks
-    from graphtrack.trust import trusted
+    from graphtrack.trust.verdict import trusted
 
     options.check_outputs(
         {"--output": output, "--report": report},

@@ -120,7 +120,7 @@ def track(
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.smoothing.recording import track_online
-    from graphtrack.trust import trusted
+    from graphtrack.trust.verdict import trusted
 
     options.check_outputs(
         {"--output": output, "--state": state, "--save": showing.save},

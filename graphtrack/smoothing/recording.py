@@ -28,7 +28,7 @@ from graphtrack.model.observation import observations
 from graphtrack.model.terms.faces_group import GROUP
 from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track, TrackSet
-from graphtrack.trust import Trust, trusted
+from graphtrack.trust.verdict import Trust, trusted
 
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
