@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from graphtrack.association.reading import from_supervision, from_ultralytics, read
-    from graphtrack.association.tracker import OnlineTracker, PersonEstimate
+    from graphtrack.association.tracker import PersonEstimate
     from graphtrack.association.tracks import associate
     from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster
     from graphtrack.behaviour.forecast.parameters import ForecastParameters
@@ -20,17 +20,7 @@ if TYPE_CHECKING:
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.identities import SequenceScore, TrackingScore, score
     from graphtrack.evaluation.states import StateScore, score_states
-    from graphtrack.inference import (
-        Estimate,
-        Failure,
-        OnlineSmoother,
-        Solution,
-        SolverOptions,
-        smooth,
-        solve,
-        track_online,
-        warm_up,
-    )
+    from graphtrack.inference import Estimate, Failure, OnlineSmoother, Solution, SolverOptions
     from graphtrack.io import ReadOptions, write
     from graphtrack.io.geo import to_geopandas
     from graphtrack.io.movement.dataset import from_movement, to_movement
@@ -40,6 +30,8 @@ if TYPE_CHECKING:
     from graphtrack.scene import SceneParameters
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
+    from graphtrack.smoothing import smooth, solve, track_online, warm_up
+    from graphtrack.smoothing.tracker import OnlineTracker
     from graphtrack.tracks import ReadSummary, Track, TrackSet
     from graphtrack.viewer.shown import view
 
@@ -108,7 +100,7 @@ __all__ = [
 _HOMES = {
     "scene": ("SceneParameters",),
     "association.reading": ("from_supervision", "from_ultralytics", "read"),
-    "association.tracker": ("OnlineTracker", "PersonEstimate"),
+    "association.tracker": ("PersonEstimate",),
     "association.tracks": ("associate",),
     "behaviour.forecast.forecaster": ("Forecast", "Forecaster"),
     "behaviour.forecast.parameters": ("ForecastParameters",),
@@ -128,10 +120,6 @@ _HOMES = {
         "OnlineSmoother",
         "Solution",
         "SolverOptions",
-        "smooth",
-        "solve",
-        "track_online",
-        "warm_up",
     ),
     "io": ("ReadOptions", "write"),
     "io.geo": ("to_geopandas",),
@@ -140,6 +128,8 @@ _HOMES = {
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),
     "report.page": ("write_report",),
     "simulation.sampling": ("simulate",),
+    "smoothing": ("smooth", "solve", "track_online", "warm_up"),
+    "smoothing.tracker": ("OnlineTracker",),
     "tracks": ("ReadSummary", "Track", "TrackSet"),
     "viewer.shown": ("view",),
 }

@@ -9,12 +9,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from graphtrack.model.kernels.compiled import machine_code_folder
+from graphtrack.tracks import Track
 
 logger = logging.getLogger("graphtrack")
 
 UNNOTICED = 3.0
 """Seconds of compiling up to which nothing is logged."""
+
+TRACK = Track(0, np.arange(4), np.linspace(0.0, 0.3, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
+"""Synthetic track, 0.1 s a frame, with which compiled functions are called the first time."""
 
 _READY = set[str]()
 """Names of the rehearsals that this process has run: machine code is the process's."""

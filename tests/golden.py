@@ -20,9 +20,10 @@ from random_tracks import contradicted, hard_models, lens_camera, random_paramet
 from walks import walk, without
 
 from graphtrack.geometry.angles import difference
-from graphtrack.inference import Solution, solve, track_online
+from graphtrack.inference import Solution
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import LikelihoodParameters
+from graphtrack.smoothing import solve, track_online
 from graphtrack.tracks import Track, TrackSet
 
 PRESETS = ("position", "separate", "joint", "joint-intentional", "full")

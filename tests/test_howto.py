@@ -1,10 +1,10 @@
 """The guide's commands and Python run as printed, each page in an empty folder from top to bottom."""
 
 import pytest
+from costs import build_graph
 from documents import ROOT, blocks, run
 
 import graphtrack as gt
-from graphtrack.inference.graph.batch import build_graph
 from graphtrack.inference.initial import initial_states
 from graphtrack.model.observation import chain
 

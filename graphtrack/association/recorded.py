@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.association.rows import usable
-from graphtrack.association.tracker import OnlineTracker, PersonEstimate
+from graphtrack.association.tracker import DetectionTracker, PersonEstimate
 from graphtrack.bounds import INPUT
 from graphtrack.gaps import with_rows
-from graphtrack.inference.recorded import as_track
+from graphtrack.inference.state import as_track
 from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import Track, TrackSet
@@ -20,7 +20,7 @@ UNSAID = "of whom nothing was said at once"
 
 
 def track_rows(
-    rows: Rows, tracker: OnlineTracker, advance: Callable[[int], None] = lambda rows: None
+    rows: Rows, tracker: DetectionTracker, advance: Callable[[int], None] = lambda rows: None
 ) -> TrackSet:
     """Give a tracker the detections of a file, frame by frame; what it said of them.
 
@@ -56,6 +56,6 @@ def track_rows(
     return tracks.map(lambda one: _estimated(one, told[one.track_id], tracker))
 
 
-def _estimated(track: Track, told: list[tuple[int, PersonEstimate]], tracker: OnlineTracker) -> Track:
+def _estimated(track: Track, told: list[tuple[int, PersonEstimate]], tracker: DetectionTracker) -> Track:
     frame, t = np.array([frame for frame, _ in told]), np.array([person.t for _, person in told])
     return as_track(with_rows(track, frame, t), [person for _, person in told], tracker.model)

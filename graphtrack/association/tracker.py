@@ -1,30 +1,27 @@
-"""`OnlineTracker`: a frame's detections in, an estimate of everybody out."""
+"""`DetectionTracker`: a frame's detections in, an estimate of everybody out."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from graphtrack.association.online import Decision, OnlineAssociation, Revision
-from graphtrack.association.packing import pack_tree, unpack_tree
 from graphtrack.association.shown import descriptors_of, facing_of, scores_of, to_smooth
-from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.conversations import Conversations, Group, with_group_at
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.inference.observed import checked
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
+from graphtrack.model.terms.faces_group import Group, with_group_at
 from graphtrack.readiness import processors
 from graphtrack.saved import DAMAGES, damaged, whole
 from graphtrack.scene import GivenScene, SceneParameters, known_values
@@ -35,11 +32,18 @@ Key = tuple[int, int]
 UNSEEN = -1
 """The place of what was not detected."""
 
-_UNASKED = 1500
-"""Frames that are kept for forecasts until one is asked for."""
 
-_KNOWN_HEAD = 0.6
-"""Standard deviation of a head's direction, rad, above which it says nothing of where somebody goes."""
+class SceneGroups(Protocol):
+    """Groups from the estimates of the frames that have ended, for the observations of the next."""
+
+    def begin(self, t: float, frame: int = 0) -> None:
+        """Begin the frame of a time (seconds), if that is later than the last, which has ended then."""
+
+    def group(self, track_id: int) -> Group | None:
+        """Return the input of a person in this frame; None: nothing is known."""
+
+    def estimated(self, track_id: int, estimate: Estimate) -> None:
+        """Take in an estimate of this frame."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,7 +67,7 @@ class PersonEstimate(Estimate):
         return self.detection >= 0
 
 
-class OnlineTracker:
+class DetectionTracker:
     """Track everybody in a scene online, from detections that do not say of whom they are.
 
     Who is who is said at once; while later detections can tell better, it is revised, and the estimates with
@@ -74,18 +78,12 @@ class OnlineTracker:
     model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
     scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
         names. The others are as the model has them, else learned from what is seen
+    groups : source of the input `GROUP` of everybody's observations; None: the detections' own
 
     Attributes
     ----------
     revised : what the last update took back of what was said before
-
-    Examples
-    --------
-    >>> tracker = OnlineTracker("joint")
-    >>> for k in range(4):
-    ...     people = tracker.update(0.4 * k, [(0.5 * k, 0.0), (3.0 - 0.5 * k, 4.0)])
-    >>> [(person.track_id, person.detection) for person in people]
-    [(1, 0), (2, 1)]
+    newest : observations of the last update
     """
 
     def __init__(
@@ -96,6 +94,7 @@ class OnlineTracker:
         engine: OnlineEngine = "auto",
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
+        groups: SceneGroups | None = None,
     ) -> None:
         self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
         self.model, self._camera = Model.named(model), camera
@@ -104,19 +103,17 @@ class OnlineTracker:
         known = {**self.model.scene, **known_values(scene)}
         self._association = OnlineAssociation(known, math.inf if lag is None else lag)
         self._people: dict[int, _Person] = {}
-        self._conversations = Conversations(self.model) if self.model.has_groups else None
+        self._groups = groups
         self._seen: dict[Key, Observation] = {}
-        self._forecaster: Forecaster | None = None
-        self._frames: deque[tuple[Any, ...]] = deque(maxlen=_UNASKED)
-        self._present: list[int] = []
         self.revised: tuple[Revision, ...] = ()
+        self.newest: list[Observation] = []
 
     def __len__(self) -> int:
         """The people who are followed."""
         return len(self._people)
 
     def __repr__(self) -> str:
-        return f"OnlineTracker(model {self.model}, {len(self._people)} people, {self._association!r})"
+        return f"{type(self).__name__}(model {self.model}, {len(self._people)} people, {self._association!r})"
 
     @property
     def scene(self) -> SceneParameters:
@@ -158,63 +155,13 @@ class OnlineTracker:
         self._seen[number, UNSEEN] = Observation(t=t)
         settled = owners[0][0][0] if owners else number
         self._seen = {key: one for key, one in self._seen.items() if key[0] >= settled}
-        self.revised = decision.revised
+        self.revised, self.newest = decision.revised, seen
         self._follow(owners, hidden, number, settled)
         people = self._told(decision, hidden)
-        if self._conversations is not None:
+        if self._groups is not None:
             for one in people:
-                self._conversations.estimated(one.track_id, one)
-        self._keep_for_forecasts(t, people, position, std)
+                self._groups.estimated(one.track_id, one)
         return people
-
-    def forecast(
-        self,
-        horizon: float = 4.8,
-        step: float = 0.4,
-        *,
-        samples: int = 0,
-        random: np.random.Generator | None = None,
-    ) -> Forecast:
-        """Where everybody will be whom the last update told of and who has been seen twice.
-
-        The first call looks back at the last frames, 1,500 at most; from then on each update is taken in.
-        `state` keeps what forecasts know from that call on.
-
-        Parameters
-        ----------
-        horizon, step : every ``step`` seconds up to ``horizon``
-        samples, random : as in `Forecaster.forecast`
-
-        Raises
-        ------
-        InputError
-            For times that make no sense, and before the first update.
-        """
-        ahead = times_ahead(horizon, step)
-        if not self.updates:
-            raise InputError("no frame", "an update before a forecast")
-        if self._forecaster is None:
-            self._forecaster = Forecaster()
-            for frame in self._frames:
-                self._forecaster.update(*frame)
-            self._frames.clear()
-        people = self._forecaster.known(self._present)
-        return self._forecaster.forecast(ahead, people, samples=samples, random=random)
-
-    def _keep_for_forecasts(
-        self, t: float, people: list[PersonEstimate], position: FloatArray, std: list[float]
-    ) -> None:
-        """Positions as they were seen, for a forecast knows by itself how noisy they are, and heads."""
-        self._present = [one.track_id for one in people]
-        seen = [one for one in people if one.observed]
-        places = [one.detection for one in seen]
-        heads = [one.head if one.covariance[5, 5] < _KNOWN_HEAD**2 else math.nan for one in seen]
-        ids = [one.track_id for one in seen]
-        frame = (t, ids, position[places].reshape(-1, 2), np.array(std)[places], np.array(heads))
-        if self._forecaster is None:
-            self._frames.append(frame)
-        else:
-            self._forecaster.update(*frame)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
@@ -224,17 +171,12 @@ class OnlineTracker:
             for track_id, person in self._people.items()
         ]
         seen = [[*key, pack_observation(one)] for key, one in self._seen.items()]
-        found: dict[str, Any] = {"association": self._association.state(), "people": people, "seen": seen}
-        if self._conversations is not None:
-            found["conversations"] = self._conversations.state()
-        if self._forecaster is not None:
-            found |= {"forecaster": pack_tree(self._forecaster.state()), "present": self._present}
-        return found
+        return {"association": self._association.state(), "people": people, "seen": seen}
 
     @classmethod
     def from_state(
         cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
-    ) -> OnlineTracker:
+    ) -> Self:
         """A tracker that goes on where `state` was taken, given the same model and options.
 
         Raises
@@ -253,11 +195,6 @@ class OnlineTracker:
                 keys = [(whole(k), whole(place)) for k, place in saved["keys"]]
                 told = {whole(update): tuple(group) for update, group in saved.get("told", ())}
                 tracker._people[whole(saved["track_id"])] = _Person(smoother, smoother.last, keys, told)
-            if tracker._conversations is not None:
-                tracker._conversations = Conversations.from_state(state["conversations"], tracker.model)
-            if "forecaster" in state:
-                tracker._forecaster = Forecaster.from_state(unpack_tree(state["forecaster"]))
-                tracker._present = list(map(whole, state["present"]))
         except DAMAGES as error:
             raise damaged(error) from error
         return tracker
@@ -279,8 +216,8 @@ class OnlineTracker:
     def _follow(self, owners: list[tuple[Key, int]], hidden: list[int], number: int, settled: int) -> None:
         """Have every person's smoother see the detections that are the person's by now."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
-        if self._conversations is not None:
-            self._conversations.begin(self._time((number, UNSEEN)), number)
+        if self._groups is not None:
+            self._groups.begin(self._time((number, UNSEEN)), number)
         for key, track_id in owners:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
@@ -292,8 +229,8 @@ class OnlineTracker:
                 person = self._people[track_id] = _Person(self._smoother())
             person.keys = [key for key in person.keys if key[0] >= settled]
             person.told = {update: group for update, group in person.told.items() if update >= settled}
-            if self._conversations is not None:
-                group = self._conversations.group(track_id)
+            if self._groups is not None:
+                group = self._groups.group(track_id)
                 person.told |= {} if group is None else {number: group}
             if keys or track_id in living:
                 seen_in = {update for update, _ in keys}

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from graphtrack.baselines.isotropic import constant_velocity, full_covariance, predict, update
 from graphtrack.bounds import check_numbers, number
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.table.detections import Detections, with_those_between
 from graphtrack.tracks import Track, TrackSet
 
@@ -87,7 +87,7 @@ class HungarianTracker:
         self.parameters = HungarianParameters() if parameters is None else parameters
         self._t = -np.inf
         self._next = 0
-        self._mean, self._covariance = np.empty((0, 4)), np.empty((0, 4, 4))
+        self._mean, self._spread = np.empty((0, 4)), np.empty((0, 3))  # as in `FilteredStates`
         # Of each track: identity (−1 before it is confirmed), frames since it began, hits, time of the last.
         self._identity, self._age = np.empty(0, np.int64), np.empty(0, np.int64)
         self._hits, self._last = np.empty(0, np.int64), np.empty(0)
@@ -130,11 +130,8 @@ class HungarianTracker:
     def _predict(self, t: float) -> None:
         if not len(self._mean):
             return
-        dt = t - self._t
-        transition = transition_matrix(dt)
-        self._mean = self._mean @ transition.T
-        noise = process_noise(dt, self.parameters.acceleration_density)
-        self._covariance = transition @ self._covariance @ transition.T + noise
+        step = constant_velocity(t - self._t, self.parameters.acceleration_density)
+        self._mean, self._spread = predict(self._mean, self._spread, step)
 
     def _assign(self, position: FloatArray, variance: FloatArray) -> IntArray:
         """The track (n,) of each detection, −1 where it has none."""
@@ -153,20 +150,13 @@ class HungarianTracker:
     def _squared_distances(self, tracks: IntArray, position: FloatArray, variance: FloatArray) -> FloatArray:
         """Squared Mahalanobis distances (m, n) of detections from where tracks are predicted."""
         off = position[None] - self._mean[tracks, None, :2]
-        spread = self._covariance[tracks, None, :2, :2] + variance[None, :, None, None] * np.eye(2)
-        return np.einsum("mni,mnij,mnj->mn", off, np.linalg.inv(spread), off)
+        return np.asarray(np.sum(off**2, axis=2) / (self._spread[tracks, :1] + variance))
 
     def _update(self, tracks: IntArray, position: FloatArray, variance: FloatArray) -> None:
-        if not len(tracks):
-            return
-        mean, spread = self._mean[tracks], self._covariance[tracks]
-        noise = variance[:, None, None] * np.eye(2)
-        gain = np.linalg.solve(spread[:, :2, :2] + noise, spread[:, :2, :]).transpose(0, 2, 1)
-        self._mean[tracks] = mean + np.einsum("mij,mj->mi", gain, position - mean[:, :2])
-        # Joseph's form keeps covariances symmetric and positive.
-        keep = np.eye(4) - gain @ np.eye(2, 4)
-        back = gain.transpose(0, 2, 1)
-        self._covariance[tracks] = keep @ spread @ keep.transpose(0, 2, 1) + gain @ noise @ back
+        seen = np.ones(len(tracks), bool)
+        self._mean[tracks], self._spread[tracks], _ = update(
+            self._mean[tracks], self._spread[tracks], position, variance, seen
+        )
 
     def _confirm(self) -> None:
         new = np.flatnonzero((self._identity < 0) & (self._hits >= self.parameters.hits))
@@ -182,17 +172,15 @@ class HungarianTracker:
         return np.where(confirmed, recent, hopeful)
 
     def _keep(self, kept: NDArray[np.bool_]) -> None:
-        for name in ("_mean", "_covariance", "_identity", "_age", "_hits", "_last"):
+        for name in ("_mean", "_spread", "_identity", "_age", "_hits", "_last"):
             setattr(self, name, getattr(self, name)[kept])
 
     def _begin(self, t: float, position: FloatArray, variance: FloatArray) -> IntArray:
         """Tracks of detections that are nobody's so far; their identities, −1 unless one hit is enough."""
         n = len(position)
-        spread = np.zeros((n, 4, 4))
-        spread[:, [0, 1], [0, 1]] = variance[:, None]
-        spread[:, [2, 3], [2, 3]] = self.parameters.speed_std**2
+        spread = np.column_stack([variance, np.zeros(n), np.full(n, self.parameters.speed_std**2)])
         self._mean = np.concatenate([self._mean, np.column_stack([position, np.zeros((n, 2))])])
-        self._covariance = np.concatenate([self._covariance, spread])
+        self._spread = np.concatenate([self._spread, spread])
         self._identity = np.append(self._identity, np.full(n, -1))
         self._age = np.append(self._age, np.ones(n, np.int64))
         self._hits = np.append(self._hits, np.ones(n, np.int64))
@@ -206,7 +194,7 @@ class HungarianTracker:
             identity,
             self._identity[shown],
             self._mean[shown],
-            self._covariance[shown],
+            full_covariance(self._spread[shown]),
             self._last[shown] == t,
         )
 

@@ -23,7 +23,7 @@ from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tr
 from graphtrack.baselines.kalman import GaussianStates, as_track
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit
-from graphtrack.inference.initial import observed_vectors, require_position
+from graphtrack.model.observation import observed_angle, require_position
 from graphtrack.tracks import Track
 
 Variant = Literal["printed", "consistent"]
@@ -173,8 +173,7 @@ def step_tracker(track: Track, parameters: IntentionalParameters | None = None) 
         If no position was observed.
     """
     require_position(track)
-    vectors = observed_vectors(track, "head")
-    head = np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
+    head = observed_angle(track, "head")
     states = intentional_filter(track.position[None], head[None], parameters)
     rate = np.ones(len(track))
     if len(track) > 1:

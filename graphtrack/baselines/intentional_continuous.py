@@ -13,8 +13,8 @@ import numpy as np
 from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tracks, full_covariance
 from graphtrack.baselines.kalman import GaussianStates, as_track, position_std
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, direction, unit
-from graphtrack.inference.initial import observed_vectors, require_position
+from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.model.observation import observed_angle, require_position
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.terms.intentional_motion import HEAD_RATE, head_rates, steered_step
 from graphtrack.tracks import Track
@@ -97,8 +97,7 @@ def intentional_states(track: Track, parameters: Parameters, rate: float | None 
         If no position was observed.
     """
     require_position(track)
-    vectors = observed_vectors(track, "head")
-    head = np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
+    head = observed_angle(track, "head")
     variance = position_std(track, parameters) ** 2
     rates = head_rates(track.input(HEAD_RATE), parameters.motion.head_rate) if rate is None else rate
     return steer(track.position[None], head[None], track.t, variance[None], parameters, rates)

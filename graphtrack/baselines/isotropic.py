@@ -89,9 +89,9 @@ def filter_tracks(
     begun = np.zeros(m, dtype=bool)
     for k in range(n):
         if k and begun.any():
-            ahead, ahead_spread = _predict(mean[:, k - 1], spread[:, k - 1], transition(k, mean[:, k - 1]))
+            ahead, ahead_spread = predict(mean[:, k - 1], spread[:, k - 1], transition(k, mean[:, k - 1]))
             predicted_mean[:, k], predicted_spread[:, k] = ahead, ahead_spread
-            mean[:, k], spread[:, k], log_likelihood[:, k] = _update(
+            mean[:, k], spread[:, k], log_likelihood[:, k] = update(
                 ahead, ahead_spread, position[:, k], variance[:, k], seen[:, k]
             )
         starts = seen[:, k] & ~begun
@@ -103,7 +103,14 @@ def filter_tracks(
     return FilteredStates(mean, spread, predicted_mean, predicted_spread, log_likelihood)
 
 
-def _predict(mean: FloatArray, spread: FloatArray, step: Transition) -> tuple[FloatArray, FloatArray]:
+def constant_velocity(dt: float, acceleration_density: float) -> Transition:
+    """Return a step of ``dt`` seconds of white-noise acceleration of density q in m²/s³."""
+    q, still = acceleration_density, np.zeros(2)
+    return Transition(dt, 1.0, still, still, (q * dt**3 / 3.0, q * dt**2 / 2.0, q * dt))
+
+
+def predict(mean: FloatArray, spread: FloatArray, step: Transition) -> tuple[FloatArray, FloatArray]:
+    """Return means (m, 4) and spreads (m, 3) a step later."""
     reach, keep = np.asarray(step.reach)[..., None], np.asarray(step.keep)[..., None]
     velocity = mean[:, 2:]
     ahead = np.concatenate(
@@ -117,9 +124,10 @@ def _predict(mean: FloatArray, spread: FloatArray, step: Transition) -> tuple[Fl
     )
 
 
-def _update(
+def update(
     mean: FloatArray, spread: FloatArray, observed: FloatArray, variance: FloatArray, seen: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return means, spreads and log-likelihoods (m,) with positions (m, 2) where they were ``seen`` (m,)."""
     a, b, c = spread.T
     innovation, total = observed - mean[:, :2], a + variance
     log_likelihood = -np.log(2.0 * np.pi * total) - 0.5 * np.sum(innovation**2, axis=1) / total

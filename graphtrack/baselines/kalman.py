@@ -9,14 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from graphtrack.baselines.isotropic import constant_velocity, filter_tracks, full_covariance
 from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.parameters import MotionParameters, Parameters
 from graphtrack.model.sway import swaying
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks import Track
-
-MEASUREMENT_MATRIX = np.eye(2, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,31 +49,18 @@ def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates,
     SolveError
         If no position was observed.
     """
-    n, start = len(track), _first_position(track)
-    variance = position_std(track, parameters) ** 2
-    mean, covariance = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
-    predicted_mean, predicted_covariance = mean.copy(), covariance.copy()
-    state = np.array([*track.position[start], 0.0, 0.0])
-    spread = np.diag([variance[start]] * 2 + [parameters.motion.initial_speed_std**2] * 2)
-    mean[start], covariance[start] = state, spread
-    identity = np.eye(4)
-    for k in range(start + 1, n):
-        dt = float(track.t[k] - track.t[k - 1])
-        transition = transition_matrix(dt)
-        state = transition @ state
-        spread = transition @ spread @ transition.T + process_noise(
-            dt, parameters.motion.acceleration_density
-        )
-        predicted_mean[k], predicted_covariance[k] = state, spread
-        observed = track.position[k]
-        if np.isfinite(observed).all():
-            noise = variance[k] * np.eye(2)
-            gain = np.linalg.solve(spread[:2, :2] + noise, spread[:2, :]).T
-            state = state + gain @ (observed - state[:2])
-            keep = identity - gain @ MEASUREMENT_MATRIX
-            spread = keep @ spread @ keep.T + gain @ noise @ gain.T
-        mean[k], covariance[k] = state, spread
-    return GaussianStates(mean, covariance), GaussianStates(predicted_mean, predicted_covariance)
+    _first_position(track)
+    motion, dt, variance = parameters.motion, track.dt, position_std(track, parameters) ** 2
+    found = filter_tracks(
+        track.position[None],
+        variance[None],
+        motion.initial_speed_std**2,
+        lambda k, mean: constant_velocity(float(dt[k]), motion.acceleration_density),
+    )
+    return (
+        GaussianStates(found.mean[0], full_covariance(found.spread[0])),
+        GaussianStates(found.predicted_mean[0], full_covariance(found.predicted_spread[0])),
+    )
 
 
 def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from graphtrack.evaluation.compare import Comparison
     from graphtrack.model import Model
     from graphtrack.tracks import TrackSet
-    from graphtrack.trust import Trust
+    from graphtrack.trust.verdict import Trust
 
 FIGURES = ("errors.png", "nees.png")
 """Files of `write_figures`, and with --reliability one more."""
@@ -156,7 +156,7 @@ def compare(
 def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSet, Model | str | None]:
     """The tracks and the model of all methods, with the noise that is taken; None: each method its own."""
     from graphtrack.model import Model
-    from graphtrack.trust import trusted
+    from graphtrack.trust.verdict import trusted
 
     given = Model.named(model)
     tracks, learned, said = trusted(tracks, given, trust)

@@ -27,7 +27,6 @@ def demo(
     import numpy as np
 
     from graphtrack.evaluation.compare import compare
-    from graphtrack.inference import smooth
     from graphtrack.io import atomic_path, write
     from graphtrack.model import Model
     from graphtrack.report.build import tracking_report
@@ -35,6 +34,7 @@ def demo(
     from graphtrack.report.pairing import pair_tracks
     from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
+    from graphtrack.smoothing import smooth
 
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
     names = (OBSERVATIONS, ESTIMATES, REPORT, TRACKS, *FIGURES)

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import Any
 
 from graphtrack.association.shown import descriptors_of
-from graphtrack.association.tracker import OnlineTracker
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, SceneBehaviour
 from graphtrack.cli.stream_forecast import told as told_forecast
 from graphtrack.errors import InputError
@@ -15,6 +14,7 @@ from graphtrack.inference.state import pack_observation, unpack_observation
 from graphtrack.io.readers.ndjson import Pairs, parse_line, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import real, whole
+from graphtrack.smoothing.tracker import OnlineTracker
 from graphtrack.streaming.protocol import Told, error_row, estimate_row, observation_of, text_of
 
 ONE = ""

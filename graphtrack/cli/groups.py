@@ -83,9 +83,10 @@ def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
     """The tracks, smoothed if a model is named."""
     if model is None:
         return tracks
-    from graphtrack.inference.offline import engine_of, solve_tracks
+    from graphtrack.inference.engines import engine_of
     from graphtrack.inference.solution import Solution
     from graphtrack.model import Model
+    from graphtrack.smoothing.recording import solve_tracks
 
     chosen = Model.named(model)
     found = solve_tracks(tracks, chosen, engine_of(chosen, "auto"))

@@ -17,7 +17,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour import warm
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.cli.detections import Frame, Scenes
@@ -29,14 +28,15 @@ from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.cli.stream_names import Lines, Refuse, StreamNames, with_first_row
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.conversations import CONVERSATIONS, Conversations
+from graphtrack.inference.engines import OnlineEngine, online_engine
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.online_engines import OnlineEngine, online_engine
 from graphtrack.inference.warm import make_online_ready
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
 from graphtrack.readiness import make_ready
+from graphtrack.smoothing.tracker import OnlineTracker
 from graphtrack.streaming.protocol import LONGEST_LINE
 
 _PIECE = 1 << 16

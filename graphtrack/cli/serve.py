@@ -73,7 +73,7 @@ def serve(
     patience : Seconds that answers may stay unread, or a client silent to pings.
     """
     from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.inference.online_engines import check_lag, online_engine
+    from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.io.cameras import read_homography
     from graphtrack.model import Model
 

@@ -50,12 +50,13 @@ def smooth(
     """
     from graphtrack.gaps import at_times, with_times_at
     from graphtrack.inference.chain.engine import fit_lanes
-    from graphtrack.inference.offline import engine_of, solve_tracks
+    from graphtrack.inference.engines import engine_of
     from graphtrack.inference.solution import Failure, Solution
     from graphtrack.inference.warm import make_solver_ready
     from graphtrack.io import write
     from graphtrack.model import Model
-    from graphtrack.trust import trusted
+    from graphtrack.smoothing.recording import solve_tracks
+    from graphtrack.trust.verdict import trusted
 
     options.check_outputs(
         {"--output": output, "--report": report},

@@ -10,8 +10,8 @@ from typing import Any
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
-from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import Estimate, OnlineSmoother
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.json_lines import plain_cells
 from graphtrack.io.readers.ndjson import Pairs, parse_line, read_cells
 from graphtrack.model import Observation

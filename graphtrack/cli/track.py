@@ -17,7 +17,7 @@ from graphtrack.remote import place_of
 
 if TYPE_CHECKING:
     from graphtrack.cli.stream_behaviour import Asked
-    from graphtrack.inference.online_engines import OnlineEngine
+    from graphtrack.inference.engines import OnlineEngine
     from graphtrack.model import Model
     from graphtrack.table.rows import Rows
 
@@ -57,11 +57,11 @@ def track(
     attention : Tell who looks at whom, and at which --places.
     places : CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).
     """
+    from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.inference.online import OnlineSmoother
-    from graphtrack.inference.online_engines import check_lag, online_engine
-    from graphtrack.inference.recorded import track_online
     from graphtrack.io import write
     from graphtrack.model import Model
+    from graphtrack.smoothing.recording import track_online
 
     options.check_outputs(
         {"--output": output, "--state": state},
@@ -123,10 +123,10 @@ def _track_detections(
 ) -> None:
     """Track the detections of a file online, and write what was said at once."""
     from graphtrack.association.recorded import track_rows
-    from graphtrack.association.tracker import OnlineTracker
     from graphtrack.cli.console import print_summary
-    from graphtrack.inference.online_engines import online_engine
+    from graphtrack.inference.engines import online_engine
     from graphtrack.io import write
+    from graphtrack.smoothing.tracker import OnlineTracker
 
     tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)
     start = time.perf_counter()

@@ -14,11 +14,11 @@ from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import particle_filter, particle_smoother
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.inference.offline import smooth_track
-from graphtrack.inference.online_engines import OnlineEngine
-from graphtrack.inference.recorded import track_online
 from graphtrack.model import Model
 from graphtrack.model.model import BEST_PRESET
+from graphtrack.smoothing.recording import track_online
 from graphtrack.tracks import Track
 
 

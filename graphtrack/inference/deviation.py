@@ -12,7 +12,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, wrap
-from graphtrack.inference.initial import observed_vectors
+from graphtrack.model.observation import observed_angle
 from graphtrack.model.terms.intentional_motion import HEAD_RATE
 from graphtrack.tracks import Track
 
@@ -24,8 +24,7 @@ def mean_deviation(track: Track, seconds: float) -> FloatArray:
     up to it. A frame without one, or without an observed head, counts as no deviation. At the first frame
     ŝ is 0.
     """
-    vectors = observed_vectors(track, "head")
-    head = np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
+    head = observed_angle(track, "head")
     n, seen = len(track), np.asarray(np.isfinite(track.position).all(axis=1))
     # Frames in (t − seconds, t], with a margin for times that are not a step apart to the last bit.
     begins = np.searchsorted(track.t, track.t - seconds + 1e-6, side="right")

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graphtrack.errors import NO_POSITION, SolveError
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.linear import linear_part
 from graphtrack.inference.chain.programs import program_of
@@ -16,6 +15,7 @@ from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.model import Model, States
 from graphtrack.model.kernels.packing import PackedTracks, RecordTypes
 from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.observation import require_position, vectors_of
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 
 WINDOW = 0.5
@@ -23,7 +23,7 @@ WINDOW = 0.5
 
 NO_PRIOR = np.zeros((0, 6))
 
-SLOW = 0.1
+CREEPING = 0.1
 """m/s up to which a direction of travel does not stand in for an orientation, whatever the threshold."""
 
 
@@ -65,13 +65,13 @@ def seen_in(packed: PackedTracks, model: Model) -> Seen:
     none = np.zeros((0, 2))
     return Seen(
         packed.t,
-        _vectors(packed.directions("body"), packed.channel("body_likelihood"), len(packed.t))
+        vectors_of(packed.directions("body"), packed.channel("body_likelihood"), len(packed.t))
         if model.has_body
         else none,
-        _vectors(packed.directions("head"), packed.channel("head_likelihood"), len(packed.t))
+        vectors_of(packed.directions("head"), packed.channel("head_likelihood"), len(packed.t))
         if model.has_head
         else none,
-        max(model.parameters.coupling.speed_threshold, SLOW),
+        max(model.parameters.coupling.speed_threshold, CREEPING),
         WINDOW,
     )
 
@@ -99,12 +99,6 @@ def initial_states(track: Track, model: Model) -> States:
     )
 
 
-def require_position(track: Track) -> None:
-    """Raise SolveError if a track has no position at all."""
-    if not np.isfinite(track.position).all(axis=1).any():
-        raise SolveError(track.track_id, NO_POSITION)
-
-
 def empty_result(packed: PackedTracks) -> Result:
     """Room for the solution of packed tracks."""
     n, m = len(packed.records), len(packed.tracks)
@@ -112,23 +106,3 @@ def empty_result(packed: PackedTracks) -> Result:
     modes = np.full((n, 3), np.nan)
     covariance = np.empty((n, 6, 6))
     return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended, modes)
-
-
-def observed_vectors(track: Track, name: str) -> FloatArray:
-    """Vectors (n, 2) that point where body or head was seen to point; NaN where it was not."""
-    angle = getattr(track, name)
-    directions = None if angle is None else unit(angle)
-    return _vectors(directions, getattr(track, f"{name}_likelihood"), len(track))
-
-
-def _vectors(directions: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
-    if directions is not None and classes is None:
-        return directions
-    vectors = np.full((n, 2), np.nan) if directions is None else directions.copy()
-    if classes is not None:
-        total = classes.sum(axis=1)
-        usable = np.isfinite(total) & (total > 0.0)
-        weights = classes[usable] / total[usable, None]
-        # Not `@`: its rounding depends on how many rows there are, so a track's on the tracks beside it.
-        vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
-    return vectors

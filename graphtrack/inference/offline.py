@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from graphtrack.association.reading import tracks_of
 from graphtrack.bounds import check_count
-from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
-from graphtrack.gaps import at_times, filled, with_times_at
+from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.calibration import calibration_of
-from graphtrack.inference.chain.engine import fit_lanes, is_chain, solve_packed
+from graphtrack.inference.chain.engine import fit_lanes, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
+from graphtrack.inference.engines import engine_of
 from graphtrack.inference.extremes import not_finite
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack_to_solve
-from graphtrack.inference.social import lacks_groups, solve_in_turn
 from graphtrack.inference.solution import (
     Failure,
     OfflineEngine,
@@ -36,80 +32,15 @@ from graphtrack.model import Model
 from graphtrack.model.kernels.layout import LANES
 from graphtrack.readiness import processors
 from graphtrack.tracks import Track, TrackSet
-from graphtrack.trust import Trust, trusted
 
 if TYPE_CHECKING:
-    from graphtrack.io.given import Given, Scene
+    pass
 
 FEWEST, MOST = 5_000, 25_000
 """Frames that a thread of the chain engine takes at a time: few are dear, many take memory besides."""
 
 
-def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
-    """The engine that solves a model: what was asked for, or "chain" wherever that is possible.
-
-    Raises
-    ------
-    InputError
-        For an engine that is none of whole tracks; if the chain engine was asked for and a term has no
-        compiled kernel: the message names it.
-    """
-    if engine in ("isam2", "fixed-lag"):
-        raise InputError(
-            f"engine {engine!r}, which takes one observation after the other, for whole tracks",
-            "gtsam, where iSAM2 ends once it has all, or graphtrack track with --engine isam2 --lag none",
-        )
-    if engine not in ("auto", "chain", "gtsam"):
-        raise InputError(f"engine {engine!r}", "auto, chain or gtsam")
-    if engine == "gtsam" or (engine == "auto" and not is_chain(model)):
-        return "gtsam"
-    for term in model.terms:
-        if not term.is_compiled:
-            raise InputError(
-                f"engine 'chain' and the term {type(term).__name__}, which has no compiled kernel",
-                "engine 'auto' or 'gtsam'",
-            )
-    return "chain"
-
-
-def solve(
-    tracks: Given,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-) -> list[Solution | Failure]:
-    """Smooth every track; one that fails does not keep the others from coming out.
-
-    Parameters
-    ----------
-    tracks : observations: a `TrackSet`, a `Track` or several, the path of a file, or a table as for
-        `TrackSet.from_table`
-    model : a `Model`, a preset's name or a model file; by default "full"
-    engine : "auto", "chain" or "gtsam"; they minimise one cost, and may reach different minima of it
-    jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
-        the interpreter's lock, by default one
-    options : tolerances of the solver
-    progress : called with the numbers of person-frames that are done
-    trust : "declared": observations are as noisy as they, or the model, say; "check": warn where the data
-        contradict that; "learn": correct it there, warn, and go on
-
-    Returns
-    -------
-    list of Solution or Failure, in the order of the tracks
-    """
-    model = Model.named(model)
-    solver = engine_of(model, engine)
-    given, model, said = trusted(tracks_of(tracks, scene=model.scene), model, trust)
-    for line in said:
-        warnings.warn(line, InputWarning, stacklevel=2)
-    return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress)
-
-
-def solve_tracks(
+def solve_each(
     tracks: TrackSet,
     model: Model,
     engine: OfflineEngine,
@@ -119,18 +50,13 @@ def solve_tracks(
     progress: Callable[[int], None] | None = None,
     n_frames: int | None = None,
 ) -> list[Solution | Failure]:
-    """`solve`, where the engine is the one that `engine_of` has chosen for the model.
+    """Smooth every track by itself with the engine that `engine_of` has chosen for the model.
 
     ``n_frames``: person-frames of all the work that the tracks are a part of, if there are others.
     """
     options = SolverOptions() if options is None else options
     if jobs is not None:
         check_count("jobs", jobs)
-    if model.has_groups and lacks_groups(tracks):
-        again = partial(
-            solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
-        )
-        return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
     in_lanes = fit_lanes(tracks.tracks, model, n_frames)
     make_solver_ready(model, engine, tracks.camera, in_lanes)
     if engine == "chain":
@@ -141,87 +67,6 @@ def solve_tracks(
     with ProcessPoolExecutor(jobs) as pool:
         chunk = max(1, len(tracks) // (8 * jobs))
         return _collect(tracks, pool.map(attempt, tracks, chunksize=chunk), progress)
-
-
-@overload
-def smooth(
-    tracks: Track,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-    fill: bool = False,
-    resample: float | None = None,
-    **reading: Any,
-) -> Track: ...
-
-
-@overload
-def smooth(
-    tracks: Scene,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-    fill: bool = False,
-    resample: float | None = None,
-    **reading: Any,
-) -> TrackSet: ...
-
-
-def smooth(
-    tracks: Given,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-    fill: bool = False,
-    resample: float | None = None,
-    **reading: Any,
-) -> TrackSet | Track:
-    """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
-
-    Parameters
-    ----------
-    tracks, model, engine, jobs, options, progress, trust : as in `solve`
-    fill : estimate the frames between a track's rows that its table leaves out, too; see `gaps.filled`
-    resample : estimates at so many frames a second (Hz) in place of the tracks' own; see `gaps.with_times_at`
-    **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
-
-    Returns
-    -------
-    TrackSet or Track
-        The estimates, one track for each of the input; of a single `Track` that is a `Track`.
-
-    Raises
-    ------
-    SolveError
-        For the first track that cannot be smoothed; use `solve` to get the others all the same.
-    """
-    model = Model.named(model)
-    given = tracks_of(tracks, scene=model.scene, **reading)
-    origin = min((float(track.t[0]) for track in given), default=0.0)
-    if fill:
-        given = filled(given)
-    if resample is not None:
-        given = with_times_at(given, resample)
-    found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress, trust=trust)
-    for result in found:
-        if isinstance(result, Failure):
-            raise SolveError(result.track_id, result.reason)
-    estimates = given.with_tracks(result.track for result in found if isinstance(result, Solution))
-    if resample is not None:
-        estimates = at_times(estimates, resample, origin)
-    return estimates.tracks[0] if isinstance(tracks, Track) else estimates
 
 
 def smooth_track(

@@ -22,13 +22,13 @@ from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.calibration import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
+from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine
 from graphtrack.inference.extremes import with_extreme_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.late import merged, worked_in
 from graphtrack.inference.observed import checked
-from graphtrack.inference.online_engines import OnlineEngine, check_lag, online_engine
 from graphtrack.inference.state import (
     FAILURES,
     Estimate,

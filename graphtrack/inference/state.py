@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -20,6 +20,7 @@ from graphtrack.later import gtsam
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.kernels.layout import TIME_TOLERANCE
 from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text, whole
+from graphtrack.tracks import Track
 
 STATE_VERSION = 4
 
@@ -90,6 +91,21 @@ class Estimate:
         return found | ({"reason": self.reason} if self.reason else {})
 
 
+def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track:
+    """A track of online estimates, one for each frame of the recorded one."""
+    found = list(estimates)
+    return track.with_estimates(
+        position=np.array([e.position for e in found]),
+        velocity=np.array([e.velocity for e in found]),
+        body=np.array([e.body for e in found]) if model.has_body else None,
+        head=np.array([e.head for e in found]) if model.has_head else None,
+        covariance=np.array([e.covariance for e in found]),
+        aligned_p=np.array([e.aligned_p for e in found]) if model.has_modes else None,
+        gait_offset=np.array([e.gait_offset for e in found]) if model.has_modes else None,
+        glance_p=np.array([e.glance_p for e in found]) if model.has_modes else None,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Window:
     """What a smoother is built again from.
@@ -99,7 +115,7 @@ class Window:
     steps : the steps whose variables are still open, oldest first
     values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
     prior : what remains of the steps before; None if there were none
-    anchor : else the angles (radians) that hold the first orientations; see `graph.batch.anchors`
+    anchor : else the angles (radians) that hold the first orientations; see `graph.batch.beginning`
     modes : probabilities of the couplings' modes before the window
     """
 

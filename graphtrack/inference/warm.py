@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -17,45 +16,22 @@ from graphtrack.inference.initial import initial_states, pack, pack_to_solve
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import Rehearsal, make_ready
-from graphtrack.tracks import Track
+from graphtrack.readiness import TRACK, Rehearsal, make_ready
 
 if TYPE_CHECKING:
-    from graphtrack.inference.online_engines import OnlineEngine
+    from graphtrack.inference.engines import OnlineEngine
 
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
 
-_STEP = 0.1
-TRACK = Track(0, np.arange(4), np.linspace(0.0, 3 * _STEP, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
-"""A made-up person, for whom compiled functions are called the first time."""
 
-
-def warm_up(
-    model: Model | str | Path | None = None,
-    engine: OnlineEngine | Literal["gtsam"] = "auto",
-    *,
-    behaviour: bool = False,
-    large: bool = False,
+def make_all_ready(
+    model: Model, engine: OnlineEngine | Literal["gtsam"] = "auto", *, large: bool = False
 ) -> None:
-    """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
+    """Compile, or load, all that smoothing and tracking with a model and an engine call.
 
-    Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about
-    half a minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
-    Python shows where logging is not set up.
-
-    Parameters
-    ----------
-    model, engine : as in `solve` and `OnlineSmoother`
-    behaviour : whether what groups, attention and forecasts call is wanted, too
-    large : whether what solves many tracks in lanes is wanted, too, where the model has it: work of
-        `engine.LARGE` person-frames and more calls that
+    ``large``: also what solves many tracks in lanes, where the model has it.
     """
-    if behaviour:
-        from graphtrack.behaviour import warm as told  # most do not need it
-
-        make_ready(f"{told.ONLINE}, {told.FORECASTS}", told.online_rehearsal(), told.forecast_rehearsal())
-    model = Model.named(model)
     if not is_chain(model):
         make_ready(WHOLE, _graph_rehearsal(None))
     elif engine == "gtsam":
@@ -126,7 +102,7 @@ def _graph_rehearsal(model: Model | None) -> Rehearsal:
 def _online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
     like = _like(model)
-    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 1.5 * _STEP, 1e-8, 5)), 20.0)
+    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 0.15, 1e-8, 5)), 20.0)
 
 
 def _like(model: Model) -> Model:

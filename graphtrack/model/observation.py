@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.errors import NO_POSITION, SolveError
+from graphtrack.geometry.angles import FloatArray, class_centres, direction, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.later import gtsam
 from graphtrack.tracks import Track
@@ -160,3 +161,36 @@ def chain(track: Track, camera: GroundCamera | None = None) -> list[Step]:
 def seconds_between(previous: Step | None, observation: Observation) -> float | None:
     """The ``dt`` of a step; None without a step before."""
     return None if previous is None else observation.t - previous.observation.t
+
+
+def require_position(track: Track) -> None:
+    """Raise SolveError if a track has no position at all."""
+    if not np.isfinite(track.position).all(axis=1).any():
+        raise SolveError(track.track_id, NO_POSITION)
+
+
+def observed_vectors(track: Track, name: str) -> FloatArray:
+    """Vectors (n, 2) that point where body or head was seen to point; NaN where it was not."""
+    angle = getattr(track, name)
+    directions = None if angle is None else unit(angle)
+    return vectors_of(directions, getattr(track, f"{name}_likelihood"), len(track))
+
+
+def observed_angle(track: Track, name: str) -> FloatArray:
+    """Angle (n,) in radians at which body or head was observed; NaN where it was not."""
+    vectors = observed_vectors(track, name)
+    return np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
+
+
+def vectors_of(directions: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
+    """Vectors (n, 2) from unit vectors, or else from class likelihoods; NaN where there are neither."""
+    if directions is not None and classes is None:
+        return directions
+    vectors = np.full((n, 2), np.nan) if directions is None else directions.copy()
+    if classes is not None:
+        total = classes.sum(axis=1)
+        usable = np.isfinite(total) & (total > 0.0)
+        weights = classes[usable] / total[usable, None]
+        # Not `@`: its rounding depends on how many rows there are, so a track's on the tracks beside it.
+        vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
+    return vectors

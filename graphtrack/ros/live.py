@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour.online_attention import OnlineAttention
 from graphtrack.behaviour.online_groups import OnlineGroups
 from graphtrack.inference.online import Estimate, OnlineSmoother
@@ -21,6 +20,7 @@ from graphtrack.ros.ground import Ground, Seen
 from graphtrack.ros.humans import Humans
 from graphtrack.ros.messages import SECOND, frame_of
 from graphtrack.ros.transforms import Transforms
+from graphtrack.smoothing.tracker import OnlineTracker
 
 _GONE = 5.0
 """Seconds without a sight of somebody with a name after which they are forgotten."""

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.offline import solve_tracks
 from graphtrack.inference.solution import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
+from graphtrack.smoothing.recording import solve_tracks
 from graphtrack.table.columns import from_columns
 from graphtrack.table.speeds import Speeds
 from graphtrack.tracks import TrackSet, to_columns

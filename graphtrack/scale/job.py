@@ -15,7 +15,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.chain.engine import is_large
-from graphtrack.inference.offline import engine_of
+from graphtrack.inference.engines import engine_of
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.inference.warm import make_solver_ready
 from graphtrack.io.atomic import atomic_path

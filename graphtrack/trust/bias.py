@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit, von_mises_log_density, wrap
+from graphtrack.geometry.angles import FloatArray, unit, von_mises_log_density, wrap
+from graphtrack.model.observation import observed_angle
 from graphtrack.tracks import Track
 
 BASE = 1.0
@@ -78,7 +79,8 @@ def shared_offset(offsets: FloatArray) -> Bias:
 
 def offset_of(track: Track, name: str) -> float:
     """Circular mean of what was seen of an orientation less the direction of motion; NaN of too little."""
-    angle, seen = observed(track, name)
+    angle = observed_angle(track, name)
+    seen = np.isfinite(angle)
     place = np.flatnonzero(np.isfinite(track.position).all(axis=1))
     if not seen.any() or len(place) < 3:
         return math.nan
@@ -96,18 +98,6 @@ def offset_of(track: Track, name: str) -> float:
     offsets = angle[seen][moves] - np.arctan2(apart[moves, 1], apart[moves, 0])
     mean = unit(offsets).mean(axis=0)
     return math.atan2(mean[1], mean[0])
-
-
-def observed(track: Track, name: str) -> tuple[FloatArray, np.ndarray]:
-    """Angles (n,) that were seen, those of class likelihoods by their resultant, and where there are any."""
-    angle, classes = getattr(track, name), getattr(track, f"{name}_likelihood")
-    found = np.full(len(track), np.nan) if angle is None else np.array(angle)
-    if classes is not None:
-        total = classes.sum(axis=1)
-        known = np.isfinite(total) & (total > 0.0)
-        x, y = (np.nan_to_num(classes) @ unit(class_centres(classes.shape[1]))).T
-        found = np.where(known, np.arctan2(y, x), found)
-    return found, np.isfinite(found)
 
 
 def turned(track: Track, name: str, by: float) -> dict[str, FloatArray]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from graphtrack.association.tracks import associate
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import smooth
+from graphtrack.smoothing import smooth
 from graphtrack.tracks import TrackSet
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, feet_of, heights_of

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import expit, logit
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import smooth
+from graphtrack.smoothing import smooth
 from graphtrack.tracks import TrackSet
 
 _PARTS = 3

@@ -14,7 +14,7 @@ from scipy.special import expit
 from graphtrack.association.tracks import associate
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import smooth
+from graphtrack.smoothing import smooth
 from graphtrack.tracks import TrackSet
 from perception.detection.certainty import Certainty, judged_by_other_frames
 from perception.detection.ground_search import FEATURES, Candidates, SearchParameters, joined, strongest

@@ -15,9 +15,9 @@ from graphtrack.evaluation.reproduce.experiment import Cell, Progress, Table
 from graphtrack.evaluation.tracking.judge import score
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import smooth
 from graphtrack.io import read
 from graphtrack.io.cameras import read_calibration
+from graphtrack.smoothing import smooth
 from graphtrack.tracks import Track, TrackSet
 from perception.adaptation.labels import walking_labels
 from perception.adaptation.learning import AdaptationParameters, PackageModels, learn, thinned

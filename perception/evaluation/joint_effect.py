@@ -13,9 +13,9 @@ from graphtrack.baselines.particle.filter import ParticleOptions, particle_filte
 from graphtrack.evaluation.reproduce.chen_tables import ANGLES, WITH_FULL, Scores, most_likely_error
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import track_online
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track, TrackSet
 from perception.observe.identified import to_tracks
 from perception.observe.pipeline import (

@@ -13,9 +13,10 @@ from graphtrack.association.tracks import associate
 from graphtrack.errors import InputError
 from graphtrack.evaluation.methods import make_method, own_model
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.offline import engine_of, solve_tracks
+from graphtrack.inference.offline import engine_of
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
+from graphtrack.smoothing.recording import solve_tracks
 from graphtrack.tracks import Track, TrackSet
 from perception.detection.boxes import PersonBox
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.inference import smooth
 from graphtrack.model import Model
+from graphtrack.smoothing import smooth
 from graphtrack.tracks import TrackSet
 from perception.follow.following import Followed, to_track
 from perception.follow.world import BoxCamera

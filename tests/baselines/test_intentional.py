@@ -13,7 +13,6 @@ from graphtrack.baselines.intentional import (
     PRINTED,
     IntentionalParameters,
     bin_deviation,
-    bin_number,
     intentional_filter,
     prior_weight,
     step_tracker,
@@ -124,19 +123,6 @@ def test_bins_are_neighbours_around_the_circle() -> None:
             bin_deviation(wrap(head + turn), wrap(0.3 + turn)), bin_deviation(head, np.full_like(head, 0.3))
         )
     assert set(bin_deviation(head, np.zeros_like(head)).tolist()) == {-3, -2, -1, 0, 1, 2, 3, 4}
-
-
-def test_numbered_bins_are_apart_across_the_axis() -> None:
-    first, last = np.radians(0.0), np.radians(-45.0)
-    assert bin_deviation(first, last, "numbered") == -7
-    assert bin_deviation(last, first, "numbered") == 7
-    angles = np.radians(np.arange(-180, 180, 7.0))
-    numbers = bin_number(angles)
-    assert set(numbers.tolist()) == set(range(1, 9))
-    # The nearest centre of a bin is within half a bin.
-    centres = (numbers - 1.0) * np.pi / 4.0
-    assert np.abs(wrap(angles - centres)).max() <= np.pi / 8.0 + 1e-9
-    assert PRINTED.bin_difference == "numbered" and PRINTED.variant == "printed"
 
 
 def test_eleven_deviations_are_summed() -> None:
@@ -299,27 +285,6 @@ def test_two_half_steps_are_one_step_while_the_head_is_in_line() -> None:
     np.testing.assert_allclose(fine_states.spread[0, ::2], coarse_states.spread[0], rtol=1e-9)
 
 
-def test_the_frame_rate_matters_little_while_it_turns() -> None:
-    head = np.full(81, np.pi / 3.0)
-    t = np.linspace(0.0, 4.0, 81)
-    position = np.full((81, 2), np.nan)
-    position[::20] = np.stack([0.05 * np.arange(0, 81, 20) * 1.2, np.zeros(5)], axis=1)
-    position[41:] = np.nan
-    ends = []
-    for step in (1, 2, 4):
-        track = replace(
-            walk(81)[::step],
-            frame=np.arange(len(t[::step])),
-            t=t[::step],
-            position=position[::step],
-            head=head[::step],
-        )
-        ends.append(intentional_states(track, PARAMETERS, 1.0).mean[0, -1, :2])
-    moved = np.linalg.norm(ends[0])
-    assert np.linalg.norm(ends[1] - ends[0]) < 0.02 * moved
-    assert np.linalg.norm(ends[2] - ends[1]) < 0.04 * moved
-
-
 @pytest.mark.parametrize("missing", ["none", "positions", "heads", "both"])
 def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> None:
     track = walk(30, uneven=True)
@@ -333,15 +298,6 @@ def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> No
     np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
 
 
-def test_the_rate_is_the_parameters_unless_another_is_given() -> None:
-    track = walk(30, uneven=True)
-    for rate in (0.4, 3.0):
-        own = replace(PARAMETERS, motion=replace(PARAMETERS.motion, head_rate=rate))
-        found, expected = intentional_tracker(track, own), intentional_tracker(track, PARAMETERS, rate)
-        np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
-        np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
-
-
 def test_the_world_may_be_turned() -> None:
     track = walk(30, uneven=True)
     for angle in (0.4, 2.0):
@@ -351,13 +307,6 @@ def test_the_world_may_be_turned() -> None:
             turned(intentional_tracker(track, PARAMETERS), angle, (3.0, -1.0)),
         )
         np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
-
-
-def test_class_likelihoods_of_the_head_are_used() -> None:
-    track = walk(30, classes=True)
-    blind = replace(track, head_likelihood=None)
-    assert not np.allclose(intentional_tracker(track).position, intentional_tracker(blind).position)
-    np.testing.assert_allclose(intentional_tracker(blind).position, kalman_filter(blind).position, atol=1e-12)
 
 
 def test_a_head_without_any_position_is_refused() -> None:

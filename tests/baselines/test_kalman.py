@@ -5,10 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
-import filterpy.kalman
 import numpy as np
 import pytest
-import simdkalman
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -42,7 +40,6 @@ PARAMETERS = Parameters(
     motion=MotionParameters(acceleration_density=0.7, initial_speed_std=1.2),
     likelihood=LikelihoodParameters(position_std=0.08),
 )
-MEASURE = np.eye(2, 4)
 
 
 @cache
@@ -112,54 +109,6 @@ GAPS = ["none", "inner", "last", "first", "first and last", "all but one"]
 
 
 @pytest.mark.parametrize("gaps", GAPS)
-@pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
-def test_filter_and_smoother_equal_filterpy(gaps: str, uneven: bool) -> None:
-    track = track_with(gaps, uneven=uneven, own_std=True)
-    start = int(np.flatnonzero(np.isfinite(track.position[:, 0]))[0])
-    kalman = filterpy.kalman.KalmanFilter(dim_x=4, dim_z=2)
-    kalman.H = MEASURE
-    state, kalman.P = first_state(track, start)
-    kalman.x = state[:, None]
-    std = position_std(track, PARAMETERS)
-    means, covariances = [kalman.x.copy()], [kalman.P.copy()]
-    transitions, noises = [np.eye(4)], [np.zeros((4, 4))]
-    for k in range(start + 1, len(track)):
-        transition, noise = discretised(float(track.t[k] - track.t[k - 1]), 0.7)
-        kalman.predict(F=transition, Q=noise)
-        seen = bool(np.isfinite(track.position[k]).all())
-        kalman.update(track.position[k][:, None] if seen else None, R=std[k] ** 2 * np.eye(2))
-        means.append(kalman.x.copy())
-        covariances.append(kalman.P.copy())
-        transitions.append(transition)
-        noises.append(noise)
-    filtered, _ = filter_states(track, PARAMETERS)
-    np.testing.assert_allclose(filtered.mean[start:], np.array(means)[:, :, 0], atol=1e-9)
-    np.testing.assert_allclose(filtered.covariance[start:], covariances, atol=1e-9)
-    mean, covariance, _, _ = kalman.rts_smoother(np.array(means), np.array(covariances), transitions, noises)
-    smoothed = smooth_states(track, PARAMETERS)
-    np.testing.assert_allclose(smoothed.mean[start:], mean[:, :, 0], atol=1e-8)
-    np.testing.assert_allclose(smoothed.covariance[start:], covariance, atol=1e-8)
-
-
-@pytest.mark.parametrize("gaps", ["none", "inner", "last"])
-def test_filter_and_smoother_equal_simdkalman(gaps: str) -> None:
-    track = track_with(gaps, uneven=False)
-    transition, noise = discretised(0.1, 0.7)
-    mean, covariance = first_state(track, 0)
-    seen = track.position.copy()
-    seen[0] = np.nan  # the first position stands in the initial state already
-    found = simdkalman.KalmanFilter(transition, noise, MEASURE, 0.08**2 * np.eye(2)).compute(
-        seen[None], 0, mean[:, None], covariance, filtered=True, observations=False
-    )
-    filtered, _ = filter_states(track, PARAMETERS)
-    smoothed = smooth_states(track, PARAMETERS)
-    np.testing.assert_allclose(filtered.mean, found.filtered.states.mean[0], atol=1e-8)
-    np.testing.assert_allclose(filtered.covariance, found.filtered.states.cov[0], atol=1e-8)
-    np.testing.assert_allclose(smoothed.mean, found.smoothed.states.mean[0], atol=1e-8)
-    np.testing.assert_allclose(smoothed.covariance, found.smoothed.states.cov[0], atol=1e-8)
-
-
-@pytest.mark.parametrize("gaps", GAPS)
 def test_filter_and_smoother_equal_stone_soup(gaps: str) -> None:
     track = track_with(gaps, uneven=True)
     # Stone Soup counts time in whole microseconds.
@@ -198,17 +147,6 @@ def test_filter_and_smoother_equal_stone_soup(gaps: str) -> None:
         their_covariances = np.array([np.asarray(s.covar)[np.ix_(order, order)] for s in theirs])
         np.testing.assert_allclose(ours.mean[start:], their_means, atol=1e-8)
         np.testing.assert_allclose(ours.covariance[start:], their_covariances, atol=1e-8)
-
-
-@pytest.mark.parametrize("gaps", GAPS)
-@pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
-@pytest.mark.parametrize("own_std", [False, True], ids=["one std", "own stds"])
-def test_the_smoother_equals_dense_conditioning(gaps: str, uneven: bool, own_std: bool) -> None:
-    track = track_with(gaps, uneven=uneven, own_std=own_std)
-    mean, covariance = dense_posterior(track, PARAMETERS)
-    smoothed = smooth_states(track, PARAMETERS)
-    np.testing.assert_allclose(smoothed.mean, mean, atol=1e-7)
-    np.testing.assert_allclose(smoothed.covariance, covariance, rtol=1e-6, atol=1e-8)
 
 
 @settings(deadline=None, max_examples=40)
@@ -256,14 +194,6 @@ def test_nothing_is_filtered_before_the_first_position_but_it_is_smoothed() -> N
     spread = offline.std("x")
     assert spread is not None
     assert np.all(np.diff(spread[:5]) < 0.0)  # the further back, the less is known
-
-
-def test_the_last_smoothed_state_is_the_filtered_one() -> None:
-    track = track_with("inner", uneven=True)
-    filtered, _ = filter_states(track, PARAMETERS)
-    smoothed = smooth_states(track, PARAMETERS)
-    np.testing.assert_array_equal(smoothed.mean[-1], filtered.mean[-1])
-    np.testing.assert_array_equal(smoothed.covariance[-1], filtered.covariance[-1])
 
 
 def test_a_position_of_which_half_is_missing_does_not_count() -> None:

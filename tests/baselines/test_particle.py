@@ -29,7 +29,6 @@ from graphtrack.baselines.particle.kernels import (
     POSITION,
     draw_angles,
     draw_motion,
-    run,
     summarise,
     summarise_motion,
 )
@@ -82,16 +81,6 @@ def test_descendants_are_the_expected_number_rounded(raw: list[float], offset: f
     assert np.all(np.diff(ancestors) >= 0)
     assert np.all(np.abs(descendants - count * weights) < 1.0 + 1e-9)
     assert np.all(descendants[weights == 0.0] == 0)
-
-
-def test_descendants_are_the_expected_number_on_average() -> None:
-    weights = np.array([0.05, 0.5, 0.15, 0.3])
-    ancestors, total = np.empty(7, dtype=np.int64), np.zeros(4)
-    offsets = (np.arange(2000) + 0.5) / 2000
-    for offset in offsets:
-        systematic_ancestors(weights, offset, ancestors)
-        total += np.bincount(ancestors, minlength=4)
-    np.testing.assert_allclose(total / len(offsets), 7 * weights, atol=5e-3)
 
 
 @settings(deadline=None)
@@ -450,20 +439,6 @@ def test_backward_simulation_is_rauch_tung_striebel_on_the_linear_model() -> Non
     np.testing.assert_allclose(variance, exact.covariance[:, 0, 0], rtol=0.5)
 
 
-@pytest.mark.slow
-def test_after_a_gap_in_small_steps_it_takes_many_particles_to_be_rauch_tung_striebel() -> None:
-    track = without(walk(40, noise=0.1, dt=0.1), "position", slice(15, 30))
-    exact = rauch_tung_striebel(track, PARAMETERS).position
-
-    def excess(count: int) -> float:
-        """Mean squared distance from the exact answer over runs."""
-        own = options(count, paths=50)
-        runs = [particle_smoother(track, LINEAR, options=own, seed=s).track.position for s in range(4)]
-        return float(np.mean([np.sum((found - exact) ** 2) for found in runs]))
-
-    assert excess(6000) < 0.4 * excess(250)
-
-
 # -- behaviour ---------------------------------------------------------------------------------------------
 
 
@@ -559,17 +534,6 @@ def test_before_the_first_position_nothing_is_known() -> None:
         assert np.isnan(found.log_evidence[:4]).all()
 
 
-def test_one_frame_and_one_position() -> None:
-    single = walk(1)
-    found = particle_filter(single, "joint", options=options(4000)).track
-    np.testing.assert_allclose(found.position, single.position, atol=0.02)
-    gap = without(walk(8), "position", slice(1, 8))
-    found = particle_filter(gap, "joint", options=options(500)).track
-    spread = found.std("x")
-    assert spread is not None
-    assert np.all(np.diff(spread) > 0.0)
-
-
 def test_pixels_alone_locate_a_person() -> None:
     track, view = walk(15), camera()
     inside = 0.2 * (track.true_position - np.mean(track.true_position, axis=0))
@@ -580,12 +544,6 @@ def test_pixels_alone_locate_a_person() -> None:
     )
     found = particle_filter(track, "joint", camera=view, options=options(2000)).track
     assert np.linalg.norm(found.position - inside, axis=1).mean() < 0.1
-
-
-def test_a_camera_has_nothing_compiled_again() -> None:
-    for view in (None, camera()):
-        particle_smoother(walk(3), "joint", camera=view, options=options(10))
-        assert [len(kernel.signatures) for kernel in (run, backward)] == [1, 1]
 
 
 def test_no_position_at_all() -> None:

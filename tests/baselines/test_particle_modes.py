@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,6 @@ from graphtrack.baselines.particle.data import prepare
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.baselines.particle.kernels import FIRST, POSITION, run, steering_share
 from graphtrack.errors import InputError
-from graphtrack.evaluation.methods import make_method
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.inference.chain.mode_tables import mode_table, transition
 from graphtrack.model import (
@@ -255,11 +253,3 @@ def test_the_same_seed_gives_the_same_and_the_smoother_refuses() -> None:
     assert particle_filter(track, "joint", seed=4).track.aligned_p is None
     with pytest.raises(InputError, match="modes"):
         particle_smoother(track, "full")
-
-
-def test_the_method_of_the_comparison_has_modes() -> None:
-    method = make_method("particle-modes")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        estimate = method.estimate(walk(10), None)
-    assert method.online and estimate.aligned_p is not None

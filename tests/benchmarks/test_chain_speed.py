@@ -16,15 +16,16 @@ import gtsam
 import numpy as np
 import pytest
 import simdkalman
+from costs import build_graph
 from filterpy.kalman import KalmanFilter
 from walks import walk
 
-from graphtrack.inference import Solution, smooth_track, solve
-from graphtrack.inference.graph.batch import build_graph
+from graphtrack.inference import Solution, smooth_track
 from graphtrack.inference.initial import initial_states
 from graphtrack.model import Model
 from graphtrack.model.observation import Step, chain
 from graphtrack.model.terms.motion import process_noise, transition_matrix
+from graphtrack.smoothing import solve
 from graphtrack.tracks import Track, TrackSet
 
 pytestmark = pytest.mark.benchmark

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from crossing_people import street
 
-from graphtrack.association.tracker import OnlineTracker
 from graphtrack.cli.detections import Scenes
 from graphtrack.scene import SceneParameters
+from graphtrack.smoothing.tracker import OnlineTracker
 
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
 

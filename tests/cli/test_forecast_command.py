@@ -12,7 +12,6 @@ import pytest
 from command import run
 
 import graphtrack as gt
-from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.cli import live
@@ -20,6 +19,7 @@ from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
+from graphtrack.smoothing.tracker import OnlineTracker
 
 KEYS = ["ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90"]
 

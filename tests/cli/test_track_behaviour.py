@@ -13,7 +13,6 @@ import pytest
 from command import Done, run
 
 import graphtrack as gt
-from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.behaviour.places import Place
 from graphtrack.cli.detections import Scenes
@@ -21,6 +20,7 @@ from graphtrack.cli.stream import People
 from graphtrack.cli.stream_behaviour import Asked, FrameBehaviour, SceneBehaviour, merged
 from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.inference.online import OnlineSmoother
+from graphtrack.smoothing.tracker import OnlineTracker
 
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
 OF_GROUPS = ["group", "kind", "probability", "centre_x", "centre_y"]

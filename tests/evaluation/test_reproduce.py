@@ -31,9 +31,9 @@ from graphtrack.evaluation.reproduce.fitting import (
 from graphtrack.evaluation.reproduce.occlusion_methods import ONLINE, error_of
 from graphtrack.evaluation.resampling import bootstrap, deviation, mean_difference, reduction
 from graphtrack.experiments import Settings, Table, all_experiments
-from graphtrack.inference import track_online
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
+from graphtrack.smoothing.recording import track_online
 from graphtrack.tracks import TrackSet
 
 

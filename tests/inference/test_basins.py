@@ -10,8 +10,8 @@ from selection import others_slow
 from walks import walk
 
 from graphtrack.geometry.angles import difference
-from graphtrack.inference import smooth, track_online
 from graphtrack.simulation.classes import add_class_likelihoods
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import Track, TrackSet
 
 EVERY_ENGINE = pytest.mark.parametrize(

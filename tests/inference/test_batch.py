@@ -4,19 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from costs import cost_around, free, gradient, hessian, stated_blocks, states_of
+from costs import cost_around, free, gradient, hessian, states_of
 from scipy import stats
 from scipy.spatial.transform import Rotation
 from selection import others_slow
 from walks import rotation, turned, walk, without
 
 from graphtrack.baselines.kalman import rauch_tung_striebel
-from graphtrack.errors import InputError, SolveError
-from graphtrack.geometry.angles import UNIFORM_STD, difference, direction, wrap
+from graphtrack.errors import SolveError
+from graphtrack.geometry.angles import UNIFORM_STD, difference, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.homography import jacobian
-from graphtrack.inference import Failure, Solution, SolverOptions, smooth, smooth_track, solve
-from graphtrack.inference.initial import initial_states
+from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import (
     CouplingParameters,
@@ -29,6 +28,7 @@ from graphtrack.model import (
     presets,
 )
 from graphtrack.model.parameters import steady
+from graphtrack.smoothing import smooth, solve
 from graphtrack.tracks import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
@@ -89,29 +89,6 @@ def test_the_preset_position_equals_rauch_tung_striebel(gaps: str, uneven: bool,
     np.testing.assert_allclose(
         found.covariance[:, :4, :4], expected.covariance[:, :4, :4], rtol=1e-8, atol=1e-8
     )
-
-
-def test_the_solver_finds_the_linear_optimum_from_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    track = walk(20, uneven=True)
-    expected = rauch_tung_striebel(track)
-
-    def far_away(track: Track, model: Model) -> States:
-        found = initial_states(track, model)
-        return replace(found, position=found.position + 100.0, velocity=found.velocity - 7.0)
-
-    monkeypatch.setattr("graphtrack.inference.graph.batch.initial_states", far_away)
-    found = smooth_track(track, Model("position"), engine="gtsam")
-    assert found.cost < 1e-3 * found.initial_cost
-    np.testing.assert_allclose(found.track.position, expected.position, atol=1e-8)
-    np.testing.assert_allclose(found.track.velocity, expected.velocity, atol=1e-8)
-
-
-def test_uncoupled_orientations_leave_the_positions_alone() -> None:
-    track = walk(20, uneven=True)
-    expected = rauch_tung_striebel(track)
-    found = smooth_track(track, Model("separate"), options=EXACTLY).track
-    np.testing.assert_allclose(found.position, expected.position, atol=1e-7)
-    np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-7)
 
 
 def simulated(
@@ -273,65 +250,6 @@ def test_the_gradient_of_the_cost_vanishes_at_the_estimate(preset: str, situatio
     assert np.abs(at_estimate).max() < 1e-5 * np.abs(beside).max()
 
 
-@MOST_TERMS
-@EVERY_SITUATION
-def test_nothing_near_the_estimate_costs_less(preset: str, situation: str) -> None:
-    track, parameters = SITUATIONS[situation]
-    model = Model(preset, parameters)
-    found = smooth_track(track, model, options=EXACTLY)
-    rng = np.random.default_rng(1)
-    cost = cost_around(states_of(found.track), track, model)
-    size = len(track) * len(free(model))
-    best = cost(np.zeros(size))
-    assert found.cost == pytest.approx(best, rel=1e-6, abs=1e-5)
-    for scale in (1e-3, 1e-2, 0.1):
-        for _ in range(30):
-            assert cost(rng.normal(0.0, scale, size)) > best
-
-
-@EVERY_PRESET
-def test_the_estimate_costs_less_than_start_truth_and_data(preset: str) -> None:
-    track, model = walk(30, seed=9), Model(preset)
-    found = smooth_track(track, model)
-    assert found.converged
-    assert found.iterations < 50
-    start = model.cost(initial_states(track, model), track)
-    assert found.initial_cost == pytest.approx(start, rel=1e-6, abs=1e-4)
-    assert found.cost <= found.initial_cost
-    assert track.true_position is not None
-    assert track.true_body is not None
-    assert track.true_head is not None
-    velocity = np.gradient(track.true_position, track.t, axis=0)
-    truth = States(track.true_position, velocity, track.true_body, track.true_head)
-    assert found.cost < model.cost(truth, track)
-
-
-@MOST_TERMS
-@pytest.mark.parametrize(
-    "situation", others_slow(["angles", "uneven", "classes", "gaps", "outliers"], ["classes", "outliers"])
-)
-def test_covariances_are_the_inverse_of_the_exact_curvature(preset: str, situation: str) -> None:
-    track, parameters = SITUATIONS[situation]
-    track = track[3:7]  # in which each state is seen, and something is missing where there are gaps
-    model = Model(preset, parameters)
-    found = smooth_track(track, model, options=EXACTLY).track
-    columns = free(model)
-    curvature = hessian(cost_around(states_of(found), track, model), len(track) * len(columns))
-    # Far from rounding: what nothing determines has no inverse.
-    assert np.linalg.eigvalsh(curvature).min() > 0.01
-    expected = np.linalg.inv(curvature)
-    assert found.covariance is not None
-    for k, whole in enumerate(stated_blocks(expected, columns, model, found)):
-        block = whole[np.ix_(columns, columns)]
-        scale = np.sqrt(np.diag(block))
-        np.testing.assert_allclose(
-            found.covariance[k][np.ix_(columns, columns)] / scale[:, None] / scale,
-            block / scale[:, None] / scale,
-            atol=5e-3,
-            err_msg=f"frame {k}",
-        )
-
-
 # Little to go by.
 
 
@@ -404,18 +322,6 @@ def test_the_joint_model_finds_bodies_from_the_motion_and_heads_from_the_bodies(
     np.testing.assert_allclose(difference(found.head, found.body), 0.0, atol=0.15)
 
 
-def test_more_evidence_makes_estimates_more_certain() -> None:
-    track = walk(20, seed=2)
-    model = Model("joint")
-    little = smooth_track(without(without(track, "position", slice(5, 9)), "head", slice(3, 12)), model).track
-    much = smooth_track(track, model).track
-    for name in ("x", "y", "head"):
-        less, more = little.std(name), much.std(name)
-        assert less is not None
-        assert more is not None
-        assert np.all(more[5:9] < less[5:9])
-
-
 # Likelihoods.
 
 
@@ -453,23 +359,6 @@ def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood
         errors[outlier] = np.abs(difference(found.body, found.true_body))[17:22].max()
     assert errors[0.0] > 0.5
     assert errors[0.1] < 0.4 * errors[0.0]
-
-
-def test_a_camera_straight_above_sees_metres() -> None:
-    camera = GroundCamera.from_scale(0.02)
-    track = walk(20, seed=4, uneven=True)
-    seen = replace(track, pixel=camera.ground_to_image(track.position))
-    parameters = Parameters(likelihood=LikelihoodParameters(position_std=0.1, pixel_std=5.0))
-    for preset in PRESETS:
-        model = Model(preset, parameters)
-        in_metres = smooth_track(track, model, camera, EXACTLY)
-        in_pixels = smooth_track(seen, model, camera, EXACTLY)
-        assert in_pixels.track.covariance is not None
-        np.testing.assert_allclose(in_pixels.track.position, in_metres.track.position, atol=1e-8)
-        np.testing.assert_allclose(
-            in_pixels.track.covariance, in_metres.track.covariance, rtol=1e-6, atol=1e-10
-        )
-        assert in_pixels.cost == pytest.approx(in_metres.cost, rel=1e-9)
 
 
 def oblique_camera() -> GroundCamera:
@@ -557,11 +446,6 @@ def test_smooth_raises_for_a_track_that_fails_and_names_it() -> None:
         smooth(some_tracks())
 
 
-def test_an_unknown_model_is_refused_before_any_work() -> None:
-    with pytest.raises(InputError, match="position, separate, joint"):
-        smooth(some_tracks(), "jiont")
-
-
 def content(found: list[Solution | Failure]) -> list[object]:
     """Everything that was found, byte for byte."""
     result: list[object] = []
@@ -597,13 +481,3 @@ def test_estimates_keep_the_truth_and_drop_the_observations() -> None:
     positions_only = smooth(TrackSet((track,)), "position")[1]
     assert positions_only.body is None
     assert positions_only.head is None
-
-
-def test_the_velocity_is_that_of_the_position() -> None:
-    track = walk(40, seed=1, noise=0.01)
-    for preset in PRESETS:
-        found = smooth_track(track, Model(preset)).track
-        assert found.velocity is not None
-        slope = np.gradient(found.position, found.t, axis=0)
-        np.testing.assert_allclose(found.velocity[3:-3], slope[3:-3], atol=0.15)
-        assert np.abs(difference(direction(found.velocity), found.true_body))[3:-3].max() < np.radians(12.0)

@@ -15,15 +15,16 @@ from walks import walk, without
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track, solve
+from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
+from graphtrack.inference.engines import engine_of
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
-from graphtrack.inference.offline import engine_of
 from graphtrack.model import LikelihoodParameters, Model, Parameters, States, Term, presets
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.motion import Motion
 from graphtrack.model.terms.pose import BodyLikelihood
+from graphtrack.smoothing import solve
 from graphtrack.tracks import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
@@ -281,27 +282,6 @@ def test_an_angle_of_concentration_zero_says_nothing(preset: str) -> None:
         expected = smooth_track(blind, model, engine="chain")
         assert distance(found.track, expected.track) < 1e-6
         assert found.cost == pytest.approx(expected.cost, rel=1e-9)
-
-
-@pytest.mark.parametrize("dt", [0.0, -0.1])
-def test_times_that_stand_still_or_run_back_are_refused(dt: float) -> None:
-    track = walk(5)
-    with pytest.raises(InputError, match="times that do not increase"):
-        replace(track, t=track.t[0] + dt * np.arange(5))
-
-
-@pytest.mark.parametrize("value", [0.0, -0.1, np.inf])
-def test_variances_that_are_none_are_refused(value: float) -> None:
-    with pytest.raises(InputError, match="position_std"):
-        replace(walk(5), position_std=np.array([0.1, 0.1, value, np.nan, 0.1]))
-    with pytest.raises(InputError, match="position_std"):
-        LikelihoodParameters(position_std=value)
-
-
-@pytest.mark.parametrize("value", [-1.0, np.inf])
-def test_concentrations_that_are_none_are_refused(value: float) -> None:
-    with pytest.raises(InputError, match="body_kappa"):
-        replace(walk(5), body_kappa=np.array([4.0, 0.0, value, np.nan, 1.0]))
 
 
 def test_a_track_of_numbers_too_great_to_square_fails_alone() -> None:

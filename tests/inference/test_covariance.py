@@ -7,11 +7,11 @@ import pytest
 from walks import walk
 
 from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
-from graphtrack.inference.chain.covariance import back_from, pull_apart, sweep_pulls
-from graphtrack.inference.chain.elimination import eliminate, invert_cholesky, workspace
+from graphtrack.inference.chain.covariance import pull_apart, sweep_pulls
+from graphtrack.inference.chain.elimination import eliminate, invert_cholesky, take_step, workspace
 from graphtrack.inference.offline import smooth_track
-from graphtrack.inference.recorded import track_online
 from graphtrack.model import Model
+from graphtrack.smoothing.recording import track_online
 
 
 def test_the_sweeps_solve_the_chain() -> None:
@@ -44,8 +44,8 @@ def test_the_sweeps_solve_the_chain() -> None:
             pull_apart(states[k], coupling, spread[k], 0.1, right[k])
         sweep_pulls(n, states, coupling, spread, 0.1, memory)
         for k in range(n - 1, -1, -1):
-            back_from(k, k == n - 1, memory)
-        found = memory.step[:n].ravel()
+            take_step(k, k < n - 1, memory)
+        found = -memory.step[:n].ravel()
         assert found == pytest.approx(np.linalg.solve(dense, right.ravel()), abs=1e-12)
 
 

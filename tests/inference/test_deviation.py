@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from walks import turned, walk, without
+from walks import walk, without
 
-from graphtrack import InputError
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
-from graphtrack.inference import smooth_track, track_online
+from graphtrack.inference import smooth_track
 from graphtrack.inference.deviation import GrowingRate, mean_deviation
 from graphtrack.model import Model
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 
@@ -51,13 +51,6 @@ def test_only_what_was_observed_before_a_step_counts_for_it() -> None:
     found, other = mean_deviation(track, 1.0), mean_deviation(later, 1.0)
     np.testing.assert_array_equal(found[:18], other[:18])
     assert not np.allclose(found[18:], other[18:])
-
-
-def test_the_world_may_be_turned_and_moved() -> None:
-    track = without(walk(30, uneven=True), "position", [4, 5, 20])
-    np.testing.assert_allclose(
-        mean_deviation(turned(track, 2.1, (3.0, -5.0)), 1.0), mean_deviation(track, 1.0), atol=1e-9
-    )
 
 
 def test_the_rate_goes_with_the_deviation() -> None:
@@ -102,20 +95,3 @@ def test_engines_agree_on_rates_that_change() -> None:
     online = track_online(given, model, engine="chain", lag=60.0)
     np.testing.assert_allclose(online.position[-1], by_chain.position[-1], atol=1e-4)
     assert not np.allclose(by_chain.position, smooth_track(track, model).track.position, atol=1e-3)
-
-
-def test_a_rate_of_zero_is_a_step_that_is_not_steered() -> None:
-    track, none = walk(25), Model("joint-intentional")
-    given = replace(track, inputs={"head_rate": np.zeros(25)})
-    motion = replace(none.parameters.motion, head_rate=0.0)
-    expected = smooth_track(track, none.with_parameters(replace(none.parameters, motion=motion))).track
-    np.testing.assert_allclose(smooth_track(given, none).track.position, expected.position, atol=1e-6)
-
-
-def test_rates_out_of_range() -> None:
-    given = replace(walk(6), inputs={"head_rate": np.array([1.0, 1.0, -0.5, 1.0, 1.0, 1.0])})
-    with pytest.raises(InputError, match="head_rate"):
-        intentional_tracker(given)
-    for values in ({"rate": -1.0}, {"growth": np.nan}, {"seconds": 0.0}):
-        with pytest.raises(InputError, match=next(iter(values))):
-            GrowingRate(**{"rate": 1.0, "growth": 0.0, **values})

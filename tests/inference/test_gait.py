@@ -11,7 +11,6 @@ from mode_recursions import both_ways
 from scipy import special
 
 import graphtrack as gt
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import (
     class_centres,
     class_kappa,
@@ -21,7 +20,7 @@ from graphtrack.geometry.angles import (
     unit,
     wrap,
 )
-from graphtrack.inference import smooth_track, solve
+from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.coupling_modes import (
     AHEAD_BODY,
     AHEAD_VX,
@@ -31,12 +30,9 @@ from graphtrack.inference.chain.coupling_modes import (
 )
 from graphtrack.inference.chain.mode_tables import transition
 from graphtrack.inference.initial import pack, problem_of
-from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.recorded import track_online
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.program import add_frame
-from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import (
     BASE,
     BINS,
@@ -48,6 +44,8 @@ from graphtrack.model.terms.gait import (
 )
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
+from graphtrack.smoothing import solve
+from graphtrack.smoothing.recording import track_online
 from graphtrack.tracks import Track, TrackSet
 
 GAIT = gait_of(Parameters().gait)
@@ -90,16 +88,6 @@ def test_side_stepping_is_never_worse_than_separate_and_joint_is(degrees: float)
     full, separate, joint = (errors(tracks, smoothed(tracks, m)) for m in ("full", "separate", "joint"))
     assert (full < separate).all()
     assert joint[0] > 2.0 * separate[0]
-
-
-def test_aligned_people_are_as_good_as_with_joint() -> None:
-    tracks = people(0.0, 16, seed=3)
-    full, joint, separate = (errors(tracks, smoothed(tracks, m)) for m in ("full", "joint", "separate"))
-    # Nobody here is off their course at all, which joint takes for granted.
-    assert (full < joint + 1.0).all()
-    assert full[0] < 0.7 * separate[0]
-    aligned = [one.aligned_p.mean() for one in smoothed(tracks, "full")]
-    assert np.median(aligned) > 0.6
 
 
 def test_a_head_that_looks_aside_does_not_turn_the_body() -> None:
@@ -162,31 +150,6 @@ def test_classes_tell_the_mode_as_angles_do() -> None:
     assert np.degrees(np.abs(difference(offsets, np.radians(120.0)))).mean() < 15.0
 
 
-def test_a_track_does_not_depend_on_those_beside_it_nor_on_the_threads() -> None:
-    tracks = people(np.radians(70.0), 5, seed=9)
-    together = solve(tracks, "full", jobs=2)
-    for track, one in zip(tracks, together, strict=True):
-        alone = smooth_track(track, Model("full"))
-        np.testing.assert_array_equal(alone.track.body, one.track.body)
-        np.testing.assert_array_equal(alone.track.gait_offset, one.track.gait_offset)
-
-
-def test_a_turned_world_is_a_turned_answer() -> None:
-    (track,) = people(np.radians(50.0), 1, seed=10)
-    angle = 1.234
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    turned = replace(
-        track,
-        position=track.position @ turn.T,
-        body=wrap(track.body + angle),
-        head=wrap(track.head + angle),
-    )
-    one, other = (smooth_track(each, Model("full")).track for each in (track, turned))
-    np.testing.assert_allclose(difference(other.body, one.body + angle), 0.0, atol=1e-5)
-    np.testing.assert_allclose(other.aligned_p, one.aligned_p, atol=1e-5)
-    np.testing.assert_allclose(difference(other.gait_offset, one.gait_offset), 0.0, atol=1e-5)
-
-
 # Files and engines.
 
 
@@ -205,14 +168,6 @@ def test_modes_stand_in_the_files(tmp_path: Path) -> None:
     assert "aligned_p" not in gt.smooth(tracks, "joint").to_table()
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("body_aligned", 1.5), ("head_drift", -1.0), ("body_lead", 11.0), ("head_evidence", 2)]
-)
-def test_parameters_out_of_range_are_named(key: str, value: float) -> None:
-    with pytest.raises(InputError, match=rf"gait\.{key}"):
-        Model.from_dict({"preset": "full", "gait": {key: value}})
-
-
 # Online.
 
 
@@ -225,21 +180,6 @@ def test_online_the_offset_is_found_from_the_past() -> None:
     assert np.degrees(np.abs(difference(ends, np.radians(100.0)))).mean() < 20.0
 
 
-def test_a_saved_state_goes_on_as_if_nothing_had_happened() -> None:
-    (track,) = people(np.radians(100.0), 1, seed=14)
-    seen = list(observations(track))
-    smoother = OnlineSmoother("full", lag=1.0)
-    for one in seen[:100]:
-        smoother.update(one)
-    again = OnlineSmoother.from_state(smoother.state(), "full", lag=1.0)
-    assert again.state() == smoother.state()
-    for one in seen[100:]:
-        expected, found = smoother.update(one), again.update(one)
-        np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
-        assert difference(found.body, expected.body) == pytest.approx(0.0, abs=1e-6)
-        assert found.aligned_p == pytest.approx(expected.aligned_p, abs=1e-6)
-
-
 def test_the_past_of_a_window_is_not_forgotten() -> None:
     # After a window without anything seen of body and head the mode is known from before.
     (track,) = people(np.radians(100.0), 1, seed=15, seconds=8.0)
@@ -249,18 +189,6 @@ def test_the_past_of_a_window_is_not_forgotten() -> None:
     assert found.aligned_p[149] < 0.1
     assert found.aligned_p[-1] < 0.3
     assert abs(difference(found.gait_offset[-1], found.gait_offset[149])) < np.radians(15.0)
-
-
-def test_a_late_observation_is_worked_in() -> None:
-    (track,) = people(np.radians(100.0), 1, seed=16)
-    seen = list(observations(track))
-    seen[80], seen[81] = seen[81], seen[80]
-    smoother, ordered = OnlineSmoother("full"), OnlineSmoother("full")
-    found = [smoother.update(one) for one in seen]
-    expected = [ordered.update(one) for one in observations(track)]
-    assert found[81].status == "late"
-    assert difference(found[-1].body, expected[-1].body) == pytest.approx(0.0, abs=1e-3)
-    assert found[-1].aligned_p == pytest.approx(expected[-1].aligned_p, abs=1e-3)
 
 
 @pytest.mark.parametrize("offset", [0.0, 100.0])
@@ -505,8 +433,3 @@ def test_people_of_every_gait_on_motion_capture(data_dir: Path) -> None:
         apart = [e.position - t.true_position for t, e in zip(noisy, found, strict=True)]
         distance = np.median([np.sqrt(np.mean(np.sum(one**2, axis=1))) for one in apart])
         assert distance <= (0.038 if ordinary else 0.0425)
-
-
-def test_the_defaults_are_a_model_file(tmp_path: Path) -> None:
-    Model("full", Parameters(gait=GaitParameters(body_aligned=0.5))).save(tmp_path / "model.toml")
-    assert Model.load(tmp_path / "model.toml").parameters.gait.body_aligned == 0.5

@@ -13,7 +13,7 @@ from walks import walk
 
 import graphtrack as gt
 from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.inference import Solution, solve
+from graphtrack.inference import Solution
 from graphtrack.inference.chain import engine
 from graphtrack.inference.chain.calibration import calibration_of
 from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
@@ -33,6 +33,7 @@ from graphtrack.model.kernels.layout import LANES, number_rows
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior
+from graphtrack.smoothing import solve
 from graphtrack.tracks import Track, TrackSet
 
 

@@ -9,13 +9,13 @@ from mode_recursions import both_ways
 from scipy import special
 
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, mean_absolute_error, unit
-from graphtrack.inference import smooth, track_online
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import BASE, BINS, NEAR, ROW, gait_of
 from graphtrack.model.terms.pose_classes import add_class_quarter_turns, add_classes
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 
 

@@ -103,15 +103,6 @@ def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: 
 
 
 @GTSAM_ENGINES
-def test_who_side_steps_is_found_out(engine: Any, lag: Any) -> None:
-    track = side_stepping(4.0)
-    found, _, modes = online(track, engine=engine, lag=lag)
-    late = track.t > track.t[0] + 2.5
-    assert modes[late, 0].mean() < 0.3
-    assert np.degrees(np.abs(difference(found[late, 4], track.true_body[late]))).mean() < 15.0
-
-
-@GTSAM_ENGINES
 def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any) -> None:
     track = side_stepping(3.0)
     seen = list(observations(track))
@@ -128,18 +119,6 @@ def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any
     np.testing.assert_allclose(found.position, whole[-1].position, atol=1e-3)
     assert abs(difference(found.body, whole[-1].body)) < 1e-2
     assert found.aligned_p == pytest.approx(whole[-1].aligned_p, abs=1e-3)
-
-
-def test_what_comes_late_is_worked_into_a_full_history_however_long() -> None:
-    """Modes are inferred in its newest seconds; a step that is inserted before them has couplings, too."""
-    seen = list(observations(side_stepping(8.0)))
-    late = replace(seen[20], t=0.5 * (seen[20].t + seen[21].t))
-    smoother = OnlineSmoother("full", engine="isam2", lag=None)
-    for observation in seen:
-        smoother.update(observation)
-    assert smoother.update(late).status == "late"
-    assert len(smoother.history()) == len(seen) + 1
-    assert smoother.update(replace(seen[-1], t=seen[-1].t + 0.1)).status == "new"
 
 
 @pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])

@@ -9,20 +9,20 @@ import gtsam
 import numpy as np
 import pytest
 from calibration_formulas import calibrated
+from costs import build_graph
 from selection import others_slow
 from walks import walk, without
 
-from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
+from graphtrack.baselines.kalman import kalman_filter
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track, track_online
-from graphtrack.inference.graph.batch import anchors, build_graph
+from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track
 from graphtrack.inference.prior import marginal_prior, variable_keys
-from graphtrack.inference.recorded import as_track
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
@@ -105,21 +105,6 @@ def test_the_preset_position_equals_the_kalman_filter(
     assert np.isnan(found.covariance[:, 4:]).all()
 
 
-@EVERY_ENGINE
-def test_the_window_of_the_preset_position_equals_rauch_tung_striebel(engine: Any) -> None:
-    track = walk(40, seed=4, uneven=True)
-    smoother = OnlineSmoother("position", engine=engine, lag=None if engine == "isam2" else 1.0)
-    run(smoother, list(observations(track)))
-    history = smoother.history()
-    expected = rauch_tung_striebel(track)
-    assert expected.velocity is not None
-    n = len(history)
-    assert (n == 40) == (engine == "isam2")
-    np.testing.assert_allclose([t for t, _ in history], track.t[-n:])
-    np.testing.assert_allclose([s[:2] for _, s in history], expected.position[-n:], atol=1e-7)
-    np.testing.assert_allclose([s[2:4] for _, s in history], expected.velocity[-n:], atol=1e-7)
-
-
 @pytest.mark.parametrize("classes", [False, True], ids=["angles", "classes"])
 @pytest.mark.parametrize("preset", others_slow(["separate", "joint"], ["joint"]))
 def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, classes: bool) -> None:
@@ -144,53 +129,6 @@ def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, c
         apart.append(np.mean(far))
     assert apart[0] > apart[1] > apart[2]
     assert apart[2] < 1e-5
-
-
-@pytest.mark.parametrize("threshold", others_slow([0.1, 1e-2, 1e-4], [0.1]))
-@pytest.mark.parametrize("classes", [False, True], ids=["angles", "classes"])
-def test_isam2_ends_within_its_threshold_of_the_batch_answer(threshold: float, classes: bool) -> None:
-    track = walk(25, seed=8, noise=0.1, classes=classes)
-    options = {"relinearize_threshold": threshold, **CONVERGED}
-    smoother = OnlineSmoother("joint", engine="isam2", lag=None, **options)
-    run(smoother, list(observations(track)))
-    batch = smooth_track(track, Model("joint"), options=EXACTLY).track
-    # It stops when a step is shorter than the threshold; on classes the steps shrink slowly, and what would
-    # still follow adds up to a little more.
-    bound = 4.0 * threshold if classes else threshold
-    assert np.abs(differences(smoother.history(), batch)).max() < bound
-
-
-def test_one_gauss_newton_step_each_equals_gtsams_fixed_lag_smoother() -> None:
-    track, model = walk(60, seed=2, noise=0.1, angle_kappa=3.0), Model("joint")
-    smoother = OnlineSmoother(model, engine="fixed-lag", lag=1.0, step_tolerance=0.5)
-    found = as_track(track, [smoother.update(seen) for seen in observations(track)], model)
-    parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(1e-3)
-    parameters.relinearizeSkip = 1
-    peer = gtsam.IncrementalFixedLagSmoother(1.0, parameters)
-    assert found.velocity is not None and found.body is not None and found.head is not None
-    for k, step in enumerate(chain(track)):
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for factor in model.factors(step):
-            graph.push_back(factor)
-        if k == 0:
-            x, v, body, head = track.position[0], np.zeros(2), track.body[0], track.head[0]  # type: ignore[index]
-            for factor in anchors(step, model, float(body), float(head)):
-                graph.push_back(factor)
-        else:
-            x = x + (track.t[k] - track.t[k - 1]) * v
-        keys = variable_keys(step, model)
-        for key, value in zip(keys, (x, v, gtsam.Rot2(body), gtsam.Rot2(head)), strict=True):
-            values.insert(key, value)
-        peer.update(graph, values, dict.fromkeys(keys, float(track.t[k])))
-        x, v = peer.calculateEstimatePoint2(keys[0]), peer.calculateEstimateVector(keys[1])
-        body, head = (peer.calculateEstimateRot2(key).theta() for key in keys[2:])
-        if k < 10:  # the first velocities are far from 0, where the two iterate differently
-            continue
-        np.testing.assert_allclose(found.position[k], x, atol=5e-3)
-        np.testing.assert_allclose(found.velocity[k], v, atol=2e-2)
-        assert abs(difference(found.body[k], body)) < 2e-2
-        assert abs(difference(found.head[k], head)) < 2e-2
 
 
 @EVERY_ENGINE
@@ -434,55 +372,6 @@ def test_a_failure_after_a_gap_longer_than_the_lag_loses_nobody(engine: Any, way
         assert_same(smoother.update(observation), plain.update(observation), REBUILT[engine])
 
 
-class FailingAgain(Term):
-    """Pulls to (20, 0) at the frames 90 and up, and fails there when it is linearised a second time."""
-
-    uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
-
-    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        times, strength = 0, 10.0 if step.observation.frame >= 90 else 1e-3
-
-        def residual(values: gtsam.Values) -> np.ndarray:
-            return strength * (values.atPoint2(step.position_key) - np.array([20.0, 0.0]))
-
-        def linearised(values: gtsam.Values) -> tuple[np.ndarray, list[np.ndarray]]:
-            nonlocal times
-            times += 1
-            if times > 1 and step.observation.frame >= 90:
-                raise RuntimeError("once was enough")
-            return residual(values), [strength * np.eye(2)]
-
-        return [custom_factor([step.position_key], 2, residual, linearised)]
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        return 0.0
-
-
-@pytest.mark.parametrize("preset", ["joint", "full"])
-@pytest.mark.parametrize("gap", [0.1, 5.0], ids=["no gap", "a gap"])
-@pytest.mark.parametrize(("engine", "lag"), [("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)])
-def test_a_failure_when_a_factor_is_linearised_again_leaves_no_trace(
-    engine: Any, lag: float | None, gap: float, preset: str
-) -> None:
-    """By then all steps have left the window, after a gap longer than the lag."""
-    model, seen = Model(preset, terms=[FailingAgain]), list(observations(walk(30, seed=14)))
-    smoother, plain = (OnlineSmoother(model, engine=engine, lag=lag) for _ in range(2))
-    before = run(smoother, seen[:20])[-1]
-    run(plain, seen[:20])
-    x, y = before.position + gap * before.velocity
-    failed = smoother.update(Observation(t=seen[19].t + gap, frame=90, position=(x, y)))
-    assert failed.status == "failed" and "once was enough" in failed.reason
-    assert_same(failed, before, 0.0)
-    assert smoother.window == plain.window
-    for (t, state), (expected_t, expected) in zip(smoother.history(), plain.history(), strict=True):
-        assert t == expected_t
-        np.testing.assert_allclose(state, expected, atol=1e-12)
-    exactly = lag is not None
-    for observation in seen[20:]:
-        found, expected = smoother.update(observation), plain.update(observation)
-        assert_same(found, expected, 0.0 if exactly else REBUILT[engine])
-
-
 @GTSAM_ENGINES
 def test_a_first_observation_that_fails_leaves_an_empty_smoother(engine: Any) -> None:
     model = Model("joint", terms=[Failing])
@@ -610,21 +499,6 @@ def test_one_engine_goes_on_from_the_state_of_another(first: Any, second: Any) -
         a, b = smoother.update(observation), resumed.update(observation)
         np.testing.assert_allclose(b.position, a.position, atol=2e-3)
         assert abs(difference(b.head, a.head)) < 0.02
-
-
-def test_an_outlier_of_an_angle_leaves_the_compiled_window_sound() -> None:
-    track = walk(80, seed=5)
-    assert track.body is not None and track.head is not None
-    body, head = track.body.copy(), track.head.copy()
-    body[::3] += np.pi  # curvature is negative there
-    head[::4] += np.pi
-    track = replace(track, body=body, head=head)
-    found = run(OnlineSmoother("joint", engine="chain", lag=0.5), list(observations(track)))
-    for estimate in found:
-        assert estimate.status == "new"
-        assert np.linalg.eigvalsh(estimate.covariance).min() > 0.0
-    assert track.true_position is not None
-    assert np.linalg.norm(found[-1].position - track.true_position[-1]) < 0.2
 
 
 def test_the_compiled_window_equals_the_batch_within_the_lag() -> None:

@@ -14,7 +14,7 @@ from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.people import people_of
 from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import mean_absolute_error, unit, wrap
-from graphtrack.inference.social import LEAST, counts, neighbours
+from graphtrack.interaction.coupled import LEAST, counts, neighbours
 from graphtrack.io.groups import read_groups
 from graphtrack.simulation.party import party
 

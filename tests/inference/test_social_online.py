@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.association.tracker import OnlineTracker, PersonEstimate
+from graphtrack.association.tracker import PersonEstimate
 from graphtrack.cli.stream import People
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error, unit, wrap
-from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import OnlineSmoother
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.model import Model, Observation
 from graphtrack.simulation.party import Party, party
+from graphtrack.smoothing.tracker import OnlineTracker
 from graphtrack.tracks import Track, TrackSet
 
 SOCIAL = Model("social")

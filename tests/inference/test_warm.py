@@ -16,19 +16,12 @@ from graphtrack.behaviour.online_attention import OnlineAttention
 from graphtrack.behaviour.online_groups import OnlineGroups
 from graphtrack.behaviour.told import people_at
 from graphtrack.errors import InputError
-from graphtrack.inference import (
-    OnlineSmoother,
-    SolverOptions,
-    smooth,
-    smooth_track,
-    track_online,
-    warm,
-    warm_up,
-)
+from graphtrack.inference import OnlineSmoother, SolverOptions, smooth_track, warm
 from graphtrack.inference.warm import make_solver_ready
 from graphtrack.learning import solving
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
 from graphtrack.simulation.party import party
+from graphtrack.smoothing import smooth, track_online, warm_up
 from graphtrack.tracks import TrackSet
 
 ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_probability=0.1))

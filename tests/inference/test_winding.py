@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import difference
-from graphtrack.inference import solve
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.winding import unwind
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import Model
 from graphtrack.simulation.strollers import StrollerParameters, full_turns_too_many, strollers
+from graphtrack.smoothing import solve
 from graphtrack.tracks import Track
 
 HABITS = StrollerParameters(stops_per_minute=8.0, turns_per_minute=0.0, fastest_turn=1.0)

@@ -12,7 +12,6 @@ from walks import walk
 
 from graphtrack.baselines.kalman import smooth_states
 from graphtrack.geometry.angles import unit, von_mises_log_density, wrap
-from graphtrack.inference import solve
 from graphtrack.learning import fit
 from graphtrack.learning.free import free_parameters, with_values
 from graphtrack.learning.hidden import FOLDS, log_blurred, told
@@ -21,6 +20,7 @@ from graphtrack.learning.solving import Solver
 from graphtrack.model import CouplingParameters, GaitParameters, Model
 from graphtrack.model.parameters import scale_of, steady
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.smoothing import solve
 from graphtrack.tracks import Track, TrackSet
 
 

@@ -9,7 +9,7 @@ import pytest
 from calibrated import calibrated
 from scipy import integrate
 
-from graphtrack.geometry.angles import UNIFORM_STD, von_mises_log_density, wrap
+from graphtrack.geometry.angles import von_mises_log_density, wrap
 from graphtrack.inference.chain.calibration import calibration_of, lag_variances, seconds_behind
 from graphtrack.inference.chain.engine import solve_packed
 from graphtrack.inference.initial import pack
@@ -42,36 +42,6 @@ def test_an_angle_states_the_root_mean_square_of_its_von_mises(variance: float) 
     # The correlation stays, and the rest is as it was.
     assert found[4, 0] / np.sqrt(found[0, 0] * found[4, 4]) == pytest.approx(0.2)
     assert found[:4, :4] == pytest.approx(of_angle(variance)[:4, :4])
-
-
-@pytest.mark.parametrize("variance", [1e5, 1e12])
-def test_nothing_is_less_certain_than_the_uniform_density(variance: float) -> None:
-    covariance = np.diag([1.0, 1.0, 1.0, 1.0, variance, 0.1])
-    assert calibrated(covariance, RESTING, Parameters())[4, 4] == pytest.approx(UNIFORM_STD**2, rel=2e-3)
-
-
-def test_what_a_model_does_not_have_stays_unknown() -> None:
-    covariance = np.full((3, 6, 6), np.nan)
-    covariance[:, :4, :4] = 0.1 * np.eye(4)
-    found = calibrated(covariance, np.ones((3, 2)), Parameters(), np.zeros(3))
-    assert np.isnan(found[:, 4:]).all() and np.isfinite(found[:, :4, :4]).all()
-
-
-@pytest.mark.parametrize("missing", [[], [4], [5], [4, 5]])
-def test_a_frame_is_calibrated_by_itself(missing: list[int]) -> None:
-    """Whatever frames stand beside it, in whatever number; also where something is known for certain."""
-    rng, parameters = np.random.default_rng(0), Parameters()
-    parameters = replace(parameters, motion=replace(parameters.motion, lasting_std=0.4))
-    for scale in (1e-3, 0.1, 1.0, 30.0, 1e4):
-        roots, velocity = scale * rng.normal(size=(150, 6, 6)), rng.normal(size=(150, 2))
-        covariance, ends = roots @ np.swapaxes(roots, 1, 2), rng.uniform(0.0, 3.0, 150)
-        covariance[:, missing] = covariance[:, :, missing] = np.nan
-        together = calibrated(covariance, velocity, parameters, ends)
-        for k in (0, 1, 63, 64, 149):
-            alone = calibrated(covariance[k], velocity[k], parameters, ends[k])
-            np.testing.assert_allclose(together[k], alone, rtol=1e-12, atol=1e-12 * scale**2)
-    nothing = calibrated(np.zeros((6, 6)), RESTING, steady(parameters))
-    np.testing.assert_array_equal(nothing[:4, 4:], 0.0)
 
 
 def test_sway_is_that_of_a_sine() -> None:

@@ -87,10 +87,10 @@ def test_at_the_prompt_it_compiles() -> None:
 
 
 def test_the_folder_changes_with_every_source_of_compiled_functions(monkeypatch, tmp_path: Path) -> None:
-    kernels, others = tmp_path / "package" / "model" / "kernels", tmp_path / "package"
+    kernels, others = tmp_path / "graphtrack" / "kernels", tmp_path / "graphtrack"
     kernels.mkdir(parents=True)
     monkeypatch.setattr(module, "__file__", str(kernels / "compiled.py"))
-    plain, compiling = "a = 1", "from graphtrack.model.kernels.compiled import compiled\na = 1"
+    plain, compiling = "a = 1", "@compiled\ndef one() -> int:\n    return 1\n"
     digests = [module._digest.__wrapped__()]
     for path, text in (
         (others / "two.py", plain),

@@ -1,13 +1,10 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import pickle
-import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,17 +13,13 @@ from hypothesis import strategies as st
 from walks import walk
 
 import graphtrack as gt
-from graphtrack.cli import main
 from graphtrack.cli.saving import settings_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
 from graphtrack.model import (
     CouplingParameters,
-    LikelihoodParameters,
     Model,
-    MotionParameters,
-    OrientationParameters,
     Parameters,
     presets,
 )
@@ -89,15 +82,6 @@ def test_a_saved_model_is_plain_toml_with_every_parameter(tmp_path: Path) -> Non
     content = tomllib.loads((tmp_path / "model.toml").read_text(encoding="utf-8"))
     assert content.pop("preset") == "separate"
     assert content == dataclasses.asdict(Parameters())
-
-
-def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
-    model = load(tmp_path, 'preset = "separate"\n[likelihood]\nposition_std = 0.25\n')
-    assert model.parameters == Parameters(likelihood=LikelihoodParameters(position_std=0.25))
-
-
-def test_integers_are_numbers(tmp_path: Path) -> None:
-    assert load(tmp_path, "[coupling]\nhead_body_kappa = 3\n").parameters.coupling.head_body_kappa == 3.0
 
 
 @pytest.mark.parametrize("preset", sorted(presets))
@@ -172,20 +156,6 @@ def test_a_file_without_a_preset_has_the_one_that_no_file_at_all_has(tmp_path: P
     assert Model.load(path).preset == Model.named(None).preset == "full"
 
 
-def test_an_empty_model_file_is_the_default_on_the_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    gt.write(gt.TrackSet((walk(10),)), tmp_path / "a.csv")
-    (tmp_path / "model.toml").touch()
-    monkeypatch.chdir(tmp_path)
-    for engine in ("chain", "gtsam"):
-        arguments = ["smooth", "a.csv", "-o", "out.csv", "--model", "model.toml", "--engine", engine]
-        monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
-        with pytest.raises(SystemExit, match="0"):
-            main()
-        assert f"model full, engine {engine}" in " ".join(capsys.readouterr().err.split())
-
-
 def small_tracks() -> gt.TrackSet:
     """People seen by angles and by classes, at even and uneven times, in metres and pixels, with gaps."""
     camera = GroundCamera.from_homography(np.array([[0.02, 0, -5], [0, -0.02, 30], [0, 0.002, 0.2]]))
@@ -241,11 +211,6 @@ def test_zero_is_refused_where_it_divides_and_taken_elsewhere(tmp_path: Path) ->
             assert getattr(getattr(load(tmp_path, text).parameters, table), key) == 0.0
 
 
-@pytest.mark.parametrize("key", ["outlier_probability", "class_outlier_probability"])
-def test_certain_outliers_are_refused(tmp_path: Path, key: str) -> None:
-    assert f"likelihood.{key}" in refused(tmp_path, f"[likelihood]\n{key} = 1.0\n").found
-
-
 @pytest.mark.parametrize(
     ("key", "value"), [("robust", '"tukey"'), ("robust", "true"), ("robust", "[]"), ("image_frame", "1")]
 )
@@ -272,13 +237,6 @@ def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
         assert caught.value.path == str(path)
 
 
-def test_a_model_that_cannot_be_saved_leaves_no_file(tmp_path: Path) -> None:
-    target = tmp_path / "missing" / "model.toml"
-    with pytest.raises((InputError, OSError)):
-        Model().save(target)
-    assert list(tmp_path.iterdir()) == []
-
-
 class OfOnesOwn(BodyDynamics):
     """A term that no preset has."""
 
@@ -302,14 +260,6 @@ def test_terms_of_ones_own_are_not_left_out_in_silence(tmp_path: Path) -> None:
         OnlineSmoother.from_state(state, "joint")
 
 
-def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:
-    path = tmp_path / "model.toml"
-    path.write_text("x" * 100_000, encoding="utf-8")
-    Model("position").save(path)
-    assert Model.load(path).preset == "position"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 @given(st.floats(0.0, 10.0), st.floats(1e-6, 10.0))
 def test_the_weight_of_a_coupling_is_a_share_of_the_correlation_time(correlation: float, step: float) -> None:
     coupling = CouplingParameters(correlation_time=correlation)
@@ -317,21 +267,3 @@ def test_the_weight_of_a_coupling_is_a_share_of_the_correlation_time(correlation
     assert 0.0 < weight <= 1.0
     assert weight == pytest.approx(min(1.0, step / correlation) if correlation else 1.0)
     assert coupling.weights(None) == 1.0
-
-
-def test_parameters_check_themselves_without_a_file() -> None:
-    bad: list[tuple[type, dict[str, Any]]] = [
-        (MotionParameters, {"acceleration_density": -1.0}),
-        (OrientationParameters, {"head_diffusion": math.nan}),
-        (CouplingParameters, {"speed_threshold": True}),
-        (LikelihoodParameters, {"robust": "tukey"}),
-    ]
-    for kind, values in bad:
-        with pytest.raises(InputError, match=next(iter(values))):
-            kind(**values)
-
-
-def test_without_a_name_it_is_the_best_preset_with_every_engine():
-    assert Model.named(None).preset == "full"
-    assert OnlineSmoother().model.preset == "full"
-    assert OnlineSmoother(engine="isam2").model.preset == "full"

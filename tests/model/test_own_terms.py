@@ -18,13 +18,13 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import smooth_track, track_online
+from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.window_arrays import FrameRows
 from graphtrack.inference.initial import initial_states, pack
+from graphtrack.kernels import HEAD, Field, Kernel, compiled
 from graphtrack.learning.fit import fit
 from graphtrack.model import Model, States, Term
-from graphtrack.model.kernels import HEAD, Field, Kernel, compiled
 from graphtrack.model.kernels.frame_program import OF_PRESETS
 from graphtrack.model.kernels.generator import Program
 from graphtrack.model.kernels.layout import N
@@ -32,6 +32,7 @@ from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.terms.motion import Motion
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 
@@ -196,7 +197,7 @@ def test_it_is_not_learned_and_not_saved(tmp_path: Path) -> None:
 SCRIPT = """
 import numpy as np
 import graphtrack as gt
-from graphtrack.model.kernels import VX, VY, Field, Kernel, compiled
+from graphtrack.kernels import VX, VY, Field, Kernel, compiled
 
 @compiled
 def add_headwind(state, wind, gradient, hessian):

@@ -64,13 +64,6 @@ def test_what_is_wrong_in_a_scene_is_named_with_its_file(
     assert caught.value.found == found and expected in caught.value.expected
 
 
-def test_what_is_wrong_in_a_scene_is_named_without_a_file() -> None:
-    for wrong in ({"death_rat": 1.0}, {"death_rate": -1.0}):
-        for use in (gt.Model, gt.OnlineTracker):
-            with pytest.raises(gt.InputError, match=r"scene\.death_rat"):
-                use(scene=wrong)
-
-
 def test_a_stream_goes_on_with_the_scene_that_it_began_with() -> None:
     known = gt.Model("position", scene={"death_rate": 0.2})
     assert settings_of(known, "chain", 2.0, None, None)["model.scene.death_rate"] == 0.2

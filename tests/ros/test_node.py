@@ -26,7 +26,6 @@ from recordings import (
 )
 
 import graphtrack as gt
-from graphtrack.inference.recorded import track_online
 from graphtrack.ros.definitions import (
     DETECTIONS,
     GAZE,
@@ -39,6 +38,7 @@ from graphtrack.ros.definitions import (
     TRANSFORMS,
 )
 from graphtrack.ros.live import Live
+from graphtrack.smoothing.recording import track_online
 
 
 class FakeNode:

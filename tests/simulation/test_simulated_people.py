@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
-from graphtrack.inference import smooth
 from graphtrack.model import GaitParameters, Model, Parameters
 from graphtrack.model.model import default_parameters
 from graphtrack.model.parameters import steady
@@ -16,6 +15,7 @@ from graphtrack.simulation import sampling
 from graphtrack.simulation.glances import sample_glances
 from graphtrack.simulation.orientations import sample_modes
 from graphtrack.simulation.sampling import sample_states, simulate
+from graphtrack.smoothing import smooth
 from graphtrack.tracks import TrackSet
 
 COUPLED = ("joint-body", "joint", "joint-intentional")

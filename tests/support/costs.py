@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import gtsam
 import numpy as np
 from calibration_formulas import calibrated
 
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.graph.batch import window_graph
 from graphtrack.inference.solution import seconds_to_ends
-from graphtrack.model import Model, States
+from graphtrack.inference.state import Window, values_of
+from graphtrack.model import Model, States, Step
 from graphtrack.tracks import Track
+
+
+def build_graph(
+    steps: Sequence[Step], model: Model, states: States
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The factor graph of a whole track, without coupling modes, and states as its values."""
+    window = Window(tuple(steps), {}, None, (float(states.body[0]), float(states.head[0])))
+    columns = np.column_stack([states.position, states.velocity, states.body, states.head])
+    return window_graph(window, model, None), values_of(steps, columns, model)
 
 
 def states_of(track: Track) -> States:

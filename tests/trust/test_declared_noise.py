@@ -14,10 +14,10 @@ from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import von_mises_log_density, wrap
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.tracks import Track, TrackSet
-from graphtrack.trust import declared_noise
 from graphtrack.trust.bias import shared_offset, turned
 from graphtrack.trust.filters import angle_log_density, position_log_density
 from graphtrack.trust.pieces import pieces_of
+from graphtrack.trust.verdict import declared_noise
 
 FULL = gt.Model("full")
 NEVER = np.array([1e-12])

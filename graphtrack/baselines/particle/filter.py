@@ -27,10 +27,9 @@ from graphtrack.baselines.particle.recovery import draw_states, recover
 from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.warm import TRACK
 from graphtrack.model import Model
 from graphtrack.particles import generator
-from graphtrack.readiness import Rehearsal, make_ready
+from graphtrack.readiness import TRACK, Rehearsal, make_ready
 from graphtrack.tracks import Track
 
 

@@ -35,11 +35,11 @@ from graphtrack.evaluation.reproduce.fitting import (
     with_head_rate,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import track_online
 from graphtrack.inference.deviation import GrowingRate
 from graphtrack.model import Parameters
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.smoothing import track_online
 from graphtrack.tracks import Track
 
 CONSTANT, GROWS, FALLS = "constant", "grows", "falls"

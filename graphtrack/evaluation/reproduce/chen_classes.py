@@ -33,11 +33,11 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     evenly,
 )
-from graphtrack.inference import smooth, track_online
 from graphtrack.report.style import new_figure
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
+from graphtrack.smoothing.recording import smooth, track_online
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, TrackSet
 
 FLIPPED, AT_RANDOM = 0.2, 0.1

@@ -10,8 +10,9 @@ import numpy as np
 from graphtrack.evaluation.reproduce.chen_tables import ANGLES, Methods, Scores, detail, estimated_errors
 from graphtrack.evaluation.reproduce.experiment import Progress, Table
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import smooth_track, track_online
+from graphtrack.inference import smooth_track
 from graphtrack.model import Model
+from graphtrack.smoothing.recording import track_online
 from graphtrack.tracks import TrackSet
 
 LAG = 2.0

@@ -53,9 +53,9 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.resampling import bootstrap
 from graphtrack.geometry.angles import von_mises_log_density
-from graphtrack.inference import smooth, track_online
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
+from graphtrack.smoothing.recording import smooth, track_online
 from graphtrack.tracks import TrackSet
 
 PATHS = ParticleOptions(paths=40)

@@ -14,8 +14,8 @@ from graphtrack.baselines.kalman import position_std
 from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG
 from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.inference import Solution, solve, track_online
-from graphtrack.inference.online_engines import OnlineEngine
+from graphtrack.inference import Solution
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.model.terms.intentional_motion import (
     HEAD_RATE,
@@ -25,6 +25,7 @@ from graphtrack.model.terms.intentional_motion import (
     smooth_speed,
     steered_step,
 )
+from graphtrack.smoothing.recording import solve, track_online
 from graphtrack.tracks import Track, TrackSet
 
 REACH = 100.0

@@ -25,8 +25,8 @@ from graphtrack.evaluation.reproduce.experiment import (
     tabulated,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import smooth, track_online
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import Track, TrackSet
 
 PRESETS = ("separate", "joint", "joint-intentional", "full")

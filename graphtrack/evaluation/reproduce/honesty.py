@@ -27,9 +27,8 @@ from graphtrack.evaluation.reproduce.experiment import (
     thinned,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.offline import smooth
-from graphtrack.inference.recorded import track_online
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.smoothing.recording import smooth, track_online
 from graphtrack.tracks import Track, TrackSet
 
 PRESETS = ("separate", "joint", "full")

@@ -15,9 +15,9 @@ from graphtrack.baselines.particle.filter import ParticleOptions, particle_filte
 from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG, Progress
 from graphtrack.evaluation.reproduce.fitting import fit, from_the_past, model_of, with_density
 from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.inference import smooth, track_online
-from graphtrack.inference.online_engines import OnlineEngine
+from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model, Parameters
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import Track, TrackSet
 
 STEERED = "joint-intentional"

@@ -24,13 +24,13 @@ from graphtrack.evaluation.reproduce.experiment import (
     page,
 )
 from graphtrack.geometry.angles import FloatArray, direction, wrap
-from graphtrack.inference.offline import smooth
 from graphtrack.interaction.scores import score_groups
 from graphtrack.io.groups import read_groups
 from graphtrack.model import Model
 from graphtrack.simulation.crowd import Place, crowd
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.party import party
+from graphtrack.smoothing.recording import smooth
 from graphtrack.table.groups import UNLABELLED
 from graphtrack.tracks import Track, TrackSet
 

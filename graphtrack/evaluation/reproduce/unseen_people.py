@@ -33,12 +33,12 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.reproduce.strangers import independent_walkers
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model, Parameters
 from graphtrack.model.model import default_parameters
 from graphtrack.model.parameters import scale_of
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.strollers import StrollerParameters, full_turns_too_many, strollers
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks import Track, TrackSet
 
 SIMPLER = ("separate", "joint")

@@ -13,13 +13,13 @@ import numpy as np
 
 from graphtrack.association.recorded import track_rows
 from graphtrack.association.rows import associated
-from graphtrack.association.tracker import OnlineTracker
 from graphtrack.baselines.hungarian import HungarianParameters, track_detections
 from graphtrack.errors import InputError
 from graphtrack.evaluation.tracking.peers import TUNED, PeerName, load, track_boxes
-from graphtrack.inference.offline import solve
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
+from graphtrack.smoothing.recording import solve
+from graphtrack.smoothing.tracker import OnlineTracker
 from graphtrack.table.detections import Detections
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet

@@ -13,7 +13,7 @@ from typing import Any
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
-from graphtrack.inference.chain.elimination import Workspace, marginals
+from graphtrack.inference.chain.elimination import Workspace, marginals, take_step, whiten
 from graphtrack.inference.chain.newton import as_variable, factorise, sweep_forward
 from graphtrack.model.kernels.compiled import compiled, inner, merged
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
@@ -53,28 +53,7 @@ def sweep_pulls(
                 for j in range(N):
                     total -= link[k - 1, j, i] * solution[k - 1, j]
                 right[i] = total
-        for i in range(N):
-            total = 0.0
-            for j in range(i + 1):
-                total += inverse[k, i, j] * right[j]
-            solution[k, i] = total
-
-
-@compiled
-def back_from(k: int, last: bool, workspace: Workspace) -> None:
-    """One frame of the sweep back: u of frame k into the steps."""
-    inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
-    if not last:
-        for i in range(N):
-            total = solution[k, i]
-            for j in range(N):
-                total -= link[k, i, j] * step[k + 1, j]
-            solution[k, i] = total
-    for i in range(N):
-        total = 0.0
-        for j in range(i, N):
-            total += inverse[k, j, i] * solution[k, j]
-        step[k, i] = total
+        whiten(inverse[k], right, solution[k])
 
 
 @inner
@@ -91,7 +70,7 @@ def add_spread(
     for coupling in range(2):
         sweep_pulls(n, states, coupling, spread, threshold, workspace)
         for k in range(n - 1, -1, -1):
-            back_from(k, k == n - 1, workspace)
+            take_step(k, k < n - 1, workspace)  # −u, of which the outer product is the same
             widen(covariance[k], workspace.step[k])
 
 
@@ -138,7 +117,7 @@ def spread_newest(
     threshold = problem.shared[0].speed_threshold
     for coupling in range(2):
         sweep_pulls(n, states, coupling, spread, threshold, workspace)
-        back_from(n - 1, True, workspace)
+        take_step(n - 1, as_variable(False), workspace)
         widen(covariance, workspace.step[n - 1])
 
 

@@ -202,6 +202,16 @@ def eliminate(
 
 
 @compiled
+def whiten(inverse: FloatArray, right: FloatArray, solution: FloatArray) -> None:
+    """Multiply a right-hand side (6,) with the inverse of a Cholesky factor."""
+    for i in range(N):
+        total = 0.0
+        for j in range(i + 1):
+            total += inverse[i, j] * right[j]
+        solution[i] = total
+
+
+@compiled
 def clear(gradient: FloatArray, hessian: FloatArray, transition: FloatArray) -> None:
     """Set to 0; assigning to slices would take longer than the terms themselves."""
     for i in range(N):
@@ -247,7 +257,7 @@ def sweep_back(n: int, workspace: Workspace) -> Any:
     return decrement
 
 
-@inner
+@compiled
 def take_step(k: int, linked: bool, workspace: Workspace) -> None:
     """A frame's step from its part of the solution and the step of the frame after it, if ``linked``."""
     inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step

@@ -23,6 +23,7 @@ from graphtrack.inference.chain.elimination import (
     first_open,
     invert_cholesky,
     sweep_back,
+    whiten,
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
 from graphtrack.model.kernels.compiled import compiled, inner, merged
@@ -150,11 +151,7 @@ def sweep_forward(
     last = (n - 1) & 1
     if any_of(definite):
         definite &= invert_cholesky(scratch[1 + last], inverse[n - 1])
-        for i in range(N):
-            total = 0.0
-            for k in range(i + 1):
-                total += inverse[n - 1, i, k] * gradients[last, k]
-            solution[n - 1, i] = total
+        whiten(inverse[n - 1], gradients[last], solution[n - 1])
     return cost, definite
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import inspect
 import sys
-import types
 from collections.abc import Hashable, Iterable, Iterator
 from functools import cache
+from types import CodeType
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def _digest(functions: Iterable[Function]) -> str:
         known.add(id(function))
         code, used = function.__code__, inspect.getclosurevars(function)
         digest.update(f"{function.__module__}.{function.__qualname__}".encode() + code.co_code)
-        digest.update(repr([one for one in code.co_consts if not isinstance(one, types.CodeType)]).encode())
+        digest.update(repr([one for one in code.co_consts if not isinstance(one, CodeType)]).encode())
         for name, value in sorted({**used.globals, **used.nonlocals}.items()):
             if hasattr(value, "py_func"):
                 waiting.append(value)

@@ -77,23 +77,13 @@ class Group(NamedTuple):
 
 
 @inner
-def settle(
-    whole: Problem,
-    tracks: NDArray[np.int64],
-    problem: Problem,
-    track: int,
-    n: int,
-    states: FloatArray,
-    max_iterations: int,
-    tolerance: float,
-    search: bool,
-    workspace: Workspace,
-) -> None:
-    """Minimise the costs of a group; ``workspace.ended`` reports how. Parameters as in `Group`.
+def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
+    """Minimise the costs of a group; ``workspace.ended`` reports how.
 
     With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
     """
-    ended, again = workspace.ended, workspace.again
+    problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
+    workspace, ended, again = group.workspace, group.workspace.ended, group.workspace.again
     nothing = 0.0 * workspace.length[0]
     elsewhere, begun = nothing > 0.0, nothing
     if search:
@@ -106,30 +96,22 @@ def settle(
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
     if search:
         elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace)
-        challenge(problem, track, n, states, elsewhere, max_iterations, tolerance, workspace)
+        challenge(group, n, elsewhere, max_iterations, tolerance)
     wound = unwind(problem, track, n, states, workspace)
-    challenge(problem, track, n, states, wound, max_iterations, tolerance, workspace)
+    challenge(group, n, wound, max_iterations, tolerance)
 
 
 @inner
-def challenge(
-    problem: Problem,
-    track: int,
-    n: int,
-    states: FloatArray,
-    elsewhere: Any,
-    max_iterations: int,
-    tolerance: float,
-    workspace: Workspace,
-) -> None:
+def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, tolerance: float) -> None:
     """Minimise from ``workspace.again`` where it lies ``elsewhere``, and stay there if that costs less."""
+    states, workspace = group.states, group.workspace
     ended, again, start = workspace.ended, workspace.again, workspace.start
     elsewhere &= ended[STATUS] < float(NOT_FINITE)
     if any_of(elsewhere):
         for i in range(N):
             start[1, i] = start[0, i]
         first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
-        minimise(problem, track, n, again, max_iterations, tolerance, workspace)
+        minimise(group.problem, group.track, n, again, max_iterations, tolerance, workspace)
         better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
         keep_better(n, better, again, states, states)
         for i in range(N):
@@ -148,28 +130,18 @@ def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states:
 
 
 @merged
-def improve(
-    whole: Problem,
-    tracks: NDArray[np.int64],
-    problem: Problem,
-    track: int,
-    n: int,
-    states: FloatArray,
-    max_iterations: int,
-    tolerance: float,
-    workspace: Workspace,
-) -> None:
+def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
     """Search other basins once the couplings are known, and stay there if they cost less.
 
     Class likelihoods have basins that only the couplings tell apart; but the grid does not know the offset of
     the head's coupling, so that it may lead to a worse basin.
     """
+    states, workspace = group.states, group.workspace
     ended, before, start = workspace.ended, workspace.before, workspace.start
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    search = as_variable(True)
-    settle(whole, tracks, problem, track, n, states, max_iterations, tolerance, search, workspace)
+    settle(whole, group, n, max_iterations, tolerance, as_variable(True))
     better = ended[COST] < cost
     keep_better(n, better, states, before, states)
     for i in range(N):
@@ -236,7 +208,7 @@ def solve_group(
     workspace, most, search = group.workspace, options.max_iterations, options.search
     length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
     copy_rows(0, n, states, workspace.before)
-    settle(whole, tracks, problem, track, n, states, most, tolerance, search, workspace)
+    settle(whole, group, n, most, tolerance, search)
     if gait is not None:
         # That was without couplings: from there both the modes and the states are found.
         put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
@@ -245,9 +217,9 @@ def solve_group(
             last = left == 0
             tolerance = options.tolerance if last else options.on_the_way
             renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
-            settle(whole, tracks, problem, track, n, states, most, tolerance, search, workspace)
+            settle(whole, group, n, most, tolerance, search)
             if searched:
-                improve(whole, tracks, problem, track, n, states, most, tolerance, workspace)
+                improve(whole, group, n, most, tolerance)
     note(tracks, workspace.ended, result)
     find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
     if gait is not None:

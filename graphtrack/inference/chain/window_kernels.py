@@ -19,8 +19,10 @@ from graphtrack.inference.chain.elimination import (
     eliminate,
     first_open,
     invert_cholesky,
+    marginal,
     sweep_back,
     take_step,
+    whiten,
 )
 from graphtrack.inference.chain.newton import (
     add_prior,
@@ -74,7 +76,7 @@ def solve_window(
     ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, neither the
     states nor the factorisation are to be used.
     """
-    track, full, ended = the_only(problem), as_variable(True), memory.ended
+    track, exactly, ended = the_only(problem), as_variable(True), memory.ended
     n, last, tracks = len(states), len(states) - 1, np.zeros(1, np.int64)
     memory.kept[0], memory.kept[1] = 0, 1
     memory.length[0] = n
@@ -124,16 +126,15 @@ def solve_window(
         cost, exact = move_if_less(
             problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
         )
-    if not exact and not sweep_forward(problem, track, n, states, not full, memory)[1]:
+    if not exact and not sweep_forward(problem, track, n, states, not exactly, memory)[1]:
         return False
     finite = True
     for i in range(N):
         finite = finite and math.isfinite(states[last, i])
-        for j in range(i + 1):
-            total = 0.0
-            for m in range(i, N):
-                total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
-            covariance[i, j] = covariance[j, i] = total
+    full, product = memory.scratch[0], memory.scratch[1]
+    marginal(
+        memory.inverse[last], memory.link[last], as_variable(False), covariance, full, product, covariance
+    )
     return finite
 
 
@@ -303,11 +304,7 @@ def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> N
         memory.solution[last - 1],
     ) or not invert_cholesky(hessians[1], memory.inverse[last]):
         return
-    for i in range(N):
-        total = 0.0
-        for j in range(i + 1):
-            total += memory.inverse[last, i, j] * gradients[1, j]
-        memory.solution[last, i] = total
+    whiten(memory.inverse[last], gradients[1], memory.solution[last])
     sweep_back(last + 1, memory)
     for k in range(last + 1):
         for i in range(N):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
@@ -22,7 +22,7 @@ from graphtrack.inference.solution import Solution, SolverOptions, estimated_tra
 from graphtrack.inference.state import Window, states_of, values_of
 from graphtrack.inference.warm import has_own_kernels, make_solver_ready
 from graphtrack.later import gtsam
-from graphtrack.model import Model, States, Step
+from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.observation import chain
@@ -38,18 +38,6 @@ def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorG
     return graph
 
 
-def build_graph(
-    steps: Sequence[Step], model: Model, initial: States, couplings: Couplings | None = None
-) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The factor graph of a whole track and its initial values.
-
-    With modes of the couplings, the factors read these from ``couplings``; without it they hold throughout.
-    """
-    states = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
-    window = Window(tuple(steps), {}, None, (float(initial.body[0]), float(initial.head[0])))
-    return window_graph(window, model, couplings), values_of(steps, states, model)
-
-
 def window_graph(window: Window, model: Model, couplings: Couplings | None) -> gtsam.NonlinearFactorGraph:
     """The factors on the variables of a window's steps; what links them to others is left out."""
     inside = frozenset(keys_of(window.steps, model))
@@ -63,23 +51,16 @@ def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
     return [key for step in steps for key in variable_keys(step, model)]
 
 
-def anchors(
-    step: Step, model: Model, body: float, head: float, kappa: float = ANCHOR_KAPPA
-) -> Iterator[gtsam.NonlinearFactor]:
-    """Factors that hold a first step's orientations."""
-    if model.has_body:
-        yield von_mises_prior(step.body_key, body, kappa)
-    if model.has_head:
-        yield von_mises_prior(step.head_key, head, kappa)
-
-
 def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list[gtsam.NonlinearFactor]:
     """Factors that hold a window's first step: of its prior, or of the angles of a very first step."""
     if window.prior is not None:
         return [window.prior.factor()]
     if not window.steps or window.anchor is None or window.steps[0].dt is not None:
         return []
-    return list(anchors(window.steps[0], model, *window.anchor, kappa))
+    step, (body, head) = window.steps[0], window.anchor
+    held = [(step.body_key, body)] if model.has_body else []
+    held += [(step.head_key, head)] if model.has_head else []
+    return [von_mises_prior(key, angle, kappa) for key, angle in held]
 
 
 def descend(
@@ -154,7 +135,11 @@ def smooth_graph(
     initial = initial_states(track, model)
     steps = chain(track, camera)
     view = _view(track, model, camera, steps)
-    graph, values = build_graph(steps, model, initial, None if view is None else view.couplings)
+    first = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
+    window = Window(tuple(steps), {}, None, (float(initial.body[0]), float(initial.head[0])))
+    # With modes of the couplings the factors read these from the view; else they hold throughout.
+    graph = window_graph(window, model, None if view is None else view.couplings)
+    values = values_of(steps, first, model)
     descent = _Descent(graph, steps, model, options, view if options.restart else None)
     try:
         if view is not None and model.has_modes:
@@ -165,8 +150,8 @@ def smooth_graph(
         costs[0] = begun
         if view is not None and model.has_modes:
             # Without couplings nothing holds an orientation that was never observed, and it drifts.
-            states, guesses = states_of(values, steps, model), np.column_stack([initial.body, initial.head])
-            states[:, 4:] = np.where(view.guessed(), guesses, states[:, 4:])
+            states = states_of(values, steps, model)
+            states[:, 4:] = np.where(view.guessed(), first[:, 4:], states[:, 4:])
             values = values_of(steps, states, model)
             # Class likelihoods have basins that only the couplings tell apart.
             again = descent.lower if any(step.is_ambiguous for step in steps) else descent

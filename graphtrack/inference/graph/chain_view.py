@@ -64,9 +64,8 @@ class _View:
             return None
         here = self._here(states)
         memory = workspace(len(here))
-        if not find_other_basin(self._problem, 0, here, near, memory):
-            return self.unwound(states)
-        return self._there(memory)
+        found = find_other_basin(self._problem, 0, here, near, memory)
+        return self._there(memory) if found else self.unwound(states)
 
     def unwound(self, states: FloatArray) -> FloatArray | None:
         """States (n, 6) with slow turns of more than 180° the other way round; None where there is none."""

@@ -29,10 +29,6 @@ class FixedLag:
     has left the window is then eliminated for good; what it says about the step after it stays, as a
     Gaussian about the point where it was linearised. Time and memory are bounded by the window.
 
-    With one Gauss–Newton step for each observation the estimates differ little from those of GTSAM's
-    ``IncrementalFixedLagSmoother``. On the short chain of one person that is the slower one: it searches an
-    ordering at each observation, and a joint covariance costs it nearly a second update.
-
     Parameters
     ----------
     model : the terms

@@ -45,9 +45,6 @@ class Isam2:
     tree, so that the window's variables are eliminated again, beginning with them. Time and memory are
     bounded by the window then. Without a lag the tree is GTSAM's own, and memory grows with the track.
 
-    A full history that is recalled after a failure is built again from the estimates it had; those of its
-    newest steps, up to a fiftieth, are of when each was the newest.
-
     Parameters
     ----------
     model : the terms

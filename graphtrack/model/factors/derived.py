@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,9 @@ from graphtrack.model.factors.custom import unit_noise
 from graphtrack.model.kernels.compiled import allocating
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import BODY, HEAD, PLACES, N
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.kernels.packing import PackedTerm, PackedTracks
 from graphtrack.model.observation import Step
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
-
-if TYPE_CHECKING:
-    from graphtrack.model.term import Term
 
 COUPLED = (
     "motion_body_kappa",
@@ -103,7 +100,7 @@ def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: f
 
 
 def derived_factors(
-    term: Term, step: Step, couplings: Couplings | None = None
+    term: PackedTerm, step: Step, couplings: Couplings | None = None
 ) -> Sequence[gtsam.NonlinearFactor]:
     """The factors of a term at a step, one for each kernel that is called there.
 
@@ -148,7 +145,7 @@ class _Call:
 
 
 @lru_cache(maxsize=256)
-def _calls(term: Term, packed: PackedTracks) -> list[_Call]:
+def _calls(term: PackedTerm, packed: PackedTracks) -> list[_Call]:
     record = packed.records[0]
     names = record.dtype.names or ()
     return [

@@ -33,6 +33,9 @@ INNER = {"_nrt": False, "no_cpython_wrapper": True}
 _NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
 """Annotations of numbers; "Any": floats or `lanes`."""
 
+_DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
+"""Found in sources that declare compiled functions."""
+
 _CACHE_DIR = threading.Lock()
 """Held while numba's setting of the cache folder is another."""
 
@@ -119,9 +122,10 @@ def machine_code_folder() -> Path | None:
 @cache
 def _digest() -> str:
     """A digest of numba's version and of the sources in this package that declare compiled functions."""
-    digest, package = hashlib.sha256(numba.__version__.encode()), Path(__file__).parents[2]
+    digest = hashlib.sha256(numba.__version__.encode())
+    package = next(folder for folder in Path(__file__).parents if folder.name == "graphtrack")
     for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()
-        if path.parent == Path(__file__).parent or b"kernels.compiled import" in source:
+        if path.parent == Path(__file__).parent or _DECLARES.search(source):
             digest.update(source)
     return digest.hexdigest()[:16]

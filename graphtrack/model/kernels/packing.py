@@ -5,19 +5,52 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.layout import DT, record_type
+from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.layout import DT, Field, record_type
 from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 
-if TYPE_CHECKING:
-    from graphtrack.model.term import Term
+
+class PackedTerm(Protocol):
+    """The part of a `Term` that packing and evaluation of its kernels need."""
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """Fields of each frame's record that `pack` fills in."""
+
+    @property
+    def shared(self) -> tuple[Field, ...]:
+        """Fields that all frames share."""
+
+    @property
+    def kernels(self) -> tuple[Kernel, ...]:
+        """Compiled functions that add the term up."""
+
+    @property
+    def repeats(self) -> bool:
+        """Whether frames in which the same was observed are packed alike but for what is `live`."""
+
+    def __hash__(self) -> int: ...
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Fill in the records' `fields`, and what is `shared`."""
+
+    def live(self, seen: Observation) -> Iterable[tuple[str, float]]:
+        """Fields of a frame, with their values, that vary with the position and the angles seen there."""
+
+    def states(self, name: str) -> bool:
+        """Return whether the class itself defines ``name``."""
+
+    @property
+    def packer(self) -> FramePacker:
+        """Packer of single frames."""
 
 
 @dataclass(eq=False)
@@ -48,7 +81,7 @@ class PackedTracks:
         cls,
         tracks: Sequence[Track],
         camera: GroundCamera | None,
-        terms: Iterable[Term],
+        terms: Iterable[PackedTerm],
         types: RecordTypes,
     ) -> PackedTracks:
         """Tracks end to end, packed by some terms."""
@@ -63,7 +96,7 @@ class PackedTracks:
         camera: GroundCamera | None,
         dt: float,
         starts: bool,
-        terms: Iterable[Term],
+        terms: Iterable[PackedTerm],
         types: RecordTypes,
     ) -> PackedTracks:
         """A frame from the midst of a track, ``dt`` seconds after the one before (0: there is none).
@@ -76,7 +109,7 @@ class PackedTracks:
         packed.first_seen = packed.first_seen if starts else packed.first_seen[:0]
         return packed._filled(terms)
 
-    def _filled(self, terms: Iterable[Term]) -> PackedTracks:
+    def _filled(self, terms: Iterable[PackedTerm]) -> PackedTracks:
         self.records["dt"] = self.dt
         for term in terms:
             term.pack(self)
@@ -174,7 +207,7 @@ class RecordTypes(NamedTuple):
     shared: np.dtype
 
     @classmethod
-    def of(cls, terms: Sequence[Term]) -> RecordTypes:
+    def of(cls, terms: Sequence[PackedTerm]) -> RecordTypes:
         """With the fields of some terms, and no others."""
         frame = record_type((DT, *(field for term in terms for field in term.fields)))
         return cls(frame, record_type(field for term in terms for field in term.shared))
@@ -200,7 +233,7 @@ class FramePacker:
     types : of the records
     """
 
-    def __init__(self, terms: Sequence[Term], types: RecordTypes) -> None:
+    def __init__(self, terms: Sequence[PackedTerm], types: RecordTypes) -> None:
         self._terms, self.types = terms, types
         self._repeats = all(term.states("repeats") and term.repeats for term in terms)
         # Most terms have nothing that is live; to ask each takes longer than to write what the others have.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,14 +11,12 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import Field
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.pose import add_angle
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 ANCHOR_KAPPA = 1e-6
 """Concentration at which a first orientation is held to its initial value: it says next to nothing, but an

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,12 +13,10 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.layout import BODY, VX, VY, Field
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 
 @compiled

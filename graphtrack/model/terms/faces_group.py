@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,16 +13,24 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import Field
-from graphtrack.model.observation import States
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.observation import Observation, States
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 GROUP = "group"
 """The input: the direction of the o-space, x and y of a vector as long as that counts in the frame, and the
 probability that there is a conversation."""
+
+Group = tuple[float, float, float]
+"""The value of `GROUP` in a frame."""
+
+
+def with_group_at(observation: Observation, group: Group | None) -> Observation:
+    """Return the observation with the input `GROUP`, unless it has it or ``group`` is None."""
+    if group is None or GROUP in observation.inputs:
+        return observation
+    return replace(observation, inputs={**observation.inputs, GROUP: group})
 
 
 @compiled

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -21,14 +21,11 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.later import gtsam, special
 from graphtrack.model.kernels.bessel import of_alike
 from graphtrack.model.kernels.layout import Field
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
-
 
 BINS, NEAR = 36, 7
 """Offsets of the free mode, all around, and of the aligned mode, about 0."""

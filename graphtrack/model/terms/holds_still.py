@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,13 +13,11 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.layout import Field
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States
 from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.faces_group import GROUP
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 SLOW = 0.05
 """rad/s up to which a turn is a drift, which costs by its square."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,13 +19,11 @@ from graphtrack.model.kernels.elementary import expm1
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.layout import HEAD, VX, VY, Field, X, Y
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States, Step
 from graphtrack.model.term import Variable
 from graphtrack.model.terms.motion import Motion
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 SMALL_TURN = 1e-3
 """λΔt below which the closed forms of a steered step cancel; there, their series."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,12 +13,10 @@ from graphtrack.later import gtsam
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import VX, Field, X
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States, Step
 from graphtrack.model.term import Term
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 
 def transition_matrix(dt: float) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,13 +29,11 @@ from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.layout import Field
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.pose_classes import add_class_quarter_turns, add_classes
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 
 @compiled

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,13 +17,11 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.layout import Field, X, Y
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.model.term import Term
 from graphtrack.tracks import Track
-
-if TYPE_CHECKING:
-    from graphtrack.model.kernels.packing import PackedTracks
 
 HUBER, CAUCHY = 1, 2
 

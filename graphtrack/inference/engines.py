@@ -1,4 +1,4 @@
-"""Which engine tracks a person online, and how far its window may reach."""
+"""Choice of the engine that interprets a model, offline and online."""
 
 from __future__ import annotations
 
@@ -8,11 +8,38 @@ from typing import Literal
 from graphtrack.bounds import is_number
 from graphtrack.errors import InputError
 from graphtrack.inference.chain.engine import is_chain
-from graphtrack.inference.offline import engine_of
+from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model
 
 OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
 ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
+
+
+def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
+    """The engine that solves a model: what was asked for, or "chain" wherever that is possible.
+
+    Raises
+    ------
+    InputError
+        For an engine that is none of whole tracks; if the chain engine was asked for and a term has no
+        compiled kernel: the message names it.
+    """
+    if engine in ("isam2", "fixed-lag"):
+        raise InputError(
+            f"engine {engine!r}, which takes one observation after the other, for whole tracks",
+            "gtsam, where iSAM2 ends once it has all, or graphtrack track with --engine isam2 --lag none",
+        )
+    if engine not in ("auto", "chain", "gtsam"):
+        raise InputError(f"engine {engine!r}", "auto, chain or gtsam")
+    if engine == "gtsam" or (engine == "auto" and not is_chain(model)):
+        return "gtsam"
+    for term in model.terms:
+        if not term.is_compiled:
+            raise InputError(
+                f"engine 'chain' and the term {type(term).__name__}, which has no compiled kernel",
+                "engine 'auto' or 'gtsam'",
+            )
+    return "chain"
 
 
 def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:

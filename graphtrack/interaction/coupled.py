@@ -1,0 +1,244 @@
+"""Smoothing with conversational groups: groups and states in turn offline, frame by frame online."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from graphtrack.behaviour.evidence import OnlineEvidence, PairEvidence, pair_evidence, walks
+from graphtrack.behaviour.facing import facing
+from graphtrack.behaviour.groups import groups_of
+from graphtrack.behaviour.learned import DEFAULT
+from graphtrack.behaviour.people import People, people_of
+from graphtrack.behaviour.smoothing import FORGOTTEN
+from graphtrack.behaviour.told import Numbers, numbers_of, people_at
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.observed import checked
+from graphtrack.inference.solution import Failure, Solution
+from graphtrack.inference.state import Estimate
+from graphtrack.model import Model, Observation
+from graphtrack.model.terms.faces_group import GROUP, Group, with_group_at
+from graphtrack.saved import from_text, real, to_text, whole
+from graphtrack.tracks import STATE, Track, TrackSet
+
+ROUNDS = 4
+"""Times that groups and states are found at most."""
+LEAST = 0.1
+"""Probability of a conversation below which nothing is told of it: of angles that nobody saw it would be
+all that is known."""
+CONVERSATIONS = "conversations"
+"""What they are called among the members of a stream whose states are kept."""
+
+_MOTION = [STATE.index("vx"), STATE.index("vy")]
+
+
+def solve_in_turn(
+    tracks: TrackSet, solve: Callable[[TrackSet], list[Solution | Failure]], correlation_time: float
+) -> list[Solution | Failure]:
+    """Solve tracks with the groups of their estimates, until the groups stay as they are.
+
+    The groups of the first round are those of estimates without any.
+    """
+    nobody = tracks.map(lambda track: with_group(track, np.full((len(track), 3), np.nan)))
+    found = solve(nobody)
+    before: dict[int, set[frozenset[int]]] = {}
+    for _ in range(ROUNDS):
+        estimates = {one.track.track_id: one.track for one in found if isinstance(one, Solution)}
+        people = people_of(estimates.values())
+        evidence = pair_evidence(people, DEFAULT)
+        grouped = groups_of(people, DEFAULT, evidence)
+        now = {frame: set(members) for frame, members in grouped.members().items()}
+        if now == before:
+            break
+        before = now
+        found = solve(with_neighbours(tracks, people, evidence, correlation_time))
+    return [without_group(one) for one in found]
+
+
+def with_group(track: Track, group: FloatArray) -> Track:
+    """The track with the input `GROUP`."""
+    return replace(track, inputs={**track.inputs, GROUP: group})
+
+
+def without_group(found: Solution | Failure) -> Solution | Failure:
+    """What was found, its track without the input `GROUP`."""
+    if isinstance(found, Failure):
+        return found
+    left = {name: values for name, values in found.track.inputs.items() if name != GROUP}
+    return replace(found, track=replace(found.track, inputs=left))
+
+
+def with_neighbours(
+    tracks: TrackSet, people: People, evidence: PairEvidence, correlation_time: float
+) -> TrackSet:
+    """The tracks, each with the direction of the o-space, and how surely there is a conversation."""
+    values = neighbours(people, evidence)
+    values[values[:, 2] == 0.0] = np.nan
+    frame, identity = people.frame[people.frame_of], people.ids[people.person]
+
+    def told(track: Track) -> Track:
+        group = np.full((len(track), 3), np.nan)
+        mine = identity == track.track_id
+        group[np.searchsorted(track.frame, frame[mine])] = values[mine]
+        group[:, :2] *= counts(group[:, :2], track.dt, correlation_time)[:, None]
+        return with_group(track, group)
+
+    return tracks.map(told)
+
+
+def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
+    """(n, 3) of each person: a vector to the o-space, as long as it is sure, and p of a conversation.
+
+    That is by where everybody near stands, who counts by the probability of being of one group. Who walks is
+    in no conversation, and what is less probable than `LEAST` is not told.
+    """
+    together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
+    surest = np.zeros(len(people))
+    np.maximum.at(surest, evidence.left, together)
+    np.maximum.at(surest, evidence.right, together)
+    surest *= 1.0 - walks(people, DEFAULT)
+    surest[surest < LEAST] = 0.0
+    faced = facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
+    return np.column_stack([surest[:, None] * faced, surest])
+
+
+def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> FloatArray:
+    """How much of its length each of successive directions counts, (n,), 0 to 1; as `counts_after`.
+
+    Parameters
+    ----------
+    toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
+    dt : (n,) seconds since the frame before
+    """
+    before = np.vstack([np.zeros((1, 2)), toward[:-1]])
+    return counts_after(before, toward, dt, correlation_time)
+
+
+def counts_after(
+    before: FloatArray, toward: FloatArray, dt: FloatArray, correlation_time: float
+) -> FloatArray:
+    """How much of their lengths directions count, (n,), 0 to 1, after those of a frame before.
+
+    One that is new counts in full, later on dt/correlation_time times: deviations from it persist.
+
+    Parameters
+    ----------
+    before, toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
+    dt : (n,) seconds between them
+    """
+    before, toward = np.nan_to_num(before), np.nan_to_num(toward)
+    length, old = np.linalg.norm(toward, axis=1), np.linalg.norm(before, axis=1)
+    grown = np.maximum(length - old, 0.0) / np.maximum(length, 1e-9)
+    both = np.maximum(length * old, 1e-9)
+    turned = np.where(old > 0.0, 1.0 - np.sum(toward * before, axis=1) / both, 0.0)
+    known = dt / correlation_time if correlation_time > 0.0 else np.ones(len(dt))
+    return np.asarray(np.minimum(known + grown + turned, 1.0))
+
+
+class _Known(NamedTuple):
+    """Of a person, when they were last there, the vector to the o-space, and what is told."""
+
+    t: float
+    x: float
+    y: float
+    group: Group
+
+
+class Conversations:
+    """Groups from the estimates of the frames that have ended, for the observations of the next.
+
+    In each frame everybody's observation has what was known of their conversation when the frame before
+    ended, so that the order of people makes no difference. A frame ends with the next time.
+
+    Parameters
+    ----------
+    model : that of the smoothers, with groups
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._correlation_time = model.parameters.social.correlation_time
+        self._evidence = OnlineEvidence(DEFAULT)
+        self._known: dict[int, _Known] = {}
+        self._t, self._frame = -math.inf, 0
+        self._people: dict[int, Numbers] = {}
+
+    def observed(self, track_id: int, observation: Observation) -> Observation:
+        """An observation with what is told of the person's conversation, for `OnlineSmoother.update`.
+
+        One that says it itself, or comes late, stays as it is.
+
+        Raises
+        ------
+        InputError
+            If it cannot be used. Nothing has changed then.
+        """
+        observation = checked(observation)
+        self.begin(observation.t, observation.frame)
+        group = self.group(track_id)
+        return observation if observation.t < self._t else with_group_at(observation, group)
+
+    def estimated(self, track_id: int, estimate: Estimate) -> None:
+        """What the smoother made of the frame; it counts for the frames to come.
+
+        Whether somebody who is new stands or walks has to be known first.
+        """
+        if estimate.status == "waiting" or estimate.t != self._t:
+            return
+        if estimate.covariance[_MOTION, _MOTION].mean() < DEFAULT.walking_speed**2:
+            self._people[track_id] = numbers_of(estimate)
+
+    def begin(self, t: float, frame: int = 0) -> None:
+        """Begin the frame of a time (seconds), if that is later than the last, which has ended then."""
+        if not t > self._t:
+            return
+        if self._people:
+            self._take(people_at(self._t, self._frame, self._people))
+        self._t, self._frame, self._people = t, frame, {}
+
+    def group(self, track_id: int) -> Group | None:
+        """What is told of a person in this frame; None if they are new, or were not there for long."""
+        known = self._known.get(track_id)
+        long = FORGOTTEN * DEFAULT.place_seconds
+        return None if known is None or self._t - known.t > long else known.group
+
+    def _take(self, people: People) -> None:
+        t = float(people.t[0])
+        kept = FORGOTTEN * DEFAULT.look_seconds
+        self._known = {one: known for one, known in self._known.items() if t - known.t <= kept}
+        found = neighbours(people, self._evidence.take(people))
+        ids = people.ids[people.person].tolist()
+        old = [self._known.get(one) or _Known(t, 0.0, 0.0, (0.0, 0.0, 0.0)) for one in ids]
+        before = np.array([(known.x, known.y) for known in old])
+        dt = t - np.array([known.t for known in old])
+        share = counts_after(before, found[:, :2], dt, self._correlation_time)
+        told = np.column_stack([share[:, None] * found[:, :2], found[:, 2]])
+        for one, (x, y, _), group in zip(ids, found.tolist(), told.tolist(), strict=True):
+            self._known[one] = _Known(t, x, y, tuple(group))
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `restore`."""
+
+        def packed(numbers: Mapping[int, tuple[float, ...]]) -> list[list[Any]]:
+            return [[one, to_text(np.array(values))] for one, values in numbers.items()]
+
+        known = {one: (known.t, known.x, known.y, *known.group) for one, known in self._known.items()}
+        t = None if math.isinf(self._t) else self._t
+        found = {"t": t, "frame": self._frame, "people": packed(self._people), "known": packed(known)}
+        return found | self._evidence.state()
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], model: Model) -> Conversations:
+        """Conversations that go on where `state` was taken, to the last bit, given the same model."""
+        found = cls(model)
+        found._evidence.restore(state)
+        found._t = -math.inf if state["t"] is None else real(state["t"])
+        found._frame = whole(state["frame"])
+        found._people = {whole(one): tuple(from_text(text).tolist()) for one, text in state["people"]}
+        for one, text in state["known"]:
+            t, x, y, *group = from_text(text).tolist()
+            found._known[whole(one)] = _Known(t, x, y, tuple(group))
+        return found

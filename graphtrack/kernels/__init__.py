@@ -1,0 +1,11 @@
+"""What terms and the compiled engine share: the layout of a frame, kernels and their arithmetic.
+
+The chain solver adds kernels up. One takes the states of a frame (or of two that follow each other), adds to
+the gradient and to the blocks of the Hessian, and returns its cost; see `Kernel`.
+"""
+
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, Field, X, Y
+
+__all__ = ["BODY", "HEAD", "VX", "VY", "Field", "Kernel", "X", "Y", "compiled"]
