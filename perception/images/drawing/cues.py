@@ -71,10 +71,10 @@ def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320)
         return np.asarray((pixel - corner) * factor, float)
 
     head = cues.head_box[:2] + cues.head_box[2:] / 2.0
-    planes = marks.planes(camera, cues.position, head, (_RADIUS, _RADIUS), shown)
+    both = marks.planes(camera, cues.position, head, (_RADIUS, _RADIUS), shown)
     marks.dashed_box(picture, np.concatenate([shown(cues.box[:2]), factor * cues.box[2:]]), _BOX, 1)
     marks.box(picture, np.concatenate([shown(cues.head_box[:2]), factor * cues.head_box[2:]]), _BOX, 1)
-    for k, (place, colour) in enumerate(zip(planes, (_BODY, _HEAD), strict=True)):
+    for k, (place, colour) in enumerate(zip(both, (_BODY, _HEAD), strict=True)):
         _circle(picture, place, colour)
         if cues.true is not None:
             _line(picture, place, float(cues.true[k]), (0.8, 1.25), _TRUE, 3)
