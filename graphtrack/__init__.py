@@ -6,33 +6,30 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from graphtrack.association.reading import from_supervision, from_ultralytics, read
+    from graphtrack.association.associate import associate, from_supervision, from_ultralytics, read
     from graphtrack.association.tracker import PersonEstimate
-    from graphtrack.association.tracks import associate
-    from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster
-    from graphtrack.behaviour.forecast.parameters import ForecastParameters
-    from graphtrack.behaviour.forecast.recorded import Forecasts, forecast
-    from graphtrack.behaviour.groups import Groups, groups
-    from graphtrack.behaviour.online_attention import Looks, OnlineAttention
-    from graphtrack.behaviour.online_groups import OnlineGroups
-    from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.identities import SequenceScore, TrackingScore, score
-    from graphtrack.evaluation.states import StateScore, score_states
+    from graphtrack.evaluation.metrics import StateScore, score_states
+    from graphtrack.forecasting.forecaster import Forecast, Forecaster
+    from graphtrack.forecasting.motion import ForecastParameters
+    from graphtrack.forecasting.recorded import Forecasts, forecast
     from graphtrack.inference import Estimate, Failure, OnlineSmoother, Solution, SolverOptions
+    from graphtrack.interaction.attention import Looks, OnlineAttention
+    from graphtrack.interaction.groups import Groups, OnlineGroups, groups
+    from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.io import ReadOptions, write
-    from graphtrack.io.geo import to_geopandas
-    from graphtrack.io.movement.dataset import from_movement, to_movement
-    from graphtrack.io.pedpy import from_pedpy, to_pedpy
+    from graphtrack.io.formats.movement import from_movement, to_movement
+    from graphtrack.io.formats.pedpy import from_pedpy, to_pedpy
+    from graphtrack.io.libraries import to_geopandas
     from graphtrack.model import Model, Observation, Parameters, Term, presets
     from graphtrack.report.page import write_report
-    from graphtrack.scene import SceneParameters
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
-    from graphtrack.smoothing import smooth, solve, track_online, warm_up
-    from graphtrack.smoothing.tracker import OnlineTracker
-    from graphtrack.tracks import ReadSummary, Track, TrackSet
+    from graphtrack.smoothing import OnlineTracker, smooth, solve, track_online, warm_up
+    from graphtrack.tracks.scene import SceneParameters
+    from graphtrack.tracks.track import ReadSummary, Track, TrackSet
     from graphtrack.viewer.shown import view
 
     __version__: str
@@ -98,22 +95,41 @@ __all__ = [
 ]
 
 _HOMES = {
-    "scene": ("SceneParameters",),
-    "association.reading": ("from_supervision", "from_ultralytics", "read"),
+    "association.associate": (
+        "associate",
+        "from_supervision",
+        "from_ultralytics",
+        "read",
+    ),
     "association.tracker": ("PersonEstimate",),
-    "association.tracks": ("associate",),
-    "behaviour.forecast.forecaster": ("Forecast", "Forecaster"),
-    "behaviour.forecast.parameters": ("ForecastParameters",),
-    "behaviour.forecast.recorded": ("Forecasts", "forecast"),
-    "behaviour.groups": ("Groups", "groups"),
-    "behaviour.online_attention": ("Looks", "OnlineAttention"),
-    "behaviour.online_groups": ("OnlineGroups",),
-    "behaviour.parameters": ("GroupParameters",),
-    "simulation.degrade": ("add_noise",),
-    "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
-    "evaluation.compare": ("Comparison", "compare"),
-    "evaluation.states": ("StateScore", "score_states"),
-    "evaluation.identities": ("SequenceScore", "TrackingScore", "score"),
+    "errors": (
+        "GraphtrackError",
+        "InputError",
+        "InputWarning",
+        "SolveError",
+    ),
+    "evaluation.compare": (
+        "Comparison",
+        "compare",
+    ),
+    "evaluation.identities": (
+        "SequenceScore",
+        "TrackingScore",
+        "score",
+    ),
+    "evaluation.metrics": (
+        "StateScore",
+        "score_states",
+    ),
+    "forecasting.forecaster": (
+        "Forecast",
+        "Forecaster",
+    ),
+    "forecasting.motion": ("ForecastParameters",),
+    "forecasting.recorded": (
+        "Forecasts",
+        "forecast",
+    ),
     "inference": (
         "Estimate",
         "Failure",
@@ -121,16 +137,52 @@ _HOMES = {
         "Solution",
         "SolverOptions",
     ),
-    "io": ("ReadOptions", "write"),
-    "io.geo": ("to_geopandas",),
-    "io.movement.dataset": ("from_movement", "to_movement"),
-    "io.pedpy": ("from_pedpy", "to_pedpy"),
-    "model": ("Model", "Observation", "Parameters", "Term", "presets"),
+    "interaction.attention": (
+        "Looks",
+        "OnlineAttention",
+    ),
+    "interaction.groups": (
+        "Groups",
+        "OnlineGroups",
+        "groups",
+    ),
+    "interaction.parameters": ("GroupParameters",),
+    "io": (
+        "ReadOptions",
+        "write",
+    ),
+    "io.formats.movement": (
+        "from_movement",
+        "to_movement",
+    ),
+    "io.formats.pedpy": (
+        "from_pedpy",
+        "to_pedpy",
+    ),
+    "io.libraries": ("to_geopandas",),
+    "model": (
+        "Model",
+        "Observation",
+        "Parameters",
+        "Term",
+        "presets",
+    ),
     "report.page": ("write_report",),
+    "simulation.degrade": ("add_noise",),
     "simulation.sampling": ("simulate",),
-    "smoothing": ("smooth", "solve", "track_online", "warm_up"),
-    "smoothing.tracker": ("OnlineTracker",),
-    "tracks": ("ReadSummary", "Track", "TrackSet"),
+    "smoothing": (
+        "OnlineTracker",
+        "smooth",
+        "solve",
+        "track_online",
+        "warm_up",
+    ),
+    "tracks.scene": ("SceneParameters",),
+    "tracks.track": (
+        "ReadSummary",
+        "Track",
+        "TrackSet",
+    ),
     "viewer.shown": ("view",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -1,12 +1,17 @@
-"""Values of saved states: numbers as text, and the error for damaged ones."""
+"""Values of saved states: numbers as text, and the error for damaged ones.
+
+Arrays and records as JSON-able data, and back to the last bit.
+"""
 
 from __future__ import annotations
 
 import base64
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
@@ -42,3 +47,54 @@ def to_text(values: FloatArray) -> str:
 def from_text(text: str) -> FloatArray:
     """The inverse of `to_text`, flat."""
     return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").astype(float)
+
+
+def packed(values: NDArray[Any]) -> list[Any]:
+    """An array as JSON-able data: its shape, its kind and its numbers."""
+    kind = values.dtype.kind
+    numbers = np.ascontiguousarray(values, complex).view(float) if kind == "c" else values
+    return [list(values.shape), kind, to_text(numbers)]
+
+
+def unpacked(saved: list[Any]) -> NDArray[Any]:
+    """The inverse of `packed`."""
+    shape, kind, text = saved
+    numbers: NDArray[Any] = from_text(text)
+    if kind == "c":
+        return numbers.view(complex).reshape(shape)
+    # Whole numbers as large as these are doubles of their own.
+    return numbers.reshape(shape).astype(np.int64 if kind == "i" else float)
+
+
+def pack_tree(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays in dictionaries, which hold no lists, as JSON-able data."""
+    found = {}
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value = packed(value)
+        found[name] = pack_tree(value) if isinstance(value, Mapping) else value
+    return found
+
+
+def unpack_tree(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """The inverse of `pack_tree`."""
+    found = {}
+    for name, value in saved.items():
+        if isinstance(value, list):
+            value = unpacked(value)
+        found[name] = unpack_tree(value) if isinstance(value, Mapping) else value
+    return found
+
+
+def pack_records(records: NDArray[np.void]) -> dict[str, list[Any]]:
+    """Records as JSON-able data, field by field."""
+    return {name: packed(np.ascontiguousarray(records[name])) for name in records.dtype.names or ()}
+
+
+def unpack_records(saved: Mapping[str, list[Any]], kind: np.dtype[np.void]) -> NDArray[np.void]:
+    """The inverse of `pack_records`."""
+    fields = {name: unpacked(values) for name, values in saved.items()}
+    records = np.zeros(len(next(iter(fields.values()))), kind)
+    for name, values in fields.items():
+        records[name] = values
+    return records

@@ -24,7 +24,7 @@ from graphtrack.inference import Solution
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.smoothing import solve, track_online
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 PRESETS = ("position", "separate", "joint", "joint-intentional", "full")
 OFFLINE, ONLINE = 1e-8, 1e-6
@@ -71,17 +71,17 @@ def numbers_of(track: Track) -> dict[str, np.ndarray]:
 
 def answers() -> Iterator[tuple[str, np.ndarray]]:
     """Every estimated channel of every case, by name."""
-    from graphtrack.inference.chain import engine
+    from graphtrack.inference.chain import batch
 
-    large = engine.LARGE
+    large = batch.LARGE
     for name, tracks, model in cases():
         for way, least in (("offline", large), ("side by side", 0)):
-            engine.LARGE = least
+            batch.LARGE = least
             for k, found in enumerate(solve(tracks, model, engine="chain", jobs=1)):
                 assert isinstance(found, Solution), (name, found)
                 for channel, values in numbers_of(found.track).items():
                     yield f"{way}/{name}/{k}/{channel}", values
-        engine.LARGE = large
+        batch.LARGE = large
         for k, track in enumerate(tracks):
             online = track_online(track, model, camera=tracks.camera, engine="chain", lag=1.0)
             for channel, values in numbers_of(online).items():

@@ -13,7 +13,7 @@ import pytest
 import graphtrack as gt
 from graphtrack.evaluation import Comparison
 from graphtrack.model import LikelihoodParameters, MotionParameters
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 NASTY = "<script>alert('&')</script>" * 10
 CHANGED = gt.Parameters(MotionParameters(0.2, 0.3, 0.4), likelihood=LikelihoodParameters(robust="huber"))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.gaps import at_times, filled, unfilled_gaps, with_times_at
+from graphtrack.tracks.gaps import at_times, filled, unfilled_gaps, with_times_at
 
 
 def walk(n=60, seed=0, track_id=1, dt=0.1):

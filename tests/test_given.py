@@ -11,7 +11,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.learning import fit
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 PEOPLE = gt.simulate("separate", n_tracks=3, n_steps=12, rng=np.random.default_rng(0))
 PERSON = PEOPLE[1]

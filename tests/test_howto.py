@@ -5,7 +5,7 @@ from costs import build_graph
 from documents import ROOT, blocks, run
 
 import graphtrack as gt
-from graphtrack.inference.initial import initial_states
+from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.model.observation import chain
 
 PAGES = ["docs/start.md", *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("docs/how-to/*.md"))]

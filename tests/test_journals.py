@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from graphtrack.learning.journal import EvaluationJournal
+from graphtrack.learning.fit import EvaluationJournal
 from perception.observe.journal import FrameJournal
 
 

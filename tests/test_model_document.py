@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from graphtrack.learning.scene import SET
-from graphtrack.model import Model, Parameters, presets
-from graphtrack.model.factors import native
+from graphtrack.model import Model, Parameters, factors, presets
 from graphtrack.model.observation import chain
 from graphtrack.model.parameters import range_of
 from graphtrack.model.terms import head_follows_body, motion, pose, position, turning
-from graphtrack.scene import SceneParameters
 from graphtrack.simulation.sampling import simulate
+from graphtrack.tracks.scene import SceneParameters
 
 DOCUMENT = (Path(__file__).resolve().parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
 
@@ -88,6 +87,6 @@ def test_native_factors_are_those_that_are_named():
     named = set(re.findall(r"native: `(\w+)`", DOCUMENT))
     # Robust noise models and mixtures aside, an ordinary track needs one derived factor: the coupling.
     assert made == named | {"CustomFactor"}
-    for module in (native, head_follows_body, motion, turning, pose, position):
+    for module in (factors, head_follows_body, motion, turning, pose, position):
         for name in re.findall(r"gtsam\.((?:Frobenius|Wnoa|Prior)\w+)", inspect.getsource(module)):
             assert name in named

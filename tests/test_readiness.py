@@ -8,13 +8,13 @@ from pathlib import Path
 import numba
 import pytest
 
-from graphtrack import readiness
-from graphtrack.readiness import Rehearsal, make_ready
+from graphtrack.kernels import compilation
+from graphtrack.kernels.compilation import Rehearsal, make_ready
 
 
 @pytest.fixture(autouse=True)
 def new_process(monkeypatch, caplog) -> None:
-    monkeypatch.setattr(readiness, "_READY", set())
+    monkeypatch.setattr(compilation, "_READY", set())
     caplog.set_level(logging.WARNING, "graphtrack")
 
 
@@ -37,7 +37,7 @@ def test_it_is_logged_once_on_a_machine_and_run_once_in_a_process(
     assert before == "compiling something, once on this machine: about 10 s …"
     assert after.startswith("compiled in ")
     assert logged(caplog, rehearsal) == [] and len(runs) == 1
-    readiness._READY.clear()
+    compilation._READY.clear()
     assert not rehearsal.is_cold()
     assert logged(caplog, rehearsal) == [] and len(runs) == 2
 
@@ -56,7 +56,7 @@ def test_where_nothing_can_be_kept_it_says_so_in_every_process(monkeypatch, tmp_
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "taken"))
     for _ in range(2):
         assert "in every process" in logged(caplog, Rehearsal("a kind", list, 12.0))[0]
-        readiness._READY.clear()
+        compilation._READY.clear()
 
 
 def test_a_short_compilation_is_not_worth_a_line(monkeypatch, tmp_path: Path, caplog) -> None:

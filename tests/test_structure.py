@@ -1,9 +1,10 @@
-"""How the parts hang together: who imports whom, how long a module is, and that paths in documents exist."""
+"""The structure of the packages: the order in which rooms import each other, circles, sizes, and the map."""
 
 from __future__ import annotations
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
@@ -15,52 +16,87 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted(ROOT.glob("docs/**/*.md"))
 PACKAGES = ("graphtrack", "perception")
-LONGEST = 800
+MAP = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+MODULES_OF_A_FOLDER, SHORTEST = 15, 40
+ENTRY_POINTS = ("main", "commands")
 
 
 def name_of(path: Path) -> str:
-    """What a module of a package is imported as."""
+    """Return the name that a module is imported by."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imported_by(node: ast.AST) -> Iterator[str]:
-    """Names that are imported when a module runs, in its functions too; not for a type checker alone."""
-    left = [node]
-    while left:
-        one = left.pop()
-        if isinstance(one, ast.Import):
-            yield from (name.name for name in one.names)
-        elif isinstance(one, ast.ImportFrom) and one.module:
-            yield from (f"{one.module}.{name.name}" for name in one.names)
-        for_checker = isinstance(one, ast.If) and isinstance(one.test, ast.Name)
-        if not (for_checker and one.test.id == "TYPE_CHECKING") and not isinstance(one, ast.expr):
-            left += ast.iter_child_nodes(one)
+def imported_by(tree: ast.AST) -> Iterator[str]:
+    """Return the names that a module imports: at its top, in functions and for a type checker."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{name.name}" for name in node.names)
 
 
 @cache
 def imports(folder: str) -> dict[Path, list[str]]:
-    """What each module below a folder imports."""
+    """Return what each module below a folder imports."""
     modules = sorted((ROOT / folder).rglob("*.py"))
     return {path: list(imported_by(ast.parse(path.read_text("utf-8")))) for path in modules}
 
 
-def within(name: str) -> set[str]:
-    """What has to run before a module: all packages that it lies in, and itself."""
-    parts = name.split(".")
-    return {".".join(parts[: k + 1]) for k in range(len(parts))}
+@cache
+def graph(package: str) -> dict[str, set[str]]:
+    """Return the modules of a package that each of its modules imports."""
+    known = {name_of(path): names for path, names in imports(package).items()}
+    found: dict[str, set[str]] = {}
+    for name, names in known.items():
+        modules = {one if one in known else one.rpartition(".")[0] for one in names}
+        found[name] = (modules & set(known)) - {name, package}
+    del found[package]  # its names are those of the rooms, taken when they are asked for
+    return found
+
+
+def order(package: str) -> list[str]:
+    """Return the rooms of a package as the map orders them, the uppermost first.
+
+    Rooms on one line stand in an order too: those on the left may import those on the right.
+    """
+    block = re.search(rf"^    {package}:((?:\n      .+)+)", MAP, re.MULTILINE)
+    assert block
+    return re.findall(r"\w+", block[1])
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_modules_do_not_import_each_other_in_a_circle(package: str) -> None:
-    known = {name_of(path): names for path, names in imports(package).items()}
-    assert len(known) > 50
-    needed = {}
-    for name, imported in known.items():
-        names: set[str] = set().union(*map(within, imported))
-        # The packages around a module have begun before it, and it does not wait for their end.
-        needed[name] = (names & set(known)) - within(name)
+    needed = graph(package)
+    assert len(needed) > 50
     TopologicalSorter(needed).prepare()  # or CycleError, which names the circle
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_rooms_import_only_rooms_below(package: str) -> None:
+    rooms = order(package)
+    wrong = []
+    for name, names in graph(package).items():
+        above = name.split(".")[1]
+        if above.startswith("__"):
+            continue
+        wrong += [
+            f"{name} imports {one}"
+            for one in names
+            if one.split(".")[1] != above and rooms.index(one.split(".")[1]) <= rooms.index(above)
+        ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_map_has_every_room(package: str) -> None:
+    folder = ROOT / package
+    rooms = {path.name for path in folder.iterdir() if (path / "__init__.py").exists()}
+    rooms |= {path.stem for path in folder.glob("*.py") if not path.stem.startswith("__")}
+    assert set(order(package)) == rooms
+    assert len(order(package)) == len(rooms)
+    for room in rooms:
+        assert re.search(rf"`{package}/{room}(/|\.py)`", MAP), room
 
 
 def test_graphtrack_knows_nothing_of_perception() -> None:
@@ -84,13 +120,13 @@ def test_test_modules_are_imported_by_nobody() -> None:
         assert not modules & set(parts), path
 
 
-def test_modules_are_short() -> None:
-    lines = {
-        str(path.relative_to(ROOT)): len(path.read_text("utf-8").splitlines())
-        for package in PACKAGES
-        for path in (ROOT / package).rglob("*.py")
-    }
-    assert {name for name, count in lines.items() if count > LONGEST} == set()
+@pytest.mark.parametrize("package", PACKAGES)
+def test_folders_and_modules_have_a_size_that_can_be_taken_in(package: str) -> None:
+    files = [path for path in (ROOT / package).rglob("*.py") if not path.stem.startswith("__")]
+    folders = Counter(path.parent for path in files)
+    assert {str(path): n for path, n in folders.items() if n > MODULES_OF_A_FOLDER} == {}
+    modules = [path for path in files if path.stem not in ENTRY_POINTS]
+    assert [str(path) for path in modules if len(path.read_text("utf-8").splitlines()) < SHORTEST] == []
 
 
 def test_paths_in_documents_exist() -> None:

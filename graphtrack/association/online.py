@@ -1,4 +1,8 @@
-"""Online data association with a revision window.
+"""Attributes of open detections alongside their chains.
+
+The newest final decisions of online association, from which the scene's parameters are learned.
+
+Online data association with a revision window.
 
 The moves are those of a whole recording (`moves`), made in the newest frames alone. What lies further back is
 as it was decided; of it only the last detection of each track is kept, for it may be found again.
@@ -13,29 +17,184 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association.chains import DETECTION, Chains, IntArray, Scene, unlinked
-from graphtrack.association.duplicates import Pairs, duplicate_density_of, duplicate_pairs
-from graphtrack.association.history import History
-from graphtrack.association.kernels import count_up, missed
-from graphtrack.association.learning import first_guess
-from graphtrack.association.looks import widened
-from graphtrack.association.looks_online import Looks
-from graphtrack.association.moves import Moves
-from graphtrack.association.notes import NOBODY, Notes
-from graphtrack.association.packing import (
+from graphtrack.association.appearance import Looks, looks_of_tracks, widened
+from graphtrack.association.likelihood import (
+    DETECTION,
+    Chains,
+    IntArray,
+    Scene,
+    count_up,
+    learn_orientation,
+    link_by,
+    missed,
+    refresh,
+    unlinked,
+)
+from graphtrack.association.offline import Moves
+from graphtrack.association.scene import (
+    AHEAD,
+    Pairs,
+    Places,
+    duplicate_density_of,
+    duplicate_pairs,
+    first_guess,
+    learn_duplicates,
+    learn_places,
+    learn_scene,
+)
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.saved import (
     pack_records,
     pack_tree,
     packed,
+    real,
     unpack_records,
     unpack_tree,
     unpacked,
+    whole,
 )
-from graphtrack.association.places import AHEAD, Places
-from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.saved import real, whole
-from graphtrack.scene import GivenScene, SceneParameters, known_values
-from graphtrack.table.detections import Detections
+from graphtrack.tracks.detections import Detections
+from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
+
+NOBODY = -1
+
+
+@dataclass
+class Notes:
+    """Attributes of n detections alongside their chains.
+
+    Attributes
+    ----------
+    std : metres that a detection says itself; NaN: it does not
+    place : of it in its update
+    said : track id that was last said of it
+    number : track id of the track that begins with it, once there is one
+    before : detections of its track that are forgotten by now
+    clutter : how many times the mean rate detections are false there
+    score : the detector's own; NaN: none
+    descriptor : (n, d) of looks, NaN where one is missing; d is 0 until the first one comes
+    """
+
+    std: FloatArray
+    place: IntArray
+    said: IntArray
+    number: IntArray
+    before: IntArray
+    clutter: FloatArray
+    score: FloatArray
+    descriptor: FloatArray
+
+    @classmethod
+    def of(cls, std: FloatArray, clutter: FloatArray, score: FloatArray, descriptor: FloatArray) -> Notes:
+        """Of the detections of a new frame."""
+        n = len(std)
+        nobody = np.full(n, NOBODY)
+        return cls(
+            std, np.arange(n), nobody, nobody.copy(), np.zeros(n, np.int64), clutter, score, descriptor
+        )
+
+    def extended(self, new: Notes) -> Notes:
+        """With those of further detections."""
+        both = zip(vars(self).values(), vars(new).values(), strict=True)
+        return Notes(*(np.concatenate(pair) for pair in both))
+
+    def of_some(self, some: IntArray) -> Notes:
+        """Those of some detections."""
+        return Notes(*(values[some] for values in vars(self).values()))
+
+
+LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
+"""Detections after which the scene's parameters are learned; then after as many more as the last."""
+
+REMEMBERED = 3200
+"""Detections, decided upon, that parameters are learned from."""
+
+GUESS_SECONDS = 10.0
+"""Time that the first guess of how people turn counts for: at first they all may walk straight."""
+
+_TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
+"""Parameters of turning, and the power of each that is a variance."""
+
+
+class History:
+    """The newest detections that were decided upon, for parameters to be learned from."""
+
+    def __init__(self) -> None:
+        self.t, self.std, self.score = np.zeros(0), np.zeros(0), np.zeros(0)
+        self.position, self.facing, self.descriptor = np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0))
+        self.frame, self.owner = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        self.count, self.times = 0, 0
+        self.since: float | None = None
+
+    def add(self, chains: Chains, notes: Notes, owner: IntArray, first: int, end: int) -> None:
+        """Remember the detections ``first`` up to ``end``, and forget as many where there are too many."""
+        new = {
+            "t": chains.t,
+            "std": notes.std,
+            "score": notes.score,
+            "descriptor": notes.descriptor,
+            "position": chains.position,
+            "facing": chains.facing,
+            "frame": chains.frame,
+            "owner": owner,
+        }
+        self.descriptor = widened(self.descriptor, notes.descriptor.shape[1])
+        for name, values in new.items():
+            setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
+        self.count += end - first
+        self.since = float(chains.t[first]) if self.since is None else self.since
+
+    def state(self) -> dict[str, Any]:
+        """As JSON-able data."""
+        return pack_tree(vars(self))
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> History:
+        """The inverse of `state`."""
+        found = cls()
+        vars(found).update(unpack_tree(state))
+        return found
+
+    def is_due(self) -> bool:
+        """Return whether parameters are to be learned."""
+        known = len(LEARNED_AT)
+        due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
+        return self.count >= due
+
+    def learned(
+        self, scene: SceneParameters, step_seconds: float, known: Known
+    ) -> tuple[SceneParameters, Places, Looks]:
+        """Learn from the remembered tracks.
+
+        Returns the parameters that they speak for but those known, where people come and go, and what looks
+        and scores are worth.
+        """
+        self.times += 1
+        chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
+        chains.gain[:] = 0.0
+        chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
+        _, owner = np.unique(self.owner, return_inverse=True)
+        identity = np.where(self.owner == NOBODY, NOBODY, owner - int((self.owner == NOBODY).any()))
+        link_by(chains, identity)
+        scene = learn_duplicates(chains.frame, self.position, identity, scene, known)
+        scene = learn_scene(chains, identity, scene, self.std, step_seconds, known)
+        scene = learn_orientation(chains, scene, step_seconds, known)
+        scene = self._with_guess(scene, known)
+        shown = looks_of_tracks(chains, identity, self.descriptor, self.score)
+        refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)))
+        return scene, learn_places(chains, identity), shown
+
+    def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
+        """With turns as the mean, over time, of the first guess and of what was found."""
+        watched = 0.0 if self.since is None else float(self.t[-1]) - self.since
+        share, guess = GUESS_SECONDS / (GUESS_SECONDS + watched), SceneParameters()
+        mean = {}
+        for name, power in _TURNS.items():
+            first, found = getattr(guess, name) ** power, getattr(scene, name) ** power
+            mean[name] = (share * first + (1.0 - share) * found) ** (1.0 / power)
+        return replace(scene, **mean | dict(known))
+
 
 TOLD = 0.45
 """How probable somebody has to be, and that who is not seen is still there, to be told. What makes an

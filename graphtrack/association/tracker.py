@@ -1,9 +1,14 @@
-"""`DetectionTracker`: a frame's detections in, an estimate of everybody out."""
+"""Angles, scores and descriptors of observations as arrays; NaN where one has none.
+
+`DetectionTracker`: a frame's detections in, an estimate of everybody out.
+
+Recorded detections online: who was who, and where, as it was said at each frame.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,20 +16,76 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
+from graphtrack.association.associate import usable
+from graphtrack.association.likelihood import observed_angles
 from graphtrack.association.online import Decision, OnlineAssociation, Revision
-from graphtrack.association.shown import descriptors_of, facing_of, scores_of, to_smooth
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import OnlineEngine
-from graphtrack.inference.observed import checked
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
+from graphtrack.inference.state import Estimate, as_track, checked, pack_observation, unpack_observation
+from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
+from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.model.terms.faces_group import Group, with_group_at
-from graphtrack.readiness import processors
 from graphtrack.saved import DAMAGES, damaged, whole
-from graphtrack.scene import GivenScene, SceneParameters, known_values
+from graphtrack.tracks.gaps import with_rows
+from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import APPEARANCE, INPUT
+
+
+def facing_of(seen: Sequence[Observation]) -> FloatArray:
+    """Observed body and head, (n, 2) radians; NaN where there is none."""
+    channels: dict[str, FloatArray] = {}
+    for name in ("body", "head"):
+        angles = [getattr(one, name) for one in seen]
+        channels[name] = np.array([math.nan if angle is None else angle for angle in angles])
+        classes = [getattr(one, f"{name}_likelihood") for one in seen]
+        size = next((len(one) for one in classes if one is not None), 0)
+        if size:
+            none = (math.nan,) * size
+            channels[f"{name}_likelihood"] = np.array([none if one is None else one for one in classes])
+    return observed_angles(channels, len(seen))
+
+
+def scores_of(seen: Sequence[Observation]) -> FloatArray:
+    """Return the detector's scores, (n,)."""
+    return np.array([math.nan if one.score is None else one.score for one in seen])
+
+
+def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
+    """Return the descriptors of observations, (n, d): their input `APPEARANCE`.
+
+    Raise InputError for a descriptor that has another size.
+
+    Parameters
+    ----------
+    size : d as it was before; 0: that of the first one
+    """
+    given = [one.inputs.get(APPEARANCE) for one in seen]
+    rows = [None if one is None else np.atleast_1d(np.asarray(one, float)) for one in given]
+    size = size or next((len(row) for row in rows if row is not None), 0)
+    found = np.full((len(rows), size), np.nan)
+    for k, row in enumerate(rows):
+        if row is not None:
+            if row.shape != (size,):
+                raise InputError(
+                    f"a descriptor of {row.size} numbers", f"{size}, as before", column=f"{APPEARANCE}_0"
+                )
+            found[k] = row
+    return found
+
+
+def to_smooth(seen: Observation, noise: float) -> Observation:
+    """An observation without what says whose it is alone; of that noise (m) where it does not say its own."""
+    if seen.position_std is not None and seen.score is None and not seen.inputs:
+        return seen
+    inputs = {name: value for name, value in seen.inputs.items() if name != APPEARANCE}
+    return replace(seen, score=None, inputs=inputs, position_std=seen.position_std or noise)
+
 
 Key = tuple[int, int]
 """The number of an update, and the place of a detection in it."""
@@ -328,3 +389,48 @@ class _Person:
     estimate: Estimate | None = None
     keys: list[Key] = field(default_factory=list)
     told: dict[int, Group] = field(default_factory=dict)
+
+
+UNSAID = "of whom nothing was said at once"
+
+
+def track_rows(
+    rows: Rows, tracker: DetectionTracker, advance: Callable[[int], None] = lambda rows: None
+) -> TrackSet:
+    """Give a tracker the detections of a file, frame by frame; what it said of them.
+
+    Parameters
+    ----------
+    rows : on the ground, with times; their own identities do not matter
+    advance : is told of detections that were taken in
+    """
+    rows = usable(rows)
+    channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}
+    given = [name for name in rows.channels if name.startswith(INPUT)]
+    inputs = {name.removeprefix(INPUT): rows.channels[name] for name in given}
+    times = rows.channels["t"]
+    order = np.lexsort((np.arange(len(rows)), times))
+    starts = np.flatnonzero(np.diff(times[order], prepend=-np.inf))
+    identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
+    told: dict[int, list[tuple[int, PersonEstimate]]] = {}
+    revised = 0
+    for group in np.split(order, starts[1:]):
+        places, t, frame = group.tolist(), float(times[group[0]]), int(rows.frame[group[0]])
+        seen = [observation_at(k, t, frame, channels, inputs) for k in places]
+        for person in tracker.update(t, seen):
+            told.setdefault(person.track_id, []).append((frame, person))
+            if person.observed:
+                row = places[person.detection]
+                identity[row], probability[row] = person.track_id, person.identity_p
+        revised += len(tracker.revised)
+        advance(len(places))
+    note = f"associated {len(rows)} detections online: {len(told)} people; {revised} taken back later"
+    rows = replace(rows, track_id=identity, has_identity=True, labels={})
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    tracks = TrackSet.from_rows(rows.keep(identity > 0, UNSAID).with_notes(note))
+    return tracks.map(lambda one: _estimated(one, told[one.track_id], tracker))
+
+
+def _estimated(track: Track, told: list[tuple[int, PersonEstimate]], tracker: DetectionTracker) -> Track:
+    frame, t = np.array([frame for frame, _ in told]), np.array([person.t for _, person in told])
+    return as_track(with_rows(track, frame, t), [person for _, person in told], tracker.model)

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.baselines.isotropic import constant_velocity, full_covariance, predict, update
-from graphtrack.bounds import check_numbers, number
+from graphtrack.baselines.kalman import constant_velocity, full_covariance, predict, update
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.table.detections import Detections, with_those_between
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.detections import Detections, with_those_between
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import check_numbers, number
 
 IntArray = NDArray[np.int64]
 

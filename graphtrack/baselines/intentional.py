@@ -8,23 +8,44 @@ step (variant ``printed``). The variant ``consistent``, the default, scales the 
 rows of the position are: it is blended with the intention, not added to. Eq. 2 subtracts the numbers of the
 bins, though bins 1 and 8 are neighbours; the default takes the difference around the circle. `PRINTED` is
 the paper to the letter in both.
+
+The intentional tracker in continuous time, in seconds and metres, whatever the frame rate.
+
+The velocity is drawn to where the head points at the rate λ: dv = −λ·(v − s·u(head))·dt + noise of density q,
+with s the estimated speed. Over a step the velocity keeps exp(−λΔt) of itself, as the variant ``consistent``
+of `intentional` keeps γ; the noise is integrated exactly, so that two half steps are one whole step. λ = 0 is
+white-noise acceleration (docs/model.md, the terms `Motion` and `IntentionalMotion`).
+
+A rate of the intentional motion that grows with the deviation of the head from the direction of travel.
+
+Source: Baxter et al. 2014, eq. 2–3, in continuous time. The rates are data: they come from what was observed
+before each step, so that the term `IntentionalMotion` stays a normalised density of the next state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tracks, full_covariance
-from graphtrack.baselines.kalman import GaussianStates, as_track
+from graphtrack.baselines.kalman import (
+    FilteredStates,
+    GaussianStates,
+    Transition,
+    as_track,
+    filter_tracks,
+    full_covariance,
+    position_std,
+)
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, direction, unit
+from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.model.observation import observed_angle, require_position
-from graphtrack.tracks import Track
+from graphtrack.model.parameters import Parameters
+from graphtrack.model.terms.intentional_motion import HEAD_RATE, head_rates, steered_step
+from graphtrack.tracks.track import Track
 
 Variant = Literal["printed", "consistent"]
 Displacement = Literal["smoothed", "velocity"]
@@ -219,3 +240,155 @@ class _Intention:
         span = self.positions[:, -1] - self.positions[np.arange(len(mean)), first]
         with np.errstate(invalid="ignore"):
             return np.where(count[:, None] > 1, span / np.maximum(count - 1, 1)[:, None], mean[:, 2:])
+
+
+def intentional_transition(
+    dt: float, rate: FloatArray, velocity: FloatArray, head: FloatArray, density: float
+) -> Transition:
+    """The step of Δt seconds of m tracks.
+
+    Parameters
+    ----------
+    dt : seconds
+    rate : (m,) λ in 1/s, ≥ 0
+    velocity : (m, 2) m/s; its length is the speed s that the head steers
+    head : (m,) radians; read only where λ > 0
+    density : q in m²/s³
+    """
+    keep, reach, place, cross, spread = steered_step(dt, rate)
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    aim = speed * unit(np.where(rate > 0.0, head, 0.0))
+    return Transition(
+        reach,
+        keep,
+        (dt - reach)[:, None] * aim,
+        (1.0 - keep)[:, None] * aim,
+        (density * place, density * cross, density * spread),
+    )
+
+
+def steer(
+    position: FloatArray,
+    head: FloatArray,
+    t: FloatArray,
+    variance: FloatArray,
+    parameters: Parameters,
+    rate: float | FloatArray | None = None,
+) -> FilteredStates:
+    """Filter m tracks of n steps that share their times.
+
+    Parameters
+    ----------
+    position : (m, n, 2) metres; NaN where nothing was observed
+    head : (m, n) radians; NaN where it was not seen: there λ = 0
+    t : (n,) seconds
+    variance : (m, n) of each axis of the positions, m²
+    parameters : their motion is used
+    rate : λ in 1/s, one or (m, n) of the steps that lead to the frames; by default the parameters'
+        ``motion.head_rate``
+
+    Raises
+    ------
+    InputError
+        If the rate is negative or not finite.
+    """
+    motion = parameters.motion
+    rates = np.broadcast_to(motion.head_rate if rate is None else rate, head.shape)
+    if not (np.isfinite(rates) & (rates >= 0.0)).all():
+        raise InputError(f"rate = {rate!r}", "numbers in 1/s, at least 0")
+
+    def transition(k: int, mean: FloatArray) -> Transition:
+        seen = head[:, k - 1]
+        own = np.where(np.isfinite(seen), rates[:, k], 0.0)
+        dt = float(t[k] - t[k - 1])
+        return intentional_transition(dt, own, mean[:, 2:], seen, motion.acceleration_density)
+
+    return filter_tracks(position, variance, motion.initial_speed_std**2, transition)
+
+
+def intentional_states(track: Track, parameters: Parameters, rate: float | None = None) -> FilteredStates:
+    """Filtered and predicted states of one track (m = 1), with the log-likelihood of the innovations.
+
+    Without a ``rate`` in 1/s it is the parameters', or the track's input `HEAD_RATE` where it has one.
+
+    Raises
+    ------
+    InputError
+        If the rate is negative or not finite.
+    SolveError
+        If no position was observed.
+    """
+    require_position(track)
+    head = observed_angle(track, "head")
+    variance = position_std(track, parameters) ** 2
+    rates = head_rates(track.input(HEAD_RATE), parameters.motion.head_rate) if rate is None else rate
+    return steer(track.position[None], head[None], track.t, variance[None], parameters, rates)
+
+
+def intentional_tracker(
+    track: Track, parameters: Parameters | None = None, rate: float | None = None
+) -> Track:
+    """Online estimates of position and velocity from positions and the head, each from the past alone."""
+    parameters = Parameters() if parameters is None else parameters
+    states = intentional_states(track, parameters, rate)
+    covariance = full_covariance(states.spread[0])
+    return as_track(track, GaussianStates(states.mean[0], covariance), parameters.motion)
+
+
+def mean_deviation(track: Track, seconds: float) -> FloatArray:
+    """ŝ (n,) in radians before each frame: |mean of head − direction of travel| over the last ``seconds``.
+
+    The direction of travel at a frame is that of the line fitted to the positions observed in the seconds
+    up to it. A frame without one, or without an observed head, counts as no deviation. At the first frame
+    ŝ is 0.
+    """
+    head = observed_angle(track, "head")
+    n, seen = len(track), np.asarray(np.isfinite(track.position).all(axis=1))
+    # Frames in (t − seconds, t], with a margin for times that are not a step apart to the last bit.
+    begins = np.searchsorted(track.t, track.t - seconds + 1e-6, side="right")
+    deviation = np.zeros(n)
+    for k in range(n):
+        rows = begins[k] + np.flatnonzero(seen[begins[k] : k + 1])
+        if len(rows) > 1 and np.isfinite(head[k]):
+            t = track.t[rows] - track.t[rows].mean()
+            course = t @ track.position[rows]
+            if course.any():
+                deviation[k] = wrap(head[k] - direction(course))
+    sums = np.concatenate([[0.0], np.cumsum(deviation)])
+    mean = (sums[1:] - sums[begins]) / (np.arange(n) + 1 - begins)
+    return np.abs(np.concatenate([[0.0], mean[:-1]]))
+
+
+@dataclass(frozen=True)
+class GrowingRate:
+    """λ_t = 2·λ/(1 + exp(−ρ·(ŝ_t − τ))), with the deviation ŝ_t of `mean_deviation`.
+
+    Attributes
+    ----------
+    rate : λ in 1/s, which holds where ŝ = τ
+    growth : ρ in 1/rad; 0: λ everywhere, below 0 it falls with the deviation
+    offset : τ in radians
+    seconds : over which deviations are averaged; eq. 2 has eleven steps
+    """
+
+    rate: float
+    growth: float
+    offset: float = 0.0
+    seconds: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, low in (("rate", 0.0), ("growth", -np.inf), ("offset", -np.inf)):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= low):
+                raise InputError(f"{name} = {getattr(self, name)!r}", "a finite number; a rate is at least 0")
+        if not (np.isfinite(self.seconds) and self.seconds > 0.0):
+            raise InputError(f"seconds = {self.seconds!r}", "a positive number")
+
+    def of(self, deviation: FloatArray) -> FloatArray:
+        """λ in 1/s of deviations in radians, of their shape."""
+        exponent = np.clip(-self.growth * (deviation - self.offset), -500.0, 500.0)
+        return np.asarray(2.0 * self.rate / (1.0 + np.exp(exponent)))
+
+    def given_to(self, track: Track) -> Track:
+        """The track with the input ``head_rate``, which `IntentionalMotion` reads on every engine."""
+        rates = self.of(mean_deviation(track, self.seconds))
+        return replace(track, inputs={**track.inputs, HEAD_RATE: rates})

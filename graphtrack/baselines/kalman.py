@@ -1,21 +1,163 @@
 """Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part (motion and positions seen).
 
 What the graph is compared with: the same motion, the same position noise, the same prior on the velocity.
+
+A Kalman filter over many tracks at once, for motion that is alike on both axes.
+
+Every matrix is a 2 × 2 matrix of position and velocity ⊗ I₂, so one covariance [[a, b], [b, c]] serves both
+axes, and a step of a thousand tracks is a handful of array operations.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphtrack.baselines.isotropic import constant_velocity, filter_tracks, full_covariance
 from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.parameters import MotionParameters, Parameters
-from graphtrack.model.sway import swaying
+from graphtrack.model.parameters import MotionParameters, Parameters, swaying
 from graphtrack.model.terms.motion import process_noise, transition_matrix
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """One step of m tracks: p ← p + f·v + shift_p, v ← g·v + shift_v, with noise; each (m,) or a number.
+
+    Attributes
+    ----------
+    reach : f, what of the velocity goes into the position
+    keep : g, what remains of the velocity
+    position_shift, velocity_shift : (m, 2), the control input B·u
+    noise : variance of the position, covariance with the velocity, variance of the velocity, on each axis
+    """
+
+    reach: FloatArray | float
+    keep: FloatArray | float
+    position_shift: FloatArray
+    velocity_shift: FloatArray
+    noise: tuple[FloatArray | float, FloatArray | float, FloatArray | float]
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredStates:
+    """What the filter knows of m tracks at n steps; NaN before a track's first position.
+
+    Attributes
+    ----------
+    mean, predicted_mean : (m, n, 4) of x, y, vx, vy, after and before each step's observation
+    spread, predicted_spread : (m, n, 3), the numbers a, b, c of the covariance [[a, b], [b, c]] ⊗ I₂
+    log_likelihood : (m, n) log density of the innovations; NaN where there was none
+    """
+
+    mean: FloatArray
+    spread: FloatArray
+    predicted_mean: FloatArray
+    predicted_spread: FloatArray
+    log_likelihood: FloatArray
+
+
+def full_covariance(spread: FloatArray) -> FloatArray:
+    """Covariances (..., 4, 4) of x, y, vx, vy from their three numbers (..., 3)."""
+    # NaN, not 0, also between the axes of a track that has not begun.
+    found = np.zeros((*spread.shape[:-1], 4, 4)) + 0.0 * spread[..., :1, None]
+    for axis in (0, 1):
+        found[..., axis, axis] = spread[..., 0]
+        found[..., axis, axis + 2] = found[..., axis + 2, axis] = spread[..., 1]
+        found[..., axis + 2, axis + 2] = spread[..., 2]
+    return found
+
+
+def filter_tracks(
+    position: FloatArray,
+    variance: FloatArray,
+    initial_velocity_variance: float,
+    transition: Callable[[int, FloatArray], Transition],
+) -> FilteredStates:
+    """Filter m tracks of n steps.
+
+    A track begins at its first position, at rest, with that position's variance.
+
+    Parameters
+    ----------
+    position : (m, n, 2), NaN where nothing was observed
+    variance : (m, n) of each axis of the positions
+    initial_velocity_variance : of each axis
+    transition : from the number of a step k ≥ 1 and the means (m, 4) at k − 1 to the transition to k. Tracks
+        that have not begun have NaN there.
+    """
+    m, n = position.shape[:2]
+    mean, spread = np.full((m, n, 4), np.nan), np.full((m, n, 3), np.nan)
+    predicted_mean, predicted_spread = mean.copy(), spread.copy()
+    log_likelihood = np.full((m, n), np.nan)
+    seen = np.asarray(np.isfinite(position).all(axis=2))
+    begun = np.zeros(m, dtype=bool)
+    for k in range(n):
+        if k and begun.any():
+            ahead, ahead_spread = predict(mean[:, k - 1], spread[:, k - 1], transition(k, mean[:, k - 1]))
+            predicted_mean[:, k], predicted_spread[:, k] = ahead, ahead_spread
+            mean[:, k], spread[:, k], log_likelihood[:, k] = update(
+                ahead, ahead_spread, position[:, k], variance[:, k], seen[:, k]
+            )
+        starts = seen[:, k] & ~begun
+        if starts.any():
+            mean[starts, k, :2], mean[starts, k, 2:] = position[starts, k], 0.0
+            spread[starts, k, 0], spread[starts, k, 1] = variance[starts, k], 0.0
+            spread[starts, k, 2] = initial_velocity_variance
+            begun |= starts
+    return FilteredStates(mean, spread, predicted_mean, predicted_spread, log_likelihood)
+
+
+def constant_velocity(dt: float, acceleration_density: float) -> Transition:
+    """Return a step of ``dt`` seconds of white-noise acceleration of density q in m²/s³."""
+    q, still = acceleration_density, np.zeros(2)
+    return Transition(dt, 1.0, still, still, (q * dt**3 / 3.0, q * dt**2 / 2.0, q * dt))
+
+
+def predict(mean: FloatArray, spread: FloatArray, step: Transition) -> tuple[FloatArray, FloatArray]:
+    """Return means (m, 4) and spreads (m, 3) a step later."""
+    reach, keep = np.asarray(step.reach)[..., None], np.asarray(step.keep)[..., None]
+    velocity = mean[:, 2:]
+    ahead = np.concatenate(
+        [mean[:, :2] + reach * velocity + step.position_shift, keep * velocity + step.velocity_shift], axis=1
+    )
+    a, b, c = spread.T
+    f, g = step.reach, step.keep
+    cross = b + f * c
+    return ahead, np.stack(
+        [a + f * (b + cross) + step.noise[0], g * cross + step.noise[1], g * g * c + step.noise[2]], axis=1
+    )
+
+
+def update(
+    mean: FloatArray, spread: FloatArray, observed: FloatArray, variance: FloatArray, seen: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return means, spreads and log-likelihoods (m,) with positions (m, 2) where they were ``seen`` (m,)."""
+    a, b, c = spread.T
+    innovation, total = observed - mean[:, :2], a + variance
+    log_likelihood = -np.log(2.0 * np.pi * total) - 0.5 * np.sum(innovation**2, axis=1) / total
+    gain = np.stack([a, a, b, b], axis=1) / total[:, None]
+    updated = mean + gain * np.concatenate([innovation, innovation], axis=1)
+    # Joseph's form, written out: variances stay positive whatever the rounding.
+    k, h = a / total, b / total
+    rest = 1.0 - k
+    narrowed = np.stack(
+        [
+            rest * rest * a + k * k * variance,
+            rest * (b - h * a) + k * h * variance,
+            c - 2.0 * h * b + h * h * a + h * h * variance,
+        ],
+        axis=1,
+    )
+    here = seen[:, None]
+    return (
+        np.where(here, updated, mean),
+        np.where(here, narrowed, spread),
+        np.where(seen, log_likelihood, np.nan),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from graphtrack.cli.attention import attention
+from graphtrack.cli.behaviour import attention, forecast, groups
 from graphtrack.cli.compare import CompareCommand, compare
-from graphtrack.cli.convert import convert
-from graphtrack.cli.demo import demo
+from graphtrack.cli.files import convert, formats, info
 from graphtrack.cli.fit import fit
-from graphtrack.cli.forecast import forecast
-from graphtrack.cli.groups import groups
-from graphtrack.cli.info import formats, info
 from graphtrack.cli.options import command_of, program_of
-from graphtrack.cli.report import report
-from graphtrack.cli.reproduce import reproduce
+from graphtrack.cli.report import report, view
+from graphtrack.cli.reproduce import demo, reproduce
 from graphtrack.cli.score import score
-from graphtrack.cli.serve import serve
 from graphtrack.cli.simulate import add_noise, simulate
 from graphtrack.cli.smooth import smooth
-from graphtrack.cli.track import track
-from graphtrack.cli.view import view
+from graphtrack.cli.track import serve, track
 
 app = program_of(
     "graphtrack",

@@ -1,9 +1,12 @@
-"""`graphtrack compare`."""
+"""`graphtrack compare` of trackers: detections without identities, and a truth that judges.
+
+`graphtrack compare`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,17 +14,82 @@ from typing import TYPE_CHECKING, Any
 from typer.core import TyperCommand
 
 from graphtrack.cli import options
-from graphtrack.cli.compare_trackers import compare_trackers
-from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, progress_bar, write_json
+from graphtrack.cli.console import (
+    emit,
+    input_warnings_as_notes,
+    print_table,
+    progress_bar,
+    quiet_input_warnings,
+    write_json,
+)
 from graphtrack.cli.simulate import Noise
-from graphtrack.display import counted
 from graphtrack.errors import InputError
+from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
+    from graphtrack.diagnostics import Trust
     from graphtrack.evaluation.compare import Comparison
+    from graphtrack.evaluation.trackers import TrackerComparison
     from graphtrack.model import Model
-    from graphtrack.tracks import TrackSet
-    from graphtrack.trust.verdict import Trust
+    from graphtrack.tracks.track import TrackSet
+
+
+def compare_trackers(
+    inputs: Sequence[Path],
+    truth: Path,
+    reading: options.SceneReading,
+    methods: Sequence[str],
+    metres: float | None,
+    fill: bool,
+    model: str | None,
+    json_path: Path | None,
+) -> None:
+    """Read detections and truth, run the trackers on them, and print their figures.
+
+    Parameters
+    ----------
+    methods : names; none: the default ones
+    """
+    from graphtrack.evaluation.trackers import TRACKERS, read_detections
+    from graphtrack.evaluation.trackers import compare_trackers as compare
+
+    options.check_outputs({"--json": json_path}, reading.inputs([*inputs, truth], model))
+    if len(inputs) > 1:
+        raise InputError(f"{len(inputs)} files of detections", "one recording at a time")
+    refused = {"--select": reading.select, "--associate never": reading.associate == "never"}
+    options.refuse(refused, "with --truth", "all detections, without identities")
+    path = inputs[0]
+    with quiet_input_warnings():
+        detections, summary = read_detections(path, reading.format, reading.options())
+    emit(f"{path}: {summary.format}, {len(detections)} detections")
+    for note in summary.notes:
+        emit(f"  note: {note}")
+    true = replace(reading, associate="never", format=None).tracks([truth])
+    names = list(methods) or list(TRACKERS)
+    with progress_bar(len(names), "methods") as advance:
+        found = compare(detections, true, names, metres=metres, fill=fill, model=model, progress=advance)
+    print_trackers(found)
+    write_json(json_path, found.to_dict())
+
+
+def print_trackers(found: TrackerComparison) -> None:
+    """The figures as a table on standard output, and below it how to read them."""
+    from graphtrack.evaluation.identities import HEADINGS
+
+    rows = []
+    for one in found.results:
+        told = one.to_dict()
+        figures = {HEADINGS.get(name, name): told[name] for name in told if name != "information"}
+        rows.append({"method": one.method, "": one.group} | figures)
+    for row in rows:
+        row.pop("group")
+    print_table(f"Trackers on the same {found.detections} detections, {found.threshold}", rows)
+    for one in found.results:
+        filled = "; smoothed, gaps filled" if found.filled and one.online else ""
+        emit(f"  {one.method}: {one.information}{filled}")
+    for note in found.notes:
+        emit(f"  note: {note}")
+
 
 FIGURES = ("errors.png", "nees.png")
 """Files of `write_figures`, and with --reliability one more."""
@@ -155,8 +223,8 @@ def compare(
 
 def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSet, Model | str | None]:
     """The tracks and the model of all methods, with the noise that is taken; None: each method its own."""
+    from graphtrack.diagnostics import trusted
     from graphtrack.model import Model
-    from graphtrack.trust.verdict import trusted
 
     given = Model.named(model)
     tracks, learned, said = trusted(tracks, given, trust)

@@ -1,7 +1,12 @@
-"""Messages, tables and progress of the commands, and their ends."""
+"""Messages, tables and progress of the commands, and their ends.
+
+Run a program's command line, and end it with one line and a status.
+"""
 
 from __future__ import annotations
 
+import atexit
+import gc
 import json
 import logging
 import re
@@ -12,17 +17,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
 from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from graphtrack.display import counted
-from graphtrack.errors import InputWarning
+from graphtrack.errors import GraphtrackError, InputWarning
+from graphtrack.io.atomic import ERRORS, described
+from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
-    from graphtrack.tracks import ReadSummary, TrackSet
+    from graphtrack.tracks.track import ReadSummary, TrackSet
+
 
 _CONTROL = re.compile(r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]|[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Escape sequences such as colours and movements (CSI), and every control character but the line feed."""
@@ -205,3 +213,64 @@ def shown_number(value: float) -> str:
     """Three digits that count; no exponent where thousands and millions can be read."""
     short = f"{value:.3g}"
     return f"{float(short):,.0f}" if "e+" in short and abs(value) < 1e9 else short
+
+
+UsageError: Any = typer.BadParameter.__base__
+"""Click's error of that name, which typer brings along or imports, depending on its version."""
+
+
+def fail_usage(error: Any) -> None:
+    """Say in one line what is wrong with the arguments, and end with status 2."""
+    message = " ".join(error.format_message().split()).rstrip(".")
+    if not message:  # no arguments at all: the help has been printed
+        raise SystemExit(BAD_INPUT)
+    command = getattr(error.ctx, "command_path", "graphtrack")
+    fail(f"{message}; see '{command} --help'")
+
+
+def leave_garbage() -> None:
+    """Let what is there when the process ends go with it: to look for garbage takes a third of a second."""
+    # What nanobind has bound would complain of what nobody took away.
+    if not {"_duckdb", "onnx"} & sys.modules.keys():
+        gc.freeze()
+
+
+def run_app(program: typer.Typer, name: str) -> None:
+    """Run an application: wrong use and bad input end with one line and exit status 2.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        At Ctrl-C, also where a library has replaced it by an error of its own.
+    """
+    atexit.register(leave_garbage)
+    # Importing and compiling keep what they make: looking for garbage took a tenth of a short command.
+    gc.set_threshold(100_000, 20, 50)
+    try:
+        with printed_log():
+            code = program(prog_name=name, standalone_mode=False)
+        raise SystemExit(code or 0)
+    except UsageError as error:
+        fail_usage(error)
+    except GraphtrackError as error:
+        fail(str(error))
+    except typer.Abort:
+        raise KeyboardInterrupt from None
+    except Exception as error:
+        if _is_interrupt(error):
+            raise KeyboardInterrupt from None
+        if not isinstance(error, ERRORS):
+            raise
+        place = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+        fail(f"{place}{described(error)}")
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Return True if an error was raised because of Ctrl-C."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        seen.add(id(error))
+        error = error.__cause__ or error.__context__
+    return False

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from graphtrack.cli import options
+from graphtrack.cli.behaviour import read_quietly
 from graphtrack.cli.console import console, emit, print_table, quiet_input_warnings, write_json
-from graphtrack.cli.groups import read_quietly
-from graphtrack.display import counted
 from graphtrack.errors import InputError
+from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.io.options import Associate
     from graphtrack.learning import Fit, SceneFit
-    from graphtrack.learning.attention import AttentionFit
-    from graphtrack.learning.groups import GroupFit
-    from graphtrack.table.rows import Rows
-    from graphtrack.tracks import TrackSet
+    from graphtrack.learning.interaction import AttentionFit, GroupFit
+    from graphtrack.tracks.table import Rows
+    from graphtrack.tracks.track import TrackSet
 
 Tables = dict[str, list[dict[str, object]]]
 Learned = tuple[dict[str, Any], Sequence[str], Tables]
@@ -145,10 +144,8 @@ def _labelled(
     tracks: TrackSet, truth: Path, what: str, hold_out: float, output: Path, json_path: Path | None
 ) -> None:
     """Learn from labelled groups or looks, say how well they are found, and write the parameters."""
-    from graphtrack.behaviour.files import save_parameters
-    from graphtrack.behaviour.tables import read_looks
-    from graphtrack.learning.attention import fit_attention
-    from graphtrack.learning.groups import fit_groups
+    from graphtrack.interaction.tables import read_looks, save_parameters
+    from graphtrack.learning.interaction import fit_attention, fit_groups
 
     with console.status("learning"), quiet_input_warnings():
         found: GroupFit | AttentionFit
@@ -171,7 +168,7 @@ def _labelled(
 
 def _forecasts(inputs: list[Path], reading: options.SceneReading, output: Path) -> Learned:
     """Learn how people go on."""
-    from graphtrack.learning.forecast import fit_forecast
+    from graphtrack.learning.forecasts import fit_forecast
 
     scenes = {str(path): reading.tracks([path]) for path in inputs}
     if len(scenes) < len(inputs):

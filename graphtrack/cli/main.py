@@ -34,7 +34,7 @@ def run(module: str, name: str) -> None:
     try:
         print_any_text()
         with ended_at_once():
-            from graphtrack.cli.ending import run_app
+            from graphtrack.cli.console import run_app
 
             app = import_module(module).app
         run_app(app, name)

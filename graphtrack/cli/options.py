@@ -27,14 +27,14 @@ from typing import (
 import typer
 
 from graphtrack.errors import InputError
-from graphtrack.remote import place_of
+from graphtrack.io.source import place_of
 
 if TYPE_CHECKING:
+    from graphtrack.io.atomic import Paths
     from graphtrack.io.options import ReadOptions
-    from graphtrack.io.places import Paths
-    from graphtrack.scene import GivenScene
-    from graphtrack.table.rows import Rows
-    from graphtrack.tracks import TrackSet
+    from graphtrack.tracks.scene import GivenScene
+    from graphtrack.tracks.table import Rows
+    from graphtrack.tracks.track import TrackSet
     from graphtrack.viewer.recording import Target
 
 _CAMERA_FILES = ("homography", "point_pairs", "calibration")
@@ -140,8 +140,8 @@ class Reading:
         paths : files with tracks, or folders of them
         model : a preset's name, or a model file
         """
-        from graphtrack.io.folders import table_in
         from graphtrack.io.registry import files_beside
+        from graphtrack.io.source import table_in
 
         paths, given = [table_in(path) for path in paths], self.given()
         named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
@@ -176,9 +176,9 @@ class Reading:
         scene : what is known of it where people are without identities
         beside : tracks with which these are compared: times and local metres count from the same
         """
-        from graphtrack.association.reading import tracks_of_rows
+        from graphtrack.association.associate import tracks_of_rows
         from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
-        from graphtrack.io.reading import read_with
+        from graphtrack.io.read_write import read_with
 
         told = replace(self.options(), beside=None if beside is None else beside.as_read)
         to_tracks = partial(tracks_of_rows, scene=scene)
@@ -237,8 +237,8 @@ class SceneReading(CameraReading):
 
     def rows(self, path: Path) -> tuple[Rows, bool]:
         """The rows of a file, and whether it has to be found out whose they are."""
-        from graphtrack.association.reading import has_detections
-        from graphtrack.io.reading import rows_of_file
+        from graphtrack.association.associate import has_detections
+        from graphtrack.io.read_write import rows_of_file
 
         rows = rows_of_file(path, self.format, self.options())
         return rows, has_detections(rows, self.options())
@@ -391,7 +391,7 @@ def check_outputs(
     outputs, inputs, folders, to_make : as in `check_distinct`, by the names of their options
     table : the output that is a file with tracks, whose format is chosen by its name
     """
-    from graphtrack.io.places import check_distinct
+    from graphtrack.io.atomic import check_distinct
 
     if table is not None:
         from graphtrack.io.registry import format_for_writing

@@ -1,11 +1,25 @@
-"""`graphtrack report`."""
+"""`graphtrack report`.
+
+`graphtrack view`.
+"""
 
 from __future__ import annotations
 
+import signal
+import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit
+from graphtrack.cli.track import horizon_of
+from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from graphtrack.viewer.pictures import PersonBoxes
 
 
 def report(
@@ -53,3 +67,105 @@ def report(
         title=title,
     )
     emit(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB")
+
+
+_FIND = "find"
+
+
+def view(
+    inputs: options.Inputs,
+    reading: options.SceneReading,
+    showing: options.Showing,
+    video: Annotated[Path | None, typer.Option(metavar="VIDEO|FOLDER", exists=True)] = None,
+    boxes: options.InputFile | None = None,
+    groups: Annotated[str | None, typer.Option(metavar="FILE|find")] = None,
+    forecast: Annotated[str | None, typer.Option(metavar="FILE|SECONDS")] = None,
+    person: Annotated[int | None, typer.Option(metavar="ID")] = None,
+) -> None:
+    """Show tracks in Rerun: ground, video and series of one person on one time line.
+
+    With - as the file, the answers of `graphtrack track -` are shown as they come on standard input.
+
+    What is shown beside the tracks
+    -------------------------------
+    video : The video, or a folder of images, whose frames the tracks count.
+    boxes : People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default those of the input,
+        where it has any.
+    groups : What 'graphtrack groups' wrote, or find: they are found now.
+    forecast : What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.
+    person : Whose series are drawn; by default theirs who have most rows.
+    """
+    from graphtrack.forecasting.recorded import forecast as predict
+    from graphtrack.interaction.groups import groups as find_groups
+    from graphtrack.viewer.shown import view as show
+
+    if [str(path) for path in inputs] == ["-"]:
+        given: dict[str, object] = {
+            "--video": video,
+            "--boxes": boxes,
+            "--groups": groups,
+            "--forecast": forecast,
+        }
+        given |= {options.option_name(name): value for name, value in reading.given().items()}
+        _show_stream(showing, person, given)
+        return
+    showing.target()
+    ahead = _number(forecast)
+    files = {
+        "--groups": None if groups is None or groups == _FIND else Path(groups),
+        "--forecast": None if forecast is None or ahead is not None else Path(forecast),
+    }
+    options.check_outputs({"--save": showing.save}, {**reading.inputs(inputs), "--boxes": boxes, **files})
+    tracks = reading.tracks(inputs)
+    horizon = horizon_of(ahead)
+    show(
+        tracks,
+        save=showing.save,
+        connect=showing.connect,
+        groups=find_groups(tracks) if groups == _FIND else files["--groups"],
+        forecast=files["--forecast"]
+        if horizon is None
+        else predict(tracks, horizon=horizon[0], step=horizon[1]),
+        video=video,
+        boxes=_boxes(inputs, boxes, reading, video),
+        person=person,
+    )
+    if showing.save is not None:
+        size = showing.save.stat().st_size / 1e6
+        emit(f"wrote {showing.save}: {size:.1f} MB; to see it: rerun {showing.save}")
+
+
+def _show_stream(showing: options.Showing, person: int | None, given: Mapping[str, object]) -> None:
+    """Show answers on standard input."""
+    from graphtrack.viewer.live import show_stream
+
+    options.refuse(given, "with -", "answers of graphtrack track -, as they are")
+    target = showing.target()
+    options.check_outputs({"--save": showing.save})
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream ends in its own way, and then this does
+    show_stream(sys.stdin.fileno(), target, person)
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
+
+
+def _boxes(
+    inputs: list[Path], given: Path | None, reading: options.SceneReading, video: Path | None
+) -> PersonBoxes | None:
+    """Boxes with the ids of the tracks: of the file that is named, or of the input."""
+    from graphtrack.viewer.pictures import boxes_of
+
+    if given is None and (video is None or len(inputs) != 1):
+        return None
+    found = boxes_of(
+        inputs[0] if given is None else given, None if given else reading.format, reading.options()
+    )
+    if given is not None and found is None:
+        raise InputError(
+            "no boxes with identities", "MOT text or CAVIAR XML of people who have ids", path=given
+        )
+    return found

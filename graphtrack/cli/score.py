@@ -1,25 +1,118 @@
-"""`graphtrack score`."""
+"""`graphtrack score` of forecasts.
+
+`graphtrack score`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from graphtrack.cli import options
+from graphtrack.cli.behaviour import score_tables
 from graphtrack.cli.console import emit, print_reading, print_table, write_json
-from graphtrack.cli.groups import score_tables
-from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
 from graphtrack.errors import InputError
+from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
-    from graphtrack.evaluation.states import StateScore, TrackErrors
-    from graphtrack.evaluation.tracking.judge import Pair
-    from graphtrack.evaluation.tracking.scores import SequenceScore, Threshold, TrackingScore
-    from graphtrack.table.rows import Rows
-    from graphtrack.tracks import TrackSet
+    from graphtrack.evaluation.forecasts import ForecastScore
+    from graphtrack.evaluation.identities import Pair, SequenceScore, Threshold, TrackingScore
+    from graphtrack.evaluation.metrics import StateScore, TrackErrors
+    from graphtrack.tracks.table import Rows
+    from graphtrack.tracks.track import TrackSet
+
+
+def are_forecasts(inputs: Sequence[Path]) -> bool:
+    """Return True if files are tables of forecasts."""
+    from graphtrack.forecasting.recorded import is_forecast
+
+    files = [path for path in inputs if path.is_file()]
+    found = [is_forecast(path) for path in files]
+    if any(found) and not (all(found) and len(files) == len(inputs)):
+        raise InputError("tables of forecasts beside other inputs", "tables of forecasts alone, or none")
+    return bool(found) and all(found)
+
+
+def score_forecasts(
+    inputs: list[Path],
+    truth: list[Path],
+    reading: options.CameraReading,
+    json_path: Path | None,
+) -> None:
+    """Judge forecasts, say how good they are, and write it."""
+    from graphtrack.evaluation.forecasts import judge_forecasts
+    from graphtrack.forecasting.recorded import read_forecasts
+    from graphtrack.io.read_write import paired_files
+
+    options.check_outputs({"--json": json_path}, reading.inputs([*inputs, *truth]))
+    found: dict[str, ForecastScore] = {}
+    for name, (table, true) in paired_files(inputs, truth).items():
+        try:
+            found[name] = judge_forecasts(read_forecasts(table), reading.tracks([true]))
+        except InputError as error:
+            raise InputError(error.found, error.expected, path=error.path or table) from error
+    print_table(
+        "Forecasts, and how they compare", [row for name, one in found.items() for row in _rows(name, one)]
+    )
+    if len(found) > 1:
+        print_table("Errors over those of constant velocity, mean of the recordings", [_mean_ratio(found)])
+    for name, one in found.items():
+        print_table(f"{name}: by time ahead", [_shown(row) for row in one.by_ahead])
+        curve = [{"should hold": level, "holds": round(share, 3)} for level, share in one.reliability.items()]
+        print_table(f"{name}: reliability of circles", curve)
+        drawn = "; best of 20 drawn from the table's Gaussian, for it has no samples" if one.drawn else ""
+        emit(
+            f"{name}: {counted(one.forecasts, 'forecast')} judged, {one.left_out} left out because the truth "
+            f"does not reach{drawn}"
+        )
+    write_json(json_path, _finite({name: one.to_dict() for name, one in found.items()}))
+
+
+def _rows(name: str, one: ForecastScore) -> list[dict[str, object]]:
+    base = one.methods["constant velocity"]
+    rows: list[dict[str, object]] = []
+    for method, score in one.methods.items():
+        values = {
+            "ADE m": score.ade,
+            "FDE m": score.fde,
+            "ADE ratio": score.ade / base.ade if base.ade > 0 else math.nan,
+            "FDE ratio": score.fde / base.fde if base.fde > 0 else math.nan,
+            "best of 20 ADE": score.best_ade,
+            "best of 20 FDE": score.best_fde,
+            "log-likelihood": score.log_likelihood,
+            "in 50 %": score.inside_50,
+            "in 90 %": score.inside_90,
+        }
+        rows.append({"": name, "method": method, **_shown(values)})
+    return rows
+
+
+def _mean_ratio(found: Mapping[str, ForecastScore]) -> dict[str, object]:
+    ratios = {}
+    for key in ("ade", "fde"):
+        each = [
+            getattr(one.methods["forecast"], key) / getattr(one.methods["constant velocity"], key)
+            for one in found.values()
+        ]
+        ratios[key.upper()] = round(sum(each) / len(each), 3)
+    return dict(ratios)
+
+
+def _shown(values: Mapping[str, float]) -> dict[str, object]:
+    return {name: round(value, 3) if math.isfinite(value) else None for name, value in values.items()}
+
+
+def _finite(content: Any) -> Any:
+    """Numbers that are not finite as null, and keys as text, as JSON has them."""
+    if isinstance(content, Mapping):
+        return {str(key): _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(one) for one in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def score(
@@ -47,10 +140,10 @@ def score(
     report : Write an HTML report too: figures, replay, and a timeline with every switch; of one sequence, on
         the ground.
     """
-    from graphtrack.evaluation.states import summary
-    from graphtrack.evaluation.tracking.judge import judge, threshold_of
+    from graphtrack.evaluation.identities import judge, threshold_of
+    from graphtrack.evaluation.metrics import summary
     from graphtrack.io.groups import is_group_table
-    from graphtrack.io.pairs import paired_files
+    from graphtrack.io.read_write import paired_files
 
     unused: dict[str, object] = {"--metres": metres, "--iou": iou, "--report": report}
     if any(is_group_table(path) for path in inputs):
@@ -93,8 +186,8 @@ def _read(
 
     Of one pair the tracks are kept.
     """
-    from graphtrack.evaluation.states import track_errors
-    from graphtrack.evaluation.tracking.detections import boxes, estimated_detections, true_detections
+    from graphtrack.evaluation.matching import boxes, estimated_detections, true_detections
+    from graphtrack.evaluation.metrics import track_errors
 
     if threshold.measure == "iou" and reading.select:
         raise InputError("--select and --iou", "one of them: boxes are compared as the files have them")
@@ -112,11 +205,11 @@ def _read(
 
 def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: TrackSet) -> None:
     """The figures, and the tracks beside the truth."""
-    from graphtrack.evaluation.tracking.events import judge_events
-    from graphtrack.evaluation.tracking.scores import COUNTS, HEADINGS, SHARES
-    from graphtrack.report.build import tracking_report
+    from graphtrack.evaluation.identities import COUNTS, HEADINGS, SHARES
+    from graphtrack.evaluation.identity_events import judge_events
     from graphtrack.report.content import Card, DataTable, Section
     from graphtrack.report.html import write_html
+    from graphtrack.report.page import tracking_report
 
     judged = judge_events(estimates, truth, metres=found.threshold.value)
     figures = found.together
@@ -142,8 +235,8 @@ def _boxes(path: Path, reading: options.CameraReading) -> Rows:
     """Read boxes, and say what was read."""
     import numpy as np
 
-    from graphtrack.io.reading import read_boxes
-    from graphtrack.tracks import ReadSummary
+    from graphtrack.io.read_write import read_boxes
+    from graphtrack.tracks.track import ReadSummary
 
     rows = read_boxes(path, reading.format, reading.options())
     summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
@@ -153,7 +246,7 @@ def _boxes(path: Path, reading: options.CameraReading) -> Rows:
 
 def print_score(found: TrackingScore) -> None:
     """The figures as two tables on standard output: shares, and counts."""
-    from graphtrack.evaluation.tracking.scores import COUNTS, SHARES
+    from graphtrack.evaluation.identities import COUNTS, SHARES
 
     def rows(names: tuple[str, ...]) -> list[dict[str, object]]:
         return [{"": _named(line)} | line.shown(names) for line in found.lines()]

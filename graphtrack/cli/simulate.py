@@ -10,9 +10,9 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit
-from graphtrack.display import counted
 from graphtrack.errors import InputError
 from graphtrack.simulation import WALKING_PACE
+from graphtrack.tracks.display import counted
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def simulate(
     rng = np.random.default_rng(seed)
     if scene is not None:
         from graphtrack.io.groups import write_columns
-        from graphtrack.simulation.party import party
+        from graphtrack.simulation.scenario import party
 
         made = party(rng, people=tracks, steps=steps, fps=fps)
         what, found = "a party", made.tracks
@@ -152,7 +152,7 @@ def add_noise(
     import numpy as np
 
     from graphtrack.io import write
-    from graphtrack.io.reading import check_table_name, write_table
+    from graphtrack.io.read_write import check_table_name, write_table
     from graphtrack.simulation.detector import Detector, detect, summary_of
 
     detector = Detector(missed, occlude_share, occlude_seconds, clutter, clutter_count)

@@ -1,7 +1,11 @@
-"""`graphtrack track`."""
+"""`graphtrack track`.
+
+`graphtrack serve`.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,15 +15,15 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
-from graphtrack.display import counted, duration
 from graphtrack.errors import NO_POSITION, InputError, SolveError
-from graphtrack.remote import place_of
+from graphtrack.io.source import place_of
+from graphtrack.tracks.display import counted, duration
 
 if TYPE_CHECKING:
-    from graphtrack.cli.stream_behaviour import Asked
     from graphtrack.inference.engines import OnlineEngine
     from graphtrack.model import Model
-    from graphtrack.table.rows import Rows
+    from graphtrack.streaming.answers import Asked
+    from graphtrack.tracks.table import Rows
 
 
 def track(
@@ -61,7 +65,7 @@ def track(
     from graphtrack.inference.online import OnlineSmoother
     from graphtrack.io import write
     from graphtrack.model import Model
-    from graphtrack.smoothing.recording import track_online
+    from graphtrack.smoothing import track_online
 
     options.check_outputs(
         {"--output": output, "--state": state},
@@ -122,11 +126,11 @@ def _track_detections(
     rows: Rows, output: Path, model: Model, engine: OnlineEngine, lag: float | None
 ) -> None:
     """Track the detections of a file online, and write what was said at once."""
-    from graphtrack.association.recorded import track_rows
+    from graphtrack.association.tracker import track_rows
     from graphtrack.cli.console import print_summary
     from graphtrack.inference.engines import online_engine
     from graphtrack.io import write
-    from graphtrack.smoothing.tracker import OnlineTracker
+    from graphtrack.smoothing import OnlineTracker
 
     tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)
     start = time.perf_counter()
@@ -156,8 +160,8 @@ def horizon_of(forecast: float | None) -> tuple[float, float] | None:
     """The horizon and step of forecasts; InputError for what is none."""
     if forecast is None:
         return None
-    from graphtrack.behaviour.forecast.forecaster import times_ahead
-    from graphtrack.cli.stream_forecast import STEP
+    from graphtrack.forecasting.forecaster import times_ahead
+    from graphtrack.streaming.answers import STEP
 
     step = min(STEP, forecast)
     times_ahead(forecast, step)
@@ -170,8 +174,8 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
         raise InputError("--places alone", "--attention beside it: who looks at them")
     if not (groups or attention):
         return None
-    from graphtrack.behaviour.places import read_places
-    from graphtrack.cli.stream_behaviour import Asked
+    from graphtrack.interaction.places import read_places
+    from graphtrack.streaming.answers import Asked
 
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
@@ -195,10 +199,10 @@ def _track_stream(
     horizon: tuple[float, float] | None,
     asked: Asked | None,
 ) -> None:
-    from graphtrack.cli.live import MOST_TOGETHER, Answers, Listener, track_stream
-    from graphtrack.cli.stream_names import StreamNames
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_homography
+    from graphtrack.streaming.protocol import StreamNames
+    from graphtrack.streaming.session import MOST_TOGETHER, Answers, Listener, track_stream
 
     given = reading.options()
     layout, plane = given.layout(), reading.homography
@@ -228,3 +232,117 @@ def _track_stream(
     if wrong:
         emit(f"error: {wrong} of {rows} rows could not be used")
         raise typer.Exit(BAD_INPUT)
+
+
+TOKEN = "GRAPHTRACK_TOKEN"
+_LONGEST_TOKEN = 4096
+
+
+def serve(
+    host: str = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535)] = 8765,
+    model: options.BestModelName = None,
+    engine: Literal["auto", "chain", "fixed-lag"] = "auto",
+    lag: options.Seconds = 2.0,
+    fps: float | None = None,
+    homography: options.InputFile | None = None,
+    forecast: options.Seconds | None = None,
+    groups: bool = False,
+    attention: bool = False,
+    places: options.Places = None,
+    state: Annotated[Path | None, typer.Option(file_okay=False)] = None,
+    save_every: Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=86400.0)] = 10.0,
+    token_file: options.InputFile | None = None,
+    allow_host: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
+    allow_origin: Annotated[list[str] | None, typer.Option(metavar="ORIGIN")] = None,
+    max_streams: Annotated[int, typer.Option(min=1)] = 64,
+    max_people: Annotated[int, typer.Option(min=1)] = 200,
+    max_rate: Annotated[float, typer.Option(min=1.0)] = 5000.0,
+    max_line: Annotated[int, typer.Option(min=256, max=1048576)] = 1 << 16,
+    forget_after: Annotated[float, typer.Option(min=1.0)] = 60.0,
+    patience: Annotated[float, typer.Option(min=1.0)] = 30.0,
+) -> None:
+    """Serve streams of rows over WebSocket and HTTP, with health and metrics.
+
+    Parameters
+    ----------
+    host : Address to listen on.
+    port : Port to listen on; 0: any that is free.
+    engine : As of graphtrack track.
+    lag : History that is kept open.
+    fps : Frames a second, for rows without a time.
+    homography : File with 3×3 numbers: image → ground in metres.
+    forecast : Tell where people will be, every 0.4 s up to so many seconds ahead.
+    groups : Tell who stands in conversation, or walks, with whom.
+    attention : Tell who looks at whom, and at which --places.
+    state : Folder in which streams are kept, to be gone on with; made if it is not there.
+    save_every : As of graphtrack track.
+
+    Clients
+    -------
+    token_file : File with the token that clients have to bear; else the variable GRAPHTRACK_TOKEN; else none.
+    allow_host : Name in clients' URLs, besides localhost and --host; '*': any. Repeatable.
+    allow_origin : Web pages that may use the service, as https://site.example; '*': any. Repeatable.
+
+    Limits
+    ------
+    max_streams : Open at once.
+    max_people : With identities, at once in a stream.
+    max_rate : Rows a second of a stream; who is faster is slowed down.
+    max_line : Bytes of a message.
+    forget_after : Seconds without a row until a person is forgotten.
+    patience : Seconds that answers may stay unread, or a client silent to pings.
+    """
+    from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.inference.engines import check_lag, online_engine
+    from graphtrack.io.cameras import read_homography
+    from graphtrack.model import Model
+
+    try:
+        from graphtrack.service.app import run
+    except ModuleNotFoundError as error:
+        raise InputError(f"no {error.name}", "pip install 'graphtrack[serve]'") from error
+    from graphtrack.service.settings import Limits, Service, clients_of, is_wildcard
+    from graphtrack.streaming.answers import StreamBounds
+    from graphtrack.streaming.session import Answers
+
+    chosen = Model.named(model)
+    check_lag(lag, online_engine(chosen, engine))
+    if state is not None:
+        state.mkdir(parents=True, exist_ok=True)
+    answers = Answers(
+        chosen,
+        engine,
+        lag,
+        fps,
+        None if homography is None else GroundCamera.from_homography(read_homography(homography)),
+        asked=asked_of(groups, attention, places),
+        horizon=horizon_of(forecast),
+        bounds=StreamBounds(max_people, forget_after),
+    )
+    limits = Limits(max_streams, max_rate, max_line, patience)
+    token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)
+    if token == "":
+        raise InputError("an empty token", "some characters, or none at all", path=token_file)
+    if token is not None and not all("!" <= character <= "~" for character in token):
+        expected = "printable ASCII characters without spaces, which a header can hold"
+        raise InputError("a token with other characters", expected, path=token_file)
+    if token is None and host not in ("127.0.0.1", "::1", "localhost"):
+        emit(f"note: no token: whoever reaches {host} may open streams")
+    clients = clients_of(host, allow_host or [], allow_origin or [])
+    if not allow_host and is_wildcard(host):
+        said = "note: requests are taken for localhost alone; --allow-host NAME adds a name"
+        emit(said)
+    run(Service(answers, limits, state, token, clients, save_every), host, port, emit)
+
+
+def _read_token(path: Path) -> str:
+    with path.open("rb") as file:
+        content = file.read(_LONGEST_TOKEN + 1)  # of a device there may be no end
+    if len(content) > _LONGEST_TOKEN:
+        raise InputError(f"more than {_LONGEST_TOKEN} bytes", "a token in one line", path=path)
+    try:
+        return content.decode().strip()
+    except UnicodeDecodeError as error:
+        found = f"byte {error.start + 1} is no UTF-8"
+        raise InputError(found, "a token as text, in one line", path=path) from error

@@ -1,30 +1,309 @@
-"""Methods against each other on the same tracks, with the same frames and the same parameters."""
+"""Every method behind one protocol, so that comparing them is a loop over a list of names.
+
+One method on one track: its estimates, its errors, its time, or why it failed.
+
+Methods against each other on the same tracks, with the same frames and the same parameters.
+"""
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from graphtrack.association.reading import tracks_of
-from graphtrack.display import counted, html_table, listed
+from graphtrack.association.associate import tracks_of
+from graphtrack.baselines.intentional import OWN_FILTERS, intentional_tracker, step_tracker
+from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
+from graphtrack.baselines.particle_filter import particle_filter, particle_smoother
 from graphtrack.errors import InputError
-from graphtrack.evaluation.calibration import DEGREES, calibration_rows, chi_square_band
-from graphtrack.evaluation.methods import Method, make_method
-from graphtrack.evaluation.resampling import bootstrap, mean_difference
-from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
+from graphtrack.evaluation.metrics import (
+    DEGREES,
+    Angle,
+    TrackCalibration,
+    angular_error,
+    bootstrap,
+    calibration_rows,
+    chi_square_band,
+    mean_difference,
+    position_rmse,
+    track_calibration,
+    velocity_rmse,
+)
 from graphtrack.geometry.angles import BoolArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.engines import OnlineEngine
+from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
+from graphtrack.model.model import BEST_PRESET
 from graphtrack.simulation.degrade import Occlusion, occlude
-from graphtrack.tracks import Track
+from graphtrack.smoothing import track_online
+from graphtrack.tracks.display import counted, html_table, listed
+from graphtrack.tracks.track import Track
 
 if TYPE_CHECKING:
-    from graphtrack.io.given import Given
+    from graphtrack.io.read_write import Given
+
+
+class Method(Protocol):
+    """A method that can be compared.
+
+    Attributes
+    ----------
+    name : short and unique
+    online : whether each estimate uses only what came before it; online and offline methods are not compared
+        with each other
+    information : what it uses, in words, such as "positions, body, head; past only"
+    """
+
+    @property
+    def name(self) -> str:
+        """Short and unique."""
+
+    @property
+    def online(self) -> bool:
+        """True if each estimate uses only what came before it."""
+
+    @property
+    def information(self) -> str:
+        """The information that the method uses, in words."""
+
+    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
+        """Estimates from observations, one for each frame; None in channels that are not estimated."""
+
+
+@dataclass(frozen=True)
+class FunctionMethod:
+    """A method made of a function of a track, a model and a camera."""
+
+    name: str
+    online: bool
+    information: str
+    model: Model | None
+    function: Callable[[Track, Model, GroundCamera | None], Track]
+
+    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
+        """The function's estimates."""
+        return self.function(track, self.model, camera)  # type: ignore[arg-type]  # those without take any
+
+
+def channels(model: Model) -> str:
+    """The observations that a model uses, in words."""
+    used = ["positions", *(["body"] if model.has_body else []), *(["head"] if model.has_head else [])]
+    return ", ".join(used)
+
+
+def _method(
+    name: str, function: Callable[..., Track], uses: str = "", *, online: bool = True
+) -> Callable[[Model], Method]:
+    """A factory of a method that uses some channels, by default those of its model."""
+    when = "past only" if online else "past and future"
+    return lambda model: FunctionMethod(name, online, f"{uses or channels(model)}; {when}", model, function)
+
+
+def _own(name: str) -> Callable[[Model], Method]:
+    """A factory of Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has no model."""
+    information = "positions, head; past only; parameters of its paper, a frame is a step"
+    return lambda model: FunctionMethod(
+        f"intentional-{name}",
+        True,
+        information,
+        None,
+        lambda track, model, camera: step_tracker(track, OWN_FILTERS[name]),
+    )
+
+
+def _online(engine: OnlineEngine) -> Callable[[Model], Method]:
+    def estimate(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+        return track_online(track, model, engine=engine, lag=2.0, camera=camera)
+
+    return _method(engine, estimate)
+
+
+def _particle(name: str) -> Callable[[Model], Method]:
+    return _method(name, lambda track, model, camera: particle_filter(track, model, camera=camera).track)
+
+
+registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
+    {
+        "kf": _method("kf", lambda track, model, camera: kalman_filter(track, model.parameters), "positions"),
+        "intentional": _method(
+            "intentional",
+            lambda track, model, camera: intentional_tracker(track, model.parameters),
+            "positions, head",
+        ),
+        "intentional-printed": _own("printed"),
+        "intentional-consistent": _own("consistent"),
+        "particle": _particle("particle"),
+        "particle-modes": _particle("particle-modes"),
+        "ffbs": _method(
+            "ffbs",
+            lambda track, model, camera: particle_smoother(track, model, camera=camera).track,
+            online=False,
+        ),
+        "rts": _method(
+            "rts",
+            lambda track, model, camera: rauch_tung_striebel(track, model.parameters),
+            "positions",
+            online=False,
+        ),
+        "smoother": _method(
+            "smoother", lambda track, model, camera: smooth_track(track, model, camera).track, online=False
+        ),
+        "chain": _online("chain"),
+        "isam2": _online("isam2"),
+        "fixed-lag": _online("fixed-lag"),
+    }
+)
+"""Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.
+
+``intentional`` is Baxter et al.'s tracker in continuous time; ``intentional-printed`` and
+``intentional-consistent`` are its own filter (eq. 2–6) with its own parameters, whatever the model.
+``particle`` is Chen et al.'s filter and ``ffbs`` its smoother; ``particle-modes`` is the filter with the
+modes of the couplings that its own model, ``full``, has."""
+
+
+_OWN = {
+    "kf": "position",
+    "rts": "position",
+    "intentional": "intentional",
+    "intentional-printed": "intentional",
+    "intentional-consistent": "intentional",
+    "particle": "joint",
+    "ffbs": "joint",
+}
+
+
+def own_model(name: str) -> Model:
+    """The best preset that a method of `registry` has; the graph's engines have `BEST_PRESET`."""
+    return Model(_OWN.get(name, BEST_PRESET))
+
+
+def make_method(method: Method | str, model: Model | str | Path | None = None) -> Method:
+    """A method from its name in `registry`, by default with its `own_model`; a method is returned as it is.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    if not isinstance(method, str):
+        return method
+    if method not in registry:
+        raise InputError(f"method {method!r}", f"one of {', '.join(registry)}")
+    return registry[method](own_model(method) if model is None else Model.named(model))
+
+
+METRICS = {
+    "position RMSE": "m",
+    "velocity RMSE": "m/s",
+    "body error": "°",
+    "head error": "°",
+    "time a step": "ms",
+}
+"""Metric → unit, in the order of the tables. Angular errors are means of |error|."""
+
+QUANTITIES = ("position", "body", "head")
+"""Quantities whose NEES is tabulated; true velocities are differences of positions."""
+
+_ANGLES: tuple[Angle, ...] = ("body", "head")
+
+
+@dataclass(frozen=True)
+class TrackScore:
+    """The result of one method on one track.
+
+    Attributes
+    ----------
+    track_id, label : the track
+    method : name of the method
+    frames : frames that were scored
+    metrics : metric → value, in the units of `METRICS`; without those that the method does not estimate
+    nees : quantity → mean over the scored frames
+    calibration : quantity → NEES per degree of freedom, and how often intervals hold the truth
+    failure : why there is nothing; "" where there is
+    """
+
+    track_id: int
+    label: str
+    method: str
+    frames: int = 0
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    nees: Mapping[str, float] = field(default_factory=dict)
+    calibration: Mapping[str, TrackCalibration] = field(default_factory=dict)
+    failure: str = ""
+
+
+def scored_frames(track: Track, window: BoolArray | None = None) -> BoolArray:
+    """The frames (n,) that count for every method: with a true position, from the first observed one on.
+
+    Before the first position a filter knows nothing, so that nobody is judged there.
+    """
+    if track.true_position is None:
+        return np.zeros(len(track), dtype=bool)
+    seen = np.isfinite(track.position).all(axis=1)
+    if track.pixel is not None:
+        seen = seen | np.isfinite(track.pixel).all(axis=1)
+    known = np.logical_or.accumulate(seen) & np.isfinite(track.true_position).all(axis=1)
+    return np.asarray(known if window is None else known & window)
+
+
+def score(
+    method: Method, track: Track, camera: GroundCamera | None, window: BoolArray | None = None
+) -> TrackScore:
+    """Run a method on a track and judge it; any exception it raises becomes the reason of its failure.
+
+    The method does not get to see the truth.
+    """
+    empty = TrackScore(track.track_id, track.label, method.name)
+    blind = replace(track, true_position=None, true_body=None, true_head=None)
+    start = time.perf_counter()
+    try:
+        estimate = method.estimate(blind, camera)
+    except Exception as error:  # one method's trouble must not keep the others from coming out
+        text = getattr(error, "reason", "") or " ".join(str(error).split())[:200]
+        return replace(empty, failure=text or type(error).__name__)
+    elapsed = time.perf_counter() - start
+    mask = scored_frames(track, window)
+    trouble = _trouble(estimate, track, mask)
+    if trouble:
+        return replace(empty, failure=trouble)
+    metrics = {
+        "position RMSE": position_rmse(estimate, track, mask),
+        "velocity RMSE": velocity_rmse(estimate, track, mask),
+        "time a step": 1e3 * elapsed / len(track),
+    }
+    for name in _ANGLES:
+        metrics[f"{name} error"] = angular_error(estimate, track, name, mask)
+    calibration = track_calibration(estimate, track, mask)
+    return replace(
+        empty,
+        frames=int(mask.sum()),
+        metrics={name: value for name, value in metrics.items() if np.isfinite(value)},
+        nees={q: DEGREES[q] * calibration[q].nees for q in QUANTITIES if q in calibration},
+        calibration=calibration,
+    )
+
+
+def _trouble(estimate: Track, track: Track, mask: BoolArray) -> str:
+    if len(estimate) != len(track):
+        return f"{len(estimate)} estimates for {len(track)} frames"
+    if not mask.any():
+        return "no frame with a true position from the first observed one on"
+    for name in ("position", "velocity", *_ANGLES):
+        values = getattr(estimate, name)
+        if values is None:
+            continue
+        missing = ~np.isfinite(values[mask]).reshape(int(mask.sum()), -1).all(axis=1)
+        if missing.any():
+            return f"no {name} at {int(missing.sum())} of {len(missing)} scored frames"
+    return ""
+
 
 METHODS = ("chain", "isam2", "kf", "intentional", "intentional-printed", "particle", "smoother", "rts")
 """Compared by default: the graph, Kalman's and the papers' filters, and the smoother of the Kalman filter."""
@@ -131,7 +410,7 @@ def compare(
     ----------
     tracks : observations, in any form that `solve` takes, with ``true_position`` and, for angular errors,
         ``true_body`` and ``true_head``
-    methods : names in `graphtrack.evaluation.methods.registry`, or methods of your own
+    methods : names in `graphtrack.evaluation.compare.registry`, or methods of your own
     model : a `Model`, a preset's name or a model file, for all methods; by default each has the best preset
         that it can, and the rows and the caption say which. Then methods differ by their models, too.
     occlude_seconds : withhold position and body for so long around everybody's sharpest turn, and judge only

@@ -13,7 +13,7 @@ from graphtrack.baselines.kalman import filter_states
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.parameters import Parameters
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 SAMPLES = 20
 """Paths of which the best counts."""
@@ -82,7 +82,7 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
 
     Parameters
     ----------
-    table : columns (rows,) as `graphtrack.behaviour.forecast.table.read_forecasts` gives them
+    table : columns (rows,) as `graphtrack.forecasting.recorded.read_forecasts` gives them
     truth : true positions where it has them, else the positions
 
     Raises

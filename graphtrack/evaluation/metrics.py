@@ -2,16 +2,31 @@
 
 Frames where the estimate or the truth is missing, and those outside the mask, do not count; a metric with no
 frame left is NaN.
+
+Confidence intervals by resampling the people, paired: every method saw the same ones.
+
+Calibration of covariances: NEES with its χ² band, and the coverage of intervals, by quantity.
+
+Errors of estimated states against the truth, of people whose identities are those of the truth.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
 
+from graphtrack.association.associate import tracks_of
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, mean_absolute_error
-from graphtrack.tracks import STATE, Track
+from graphtrack.tracks.track import STATE, Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.read_write import Given
+
 
 Angle = Literal["body", "head"]
 
@@ -103,3 +118,288 @@ def _rmse(error: FloatArray, mask: BoolArray | None) -> float:
     squares = squares if mask is None else squares[mask]
     squares = squares[np.isfinite(squares)]
     return float(np.sqrt(squares.mean())) if squares.size else float("nan")
+
+
+RESAMPLES = 4000
+
+FEWEST = 5
+"""People below whom there is no interval: resampled, so few say little of anybody else."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure with its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def bootstrap(
+    statistic: Callable[..., FloatArray], *samples: FloatArray, rng: np.random.Generator
+) -> Interval:
+    """95 % percentile interval of a statistic of paired samples.
+
+    Parameters
+    ----------
+    statistic : of arrays (..., n), over the last axis
+    samples : (n,) each, one number a person; people with a NaN anywhere are left out
+    rng : source of the resampling
+
+    Returns
+    -------
+    Interval
+        All NaN without a person, and without bounds for fewer than `FEWEST`.
+    """
+    table = np.stack(samples)
+    table = table[:, np.isfinite(table).all(axis=0)]
+    n = table.shape[1]
+    if n == 0:
+        return Interval(float("nan"), float("nan"), float("nan"))
+    value = float(statistic(*table))
+    if n < FEWEST:
+        return Interval(value, float("nan"), float("nan"))
+    drawn = table[:, rng.integers(0, n, (RESAMPLES, n))]
+    low, high = np.percentile(statistic(*drawn), [2.5, 97.5])
+    return Interval(value, float(low), float(high))
+
+
+def deviation(values: FloatArray) -> float:
+    """Standard deviation of the values (n,); NaN of a single one, which has none."""
+    return float(np.std(values)) if len(values) > 1 else float("nan")
+
+
+def mean_difference(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Mean of first − second over the last axis."""
+    return np.asarray(np.mean(first - second, axis=-1))
+
+
+def reduction(error: FloatArray, reference: FloatArray) -> FloatArray:
+    """1 − Σ error / Σ reference over the last axis: by what share the error is smaller."""
+    return 1.0 - np.asarray(error.sum(axis=-1)) / np.asarray(reference.sum(axis=-1))
+
+
+DEGREES = {"position": 2, "velocity": 2, "body": 1, "head": 1}
+"""Quantity → degrees of freedom of one error."""
+
+CONFIDENCES: tuple[float, ...] = tuple((np.arange(1, 20) / 20.0).tolist())
+"""Probabilities of the intervals (circles, of positions and velocities)."""
+
+TABULATED = (0.5, 0.9, 0.95)
+
+
+@dataclass(frozen=True)
+class TrackCalibration:
+    """NEES and coverage of one quantity of one track.
+
+    Attributes
+    ----------
+    nees : mean over the frames of the squared error over its variance, per degree of freedom
+    coverage : for each of `CONFIDENCES` the share of frames whose truth lies in that interval
+    frames : that were judged
+    """
+
+    nees: float
+    coverage: tuple[float, ...]
+    frames: int
+
+
+def track_calibration(
+    estimate: Track, truth: Track, mask: BoolArray | None = None, velocity: FloatArray | None = None
+) -> dict[str, TrackCalibration]:
+    """The calibration of each quantity that is estimated and whose truth is known, over ``mask`` (n,).
+
+    Parameters
+    ----------
+    velocity : the true one (n, 2) in m/s; by default that of `metrics.true_velocity`, the mean over the
+        neighbouring frames, which at a low rate is not that of the moment
+    """
+    squared = {
+        "position": position_nees(estimate, truth),
+        "velocity": velocity_nees(estimate, truth, velocity),
+        "body": angle_nees(estimate, truth, "body"),
+        "head": angle_nees(estimate, truth, "head"),
+    }
+    found = {}
+    for quantity, squares in squared.items():
+        values = squares if mask is None else squares[mask]
+        values = values[np.isfinite(values)]
+        if values.size:
+            degrees = DEGREES[quantity]
+            inside = values[:, None] <= chdtri(degrees, 1.0 - np.array(CONFIDENCES))
+            found[quantity] = TrackCalibration(
+                float(values.mean()) / degrees, tuple(inside.mean(axis=0).tolist()), int(values.size)
+            )
+    return found
+
+
+def chi_square_band(dof: float, count: float) -> tuple[float, float]:
+    """Central 95 % of the mean of ``count`` independent χ² variables of ``dof`` degrees of freedom.
+
+    Errors of neighbouring frames are alike, so a track counts as one independent error, however many frames
+    it has. Its mean over the frames spreads less than a single error would: the band is wide rather than
+    narrow.
+    """
+    low, high = chdtri(dof * count, [0.975, 0.025]) / count
+    return float(low), float(high)
+
+
+def pooled(parts: Sequence[TrackCalibration]) -> dict[str, Any]:
+    """Means over tracks: ``nees``, which should be 1, and ``coverage`` of each ``confidence``.
+
+    Every track counts as much as any other. ``nees_error`` is twice the standard error of the mean over
+    tracks; None of one track.
+    """
+    nees = np.array([part.nees for part in parts])
+    coverage = np.mean([part.coverage for part in parts], axis=0)
+    error = float(2.0 * nees.std(ddof=1) / np.sqrt(len(nees))) if len(nees) > 1 else None
+    shares = {f"coverage_{100 * p:.0f}": float(coverage[CONFIDENCES.index(p)]) for p in TABULATED}
+    return {
+        "nees": float(nees.mean()),
+        "nees_error": error,
+        **shares,
+        "confidence": CONFIDENCES,
+        "coverage": tuple(coverage.tolist()),
+        "tracks": len(parts),
+    }
+
+
+def calibration_rows(tracks: Sequence[Mapping[str, TrackCalibration]]) -> Iterator[dict[str, Any]]:
+    """A row for each quantity of some tracks: ``quantity``, and `pooled`."""
+    for quantity in DEGREES:
+        known = [track[quantity] for track in tracks if quantity in track]
+        if known:
+            yield {"quantity": quantity, **pooled(known)}
+
+
+UNITS = {"position": "m", "velocity": "m/s", "body": "°", "head": "°"}
+
+SAME_TIME = 0.1
+"""Share of the truth's median step by which the times of an estimate and of the truth may differ."""
+
+
+@dataclass(frozen=True)
+class StateScore:
+    """Errors by quantity.
+
+    Attributes
+    ----------
+    rows : for position, velocity, body and head, as far as both files have them: ``quantity``, ``unit``,
+        ``tracks``, ``frames``; ``rmse``, ``mae`` and ``median`` over the frames, of distances, and of angles
+        the short way around the circle; ``coverage_95``, the share of the frames whose truth is in the 95 %
+        interval (for positions and velocities the ellipse), mean over the tracks; ``nees`` per degree of
+        freedom, mean over the tracks, and ``nees_low`` and ``nees_high``, where it lies with a probability of
+        95 % if covariances are honest. None where no uncertainty is stated.
+    notes : what was not scored, and why
+    """
+
+    rows: tuple[dict[str, Any], ...]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON-able data."""
+        return {"rows": list(self.rows), "notes": list(self.notes)}
+
+
+@dataclass(frozen=True)
+class TrackErrors:
+    """One person's errors, by quantity: errors (n,) in the units of `UNITS`, and how their intervals hold."""
+
+    errors: dict[str, FloatArray]
+    calibration: dict[str, TrackCalibration]
+
+
+def score_states(estimates: Given, truth: Given) -> StateScore:
+    """Errors of estimated states against the truth, and the calibration of their uncertainties.
+
+    Only people who have the same ``track_id`` in both are compared, in the frames whose times agree to a
+    tenth of the truth's step.
+
+    Parameters
+    ----------
+    estimates, truth : tracks in any form that `smooth` takes. Of the truth, true values (``true_x`` …) are
+        taken where there are any, else its positions, velocities and angles. Without velocities these are the
+        differences of the true positions of the frames beside.
+    """
+    return summary(track_errors(tracks_of(estimates), tracks_of(truth)))
+
+
+def track_errors(estimates: TrackSet, truth: TrackSet) -> list[TrackErrors]:
+    """The errors of each person of the truth who has estimates."""
+    known = {track.track_id: track for track in truth}
+    pairs = ((track, known[track.track_id]) for track in estimates if track.track_id in known)
+    return [found for pair in pairs if (found := _errors(*pair)) is not None]
+
+
+def summary(parts: Iterable[TrackErrors]) -> StateScore:
+    """The errors of all people together."""
+    tracks = list(parts)
+    if not tracks:
+        return StateScore((), ("errors of the states: nobody has the same track_id and times in both",))
+    rows, notes = [], []
+    for quantity, degrees in DEGREES.items():
+        errors = [track.errors[quantity] for track in tracks if quantity in track.errors]
+        if not errors:
+            notes.append(f"{quantity}: not in both, the estimates and the truth")
+            continue
+        every = np.concatenate(errors)
+        row: dict[str, Any] = {
+            "quantity": quantity,
+            "unit": UNITS[quantity],
+            "tracks": len(errors),
+            "frames": len(every),
+            "rmse": float(np.sqrt(np.mean(every**2))),
+            "mae": float(np.mean(np.abs(every))),
+            "median": float(np.median(np.abs(every))),
+        }
+        stated = [track.calibration[quantity] for track in tracks if quantity in track.calibration]
+        row |= dict.fromkeys(("coverage_95", "nees", "nees_low", "nees_high"))
+        if stated:
+            low, high = chi_square_band(degrees, len(stated))
+            row |= {name: pooled(stated)[name] for name in ("coverage_95", "nees")}
+            row |= {"nees_low": low / degrees, "nees_high": high / degrees}
+        else:
+            notes.append(f"{quantity}: the estimates state no uncertainty, so that only errors are scored")
+        rows.append(row)
+    return StateScore(tuple(rows), tuple(notes))
+
+
+def _errors(estimate: Track, truth: Track) -> TrackErrors | None:
+    """One person's errors; None where no time is in both."""
+    here, there = _same_times(estimate.t, truth.t)
+    if not len(here):
+        return None
+    velocity = truth.velocity
+    if truth.has_truth or velocity is None:
+        velocity = true_velocity(_as_truth(truth))
+    estimate, truth, velocity = estimate[here], _as_truth(truth)[there], velocity[there]
+    assert truth.true_position is not None
+    errors = {"position": np.linalg.norm(estimate.position - truth.true_position, axis=1)}
+    if estimate.velocity is not None:
+        errors["velocity"] = np.linalg.norm(estimate.velocity - velocity, axis=1)
+    for name in ("body", "head"):
+        angle, known = getattr(estimate, name), getattr(truth, f"true_{name}")
+        if angle is not None and known is not None:
+            errors[name] = np.degrees(difference(angle, known))
+    errors = {name: values[np.isfinite(values)] for name, values in errors.items()}
+    return TrackErrors(
+        {name: values for name, values in errors.items() if len(values)},
+        track_calibration(estimate, truth, velocity=velocity),
+    )
+
+
+def _as_truth(track: Track) -> Track:
+    """A track whose true values are its own where it has none."""
+    if track.has_truth:
+        return track
+    return replace(track, true_position=track.position, true_body=track.body, true_head=track.head)
+
+
+def _same_times(t: FloatArray, truth: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of either with the same times; each of the truth is the nearest one."""
+    step = float(np.median(np.diff(truth))) if len(truth) > 1 else 1e-3
+    after = np.minimum(np.searchsorted(truth, t), len(truth) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(truth[before] - t) <= np.abs(truth[after] - t), before, after)
+    here = np.flatnonzero(np.abs(truth[nearest] - t) <= SAME_TIME * step)
+    return here, nearest[here]

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 from types import MappingProxyType
 
-from graphtrack.evaluation.reproduce.baxter_caviar import EXPERIMENT as _baxter_caviar
-from graphtrack.evaluation.reproduce.baxter_occlusion import EXPERIMENT as _baxter_occlusion
-from graphtrack.evaluation.reproduce.baxter_simulated import EXPERIMENT as _baxter_simulated
-from graphtrack.evaluation.reproduce.baxter_statistics import EXPERIMENT as _baxter_statistics
-from graphtrack.evaluation.reproduce.baxter_weight import EXPERIMENT as _baxter_weight
-from graphtrack.evaluation.reproduce.chen_classes import EXPERIMENT as _chen_classes
-from graphtrack.evaluation.reproduce.chen_joint import EXPERIMENT as _chen_joint
-from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
-from graphtrack.evaluation.reproduce.gaits import EXPERIMENT as _gaits
-from graphtrack.evaluation.reproduce.honesty import EXPERIMENT as _honesty
-from graphtrack.evaluation.reproduce.meetings import EXPERIMENT as _meetings
-from graphtrack.evaluation.reproduce.strangers import EXPERIMENT as _strangers
-from graphtrack.evaluation.reproduce.unseen_people import EXPERIMENT as _unseen_people
+from graphtrack.experiments.baxter_caviar import EXPERIMENT as _baxter_caviar
+from graphtrack.experiments.baxter_occlusion import EXPERIMENT as _baxter_occlusion
+from graphtrack.experiments.baxter_simulated import EXPERIMENT as _baxter_simulated
+from graphtrack.experiments.baxter_statistics import EXPERIMENT as _baxter_statistics
+from graphtrack.experiments.baxter_weight import EXPERIMENT as _baxter_weight
+from graphtrack.experiments.chen_classes import EXPERIMENT as _chen_classes
+from graphtrack.experiments.chen_joint import EXPERIMENT as _chen_joint
+from graphtrack.experiments.gaits import EXPERIMENT as _gaits
+from graphtrack.experiments.harness import Experiment, Reproduction, Settings, Table
+from graphtrack.experiments.honesty import EXPERIMENT as _honesty
+from graphtrack.experiments.meetings import EXPERIMENT as _meetings
+from graphtrack.experiments.strangers import EXPERIMENT as _strangers
+from graphtrack.experiments.unseen_people import EXPERIMENT as _unseen_people
 
 __all__ = ["EXPERIMENTS", "Experiment", "Reproduction", "Settings", "Table", "all_experiments"]
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from graphtrack.later import special
+from graphtrack.packages import special
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

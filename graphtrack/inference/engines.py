@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from graphtrack.bounds import is_number
 from graphtrack.errors import InputError
-from graphtrack.inference.chain.engine import is_chain
-from graphtrack.inference.solution import OfflineEngine
+from graphtrack.inference.chain.batch import is_chain
+from graphtrack.inference.result import OfflineEngine
 from graphtrack.model import Model
+from graphtrack.tracks.validation import is_number
 
 OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
 ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")

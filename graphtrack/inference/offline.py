@@ -9,29 +9,29 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from graphtrack.bounds import check_count
 from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.calibration import calibration_of
-from graphtrack.inference.chain.engine import fit_lanes, solve_packed
-from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
+from graphtrack.inference.chain.batch import fit_lanes, solve_packed
+from graphtrack.inference.chain.covariance import calibration_of
+from graphtrack.inference.chain.initialisation import pack_to_solve
+from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
 from graphtrack.inference.engines import engine_of
-from graphtrack.inference.extremes import not_finite
 from graphtrack.inference.graph.batch import smooth_graph
-from graphtrack.inference.initial import pack_to_solve
-from graphtrack.inference.solution import (
+from graphtrack.inference.result import (
     Failure,
     OfflineEngine,
     Solution,
     SolverOptions,
     estimated_tracks,
+    not_finite,
 )
 from graphtrack.inference.warm import make_solver_ready
+from graphtrack.kernels.compilation import processors
+from graphtrack.kernels.layout import LANES
 from graphtrack.model import Model
-from graphtrack.model.kernels.layout import LANES
-from graphtrack.readiness import processors
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import check_count
 
 if TYPE_CHECKING:
     pass

@@ -1,4 +1,6 @@
-"""The online smoother: one person, one observation at a time.
+"""Observations that come late, or again: what is added to the window of an online smoother.
+
+The online smoother: one person, one observation at a time.
 
 Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
 GTSAM, for any list of terms) and ``isam2`` (`Isam2`; GTSAM's, in a window or over the full history). An
@@ -16,33 +18,73 @@ from typing import Any, get_args
 
 import numpy as np
 
-from graphtrack.display import html_pairs
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, wrapped
+from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.calibration import calibrate, calibration_of
+from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine
-from graphtrack.inference.extremes import with_extreme_of
+from graphtrack.inference.graph.coupling_modes import Guided
 from graphtrack.inference.graph.fixed_lag import FixedLag
-from graphtrack.inference.graph.guided import Guided
-from graphtrack.inference.graph.isam import Isam2
-from graphtrack.inference.late import merged, worked_in
-from graphtrack.inference.observed import checked
+from graphtrack.inference.graph.isam2 import Isam2
+from graphtrack.inference.result import with_extreme_of
 from graphtrack.inference.state import (
     FAILURES,
     Estimate,
     Newest,
     SavedState,
     Status,
+    Window,
+    checked,
     pack_state,
     predicted,
     unpack_state,
 )
 from graphtrack.inference.warm import make_online_ready
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.observation import seconds_between
+from graphtrack.model.observation import CHANNELS, seconds_between
 from graphtrack.saved import DAMAGES, damaged
+from graphtrack.tracks.display import html_pairs
+
+
+def worked_in(window: Window, observation: Observation, place: int, inserted: bool, template: Step) -> Window:
+    """The window with one more observation, in a step like ``template`` or in place of one; linked anew."""
+    values = dict(window.values)
+    steps = list(window.steps[:place])
+    if inserted:
+        values[template.index] = _between(window, steps[-1], window.steps[place], observation.t)
+    else:
+        template = replace(window.steps[place], observation=observation)
+    for step in (template, *window.steps[place if inserted else place + 1 :]):
+        if steps:
+            previous = steps[-1].alone()
+            dt = seconds_between(previous, step.observation)
+            step = replace(step, previous=previous, dt=dt)
+        steps.append(step)
+    return replace(window, steps=tuple(steps), values=values)
+
+
+def merged(known: Observation, new: Observation) -> Observation | None:
+    """The known observation with the channels that only the new one has; None if there are none."""
+    added: dict[str, Any] = {
+        name: getattr(new, name)
+        for name in CHANNELS
+        if getattr(known, name) is None and getattr(new, name) is not None
+    }
+    if new.inputs.keys() - known.inputs.keys():
+        added["inputs"] = {**new.inputs, **known.inputs}
+    return replace(known, **added) if added else None
+
+
+def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float, ...]:
+    """Initial state at t, between two steps of the window."""
+    start, end = before.observation.t, after.observation.t
+    share = (t - start) / (end - start)
+    a, b = np.array(window.values[before.index]), np.array(window.values[after.index])
+    state = a + share * (b - a)
+    state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
+    return tuple(state.tolist())
+
 
 _PROMISED_DECREASE = 1e-8
 """Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.calibration import calibration_of
-from graphtrack.inference.chain.engine import has_lanes, is_chain, solve_packed
+from graphtrack.inference.chain.batch import has_lanes, is_chain, solve_packed
+from graphtrack.inference.chain.covariance import calibration_of
+from graphtrack.inference.chain.initialisation import initial_states, pack, pack_to_solve
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.initial import initial_states, pack, pack_to_solve
-from graphtrack.inference.solution import OfflineEngine
+from graphtrack.inference.result import OfflineEngine
+from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import TRACK, Rehearsal, make_ready
 
 if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine

@@ -9,21 +9,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from graphtrack.behaviour.evidence import OnlineEvidence, PairEvidence, pair_evidence, walks
-from graphtrack.behaviour.facing import facing
-from graphtrack.behaviour.groups import groups_of
-from graphtrack.behaviour.learned import DEFAULT
-from graphtrack.behaviour.people import People, people_of
-from graphtrack.behaviour.smoothing import FORGOTTEN
-from graphtrack.behaviour.told import Numbers, numbers_of, people_at
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.observed import checked
-from graphtrack.inference.solution import Failure, Solution
-from graphtrack.inference.state import Estimate
+from graphtrack.inference.result import Failure, Solution
+from graphtrack.inference.state import Estimate, checked
+from graphtrack.interaction.evidence import (
+    FORGOTTEN,
+    OnlineEvidence,
+    PairEvidence,
+    facing,
+    pair_evidence,
+    walks,
+)
+from graphtrack.interaction.groups import groups_of
+from graphtrack.interaction.parameters import DEFAULT
+from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
 from graphtrack.model import Model, Observation
 from graphtrack.model.terms.faces_group import GROUP, Group, with_group_at
 from graphtrack.saved import from_text, real, to_text, whole
-from graphtrack.tracks import STATE, Track, TrackSet
+from graphtrack.tracks.track import STATE, Track, TrackSet
 
 ROUNDS = 4
 """Times that groups and states are found at most."""

@@ -12,11 +12,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from graphtrack.behaviour.attention import Attention
-from graphtrack.behaviour.tables import LookLabels
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.table.groups import UNLABELLED, IntArray
+from graphtrack.interaction.attention import Attention
+from graphtrack.interaction.tables import LookLabels
+from graphtrack.io.groups import UNLABELLED, IntArray
 
 Group = frozenset[int]
 

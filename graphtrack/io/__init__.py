@@ -3,7 +3,7 @@
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.reading import read, write
+from graphtrack.io.read_write import read, write
 from graphtrack.io.registry import FORMATS
 
 __all__ = ["FORMATS", "Format", "ReadOptions", "atomic_path", "read", "write"]

@@ -1,4 +1,11 @@
-"""`Source`: the bytes of one input file, and the ways in which getting at them can fail."""
+"""Files that are named by a URL, on object stores and elsewhere, by the package fsspec (extra ``cloud``).
+
+`Source`: the bytes of one input file, and the ways in which getting at them can fail.
+
+Folders that stand for a table within them.
+
+TOML files: models and parameters.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +14,62 @@ import contextlib
 import gzip
 import io
 import math
+import tomllib
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from graphtrack.errors import InputError
-from graphtrack.remote import place_of
+from graphtrack.packages import package
+
+_MARK = "://"
+
+
+class RemoteFile(type(Path())):  # type: ignore[misc]
+    """The path of a file elsewhere: it is there once it is opened, and nothing lies beside it."""
+
+    def __new__(cls, url: str) -> RemoteFile:  # noqa: D102
+        made = super().__new__(cls, url)
+        made.url = url
+        return made
+
+    def __init__(self, url: str) -> None:
+        if Path.__init__ is not object.__init__:  # from Python 3.12 on
+            super().__init__(url)
+
+    def __str__(self) -> str:
+        return vars(self).get("url") or super().__str__()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (str(self),)
+
+    def open(self, *arguments: Any, **options: Any) -> Any:
+        """The content, read whole, as a stream."""
+        url = str(self)
+        fsspec = package("fsspec", "cloud")
+        try:
+            with fsspec.open(url, "rb") as stream:
+                return io.BytesIO(stream.read())
+        except FileNotFoundError as error:
+            raise InputError("no such file", "an existing file", path=url) from error
+        except ImportError as error:
+            said = " ".join(str(error).split())
+            expected = "fsspec's packages for such URLs (for http: pip install requests aiohttp)"
+            raise InputError(said, expected, path=url) from error
+        except Exception as error:  # each store has errors of its own
+            said = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(said, "the URL of a file that can be read", path=url) from error
+
+
+def place_of(given: str | Path) -> Path:
+    """A path, or what a URL such as ``s3://bucket/tracks.parquet`` names."""
+    if isinstance(given, RemoteFile):
+        return given
+    return RemoteFile(given) if isinstance(given, str) and _MARK in given else Path(given)
+
 
 MAX_BYTES = 4 * 2**30
 """The largest input that is read, unpacked: a guard against files that unpack without end."""
@@ -190,3 +245,42 @@ def _gunzip(data: bytes, path: Path) -> bytes:
         found = f"a gzip file that unpacks to more than {_HIGHEST_RATIO} times its size"
         raise InputError(found, "a table; unpack it first if it is one", path=path)
     return content
+
+
+_STAGES, _REPORTED = "stages.json", "tracks.csv"
+"""The file by which the folder of a report is recognised, and its table of estimates."""
+
+_OF_SEQUENCE = ("gt/gt.txt", "det/det.txt")
+"""Tracks of a MOTChallenge sequence, and its detections, which are read where there are no tracks."""
+
+
+def sequence_file(folder: Path) -> Path | None:
+    """The tracks, or else the detections, of a folder that is a sequence of MOTChallenge."""
+    if not folder.is_dir():
+        return None
+    return next((folder / name for name in _OF_SEQUENCE if (folder / name).is_file()), None)
+
+
+def table_in(path: Path) -> Path:
+    """The table that a folder of MOTChallenge or of `perception report` stands for; else the path itself."""
+    if (path / _STAGES).is_file():
+        return path / _REPORTED
+    return sequence_file(path) or path
+
+
+def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Parameters
+    ----------
+    path : of the file
+    expected : what the file should be, for the message
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), f"a readable file: {expected}", path=path) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"no TOML ({error})", expected, path=path) from error
+    except RecursionError as error:
+        raise InputError("brackets within brackets without end", expected, path=path) from error

@@ -4,8 +4,7 @@ The chain solver adds kernels up. One takes the states of a frame (or of two tha
 the gradient and to the blocks of the Hessian, and returns its cost; see `Kernel`.
 """
 
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, Field, X, Y
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Field, Kernel, X, Y
 
 __all__ = ["BODY", "HEAD", "VX", "VY", "Field", "Kernel", "X", "Y", "compiled"]

@@ -1,30 +1,187 @@
-"""`fit`: the parameters that a set of tracks makes most probable, with their uncertainty."""
+"""Fitting the parameters of a model: the free ones, on scales without limits, and the search.
+
+Journal of evaluations: learning that was interrupted replays it and goes on.
+
+`fit`: the parameters that a set of tracks makes most probable, with their uncertainty.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import stats
 
-from graphtrack.association.reading import tracks_of
+from graphtrack.association.associate import tracks_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of
-from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite, uncertainty
-from graphtrack.learning.free import Free, free_parameters, with_values
-from graphtrack.learning.journal import EvaluationJournal
-from graphtrack.learning.objective import Criterion, Objective, in_blocks
-from graphtrack.model import Model
-from graphtrack.tracks import Track
+from graphtrack.io.atomic import atomic_path
+from graphtrack.learning.optimise import (
+    PRIOR_STD,
+    REACH,
+    Criterion,
+    Objective,
+    climb,
+    curvature,
+    definite,
+    in_blocks,
+    uncertainty,
+)
+from graphtrack.model import Model, Parameters
+from graphtrack.model.parameters import range_of, scale_of
+from graphtrack.tracks.track import Track
 
 if TYPE_CHECKING:
-    from graphtrack.io.given import Given
+    from graphtrack.io.read_write import Given
+
+
+DECLARED = {"position_scale": "position_std", "body_scale": "body_kappa", "head_scale": "head_kappa"}
+"""Multiples of the noise that tracks declare, and the channel of each."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter to be learned: its name, as ``group.key``, and its scale."""
+
+    name: str
+
+    @property
+    def is_probability(self) -> bool:
+        """Whether it is learned by its log odds; else by its logarithm."""
+        return scale_of(*self._place) == "log odds"
+
+    def get(self, model: Model) -> float:
+        """Its value in a model."""
+        group, key = self.name.split(".")
+        return float(getattr(getattr(model.parameters, group), key))
+
+    def to_scale(self, value: float) -> float:
+        """Logarithm, or log odds of a probability."""
+        value = min(value, self._range[1])
+        return math.log(value / (1.0 - value)) if self.is_probability else math.log(value)
+
+    def from_scale(self, x: float) -> float:
+        """The inverse of `to_scale`, within what the parameter may be."""
+        value = 1.0 / (1.0 + math.exp(-x)) if self.is_probability else math.exp(x)
+        low, high = self._range
+        return min(max(value, low), high)
+
+    @property
+    def _place(self) -> tuple[Any, str]:
+        """The group that it is in, and its key there."""
+        group, key = self.name.split(".")
+        return getattr(Parameters(), group), key
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether the parameter may be learned."""
+        return scale_of(*self._place) is not None
+
+    @cached_property
+    def _range(self) -> tuple[float, float]:
+        """The least and the greatest value that is tried: it may have both, and neither is out of the way."""
+        limits = range_of(*self._place)
+        assert limits is not None  # only numbers are learned
+        low, high = limits
+        return low, min(high, 0.999 if high <= 1.0 else 1e3)
+
+
+def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
+    """Return the parameters to be learned from such tracks; those that are 0 are switched off, and stay so.
+
+    Raise InputError for a term whose parameters cannot be learned.
+    """
+    for term in model.terms:
+        if not term.states("reads"):
+            raise InputError(
+                f"the term {type(term).__name__}, whose parameters cannot be learned",
+                "a preset's terms alone",
+            )
+    names = dict.fromkeys(name for term in model.terms for name in term.reads or ())
+    absent = {
+        "likelihood.robust_threshold": model.parameters.likelihood.robust == "none",
+        "motion.sway_std": not any(track.has_truth for track in tracks),
+        "likelihood.pixel_std": all(track.pixel is None for track in tracks),
+        "likelihood.class_outlier_probability": all(
+            track.body_likelihood is None and track.head_likelihood is None for track in tracks
+        ),
+    }
+    for name, declared in DECLARED.items():
+        absent[f"likelihood.{name}"] = not any(getattr(track, declared) is not None for track in tracks)
+    free = (Free(name) for name in names if not absent.get(name, False))
+    return tuple(one for one in free if one.is_learned and one.get(model) > 0.0)
+
+
+def with_values(model: Model, free: Sequence[Free], x: FloatArray) -> Model:
+    """The model with the values at ``x`` (p,), on the parameters' scales."""
+    parameters = model.parameters
+    for one, value in zip(free, x.tolist(), strict=True):
+        group, key = one.name.split(".")
+        changed = replace(getattr(parameters, group), **{key: one.from_scale(value)})
+        parameters = replace(parameters, **{group: changed})
+    return model.with_parameters(parameters)
+
+
+class EvaluationJournal:
+    """Evaluations by their stage and place, appended to a file of JSON lines.
+
+    An evaluation depends on nothing but its place, so that replaying ends where an uninterrupted run does.
+    A file of other data or settings, told by its ``fingerprint``, is begun anew; a last line that was cut
+    off is left aside.
+
+    Parameters
+    ----------
+    path : the file; None: nothing is kept
+    """
+
+    def __init__(self, path: Path | None, fingerprint: str) -> None:
+        self._path = path
+        self._known: dict[tuple[str, tuple[float, ...]], list[float]] = {}
+        if path is None:
+            return
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else []
+        whole = []
+        for line in lines:
+            try:
+                whole.append(json.loads(line))
+            except ValueError:
+                break
+        if not whole or whole[0] != fingerprint:
+            whole = [fingerprint]
+        for entry in whole[1:]:
+            self._known[entry[0], tuple(entry[1])] = entry[2]
+        with atomic_path(path) as temporary:
+            temporary.write_text("".join(json.dumps(entry) + "\n" for entry in whole), encoding="utf-8")
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def get(self, stage: str, x: FloatArray) -> FloatArray | None:
+        """Return the values at a place (p,); None if it was not evaluated."""
+        found = self._known.get((stage, tuple(x.tolist())))
+        return None if found is None else np.array(found)
+
+    def put(self, stage: str, x: FloatArray, values: FloatArray) -> None:
+        """Keep what was found."""
+        self._known[stage, tuple(x.tolist())] = values.tolist()
+        if self._path is not None:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([stage, x.tolist(), values.tolist()]) + "\n")
+
+    def remove(self) -> None:
+        """Delete the file, when all is done."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
 
 MAX_FRAMES = 20_000
 """Person-frames that are learned from; of more, tracks are chosen at random."""

@@ -10,22 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.chains import Chains, link_by, unlinked
-from graphtrack.association.duplicates import learn_duplicates
-from graphtrack.association.facing import learn_orientation, observed_angles
-from graphtrack.association.learning import first_guess, gaps_of, learn_scene, scene_log_density
+from graphtrack.association.associate import detections_of, rows_of
+from graphtrack.association.likelihood import Chains, learn_orientation, link_by, observed_angles, unlinked
 from graphtrack.association.offline import associate_detections
-from graphtrack.association.rows import detections_of
-from graphtrack.association.tracks import rows_of
+from graphtrack.association.scene import (
+    first_guess,
+    gaps_of,
+    learn_duplicates,
+    learn_scene,
+    scene_log_density,
+)
 from graphtrack.errors import InputError
 from graphtrack.model import Model
-from graphtrack.scene import SceneParameters
 from graphtrack.simulation.detector import FALSE
-from graphtrack.table.detections import Detections
-from graphtrack.table.rows import Rows, check_rows
+from graphtrack.tracks.detections import Detections
+from graphtrack.tracks.scene import SceneParameters
+from graphtrack.tracks.table import Rows, check_rows
 
 if TYPE_CHECKING:
-    from graphtrack.association.tracks import Detected
+    from graphtrack.association.associate import Detected
 
 ROUNDS = 6
 """Times that people are found and parameters learned from them, or from given tracks."""

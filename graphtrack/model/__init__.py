@@ -1,6 +1,6 @@
 """The model: terms, parameters and presets."""
 
-from graphtrack.model.factors.custom import FactorShapeError, custom_factor
+from graphtrack.model.factors import FactorShapeError, custom_factor
 from graphtrack.model.model import Model, presets
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import (

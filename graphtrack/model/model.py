@@ -10,15 +10,13 @@ from typing import Any
 
 import tomli_w
 
-from graphtrack.display import html_table, listed, shortened
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
-from graphtrack.io.toml import read_toml
-from graphtrack.later import gtsam
-from graphtrack.model.factors.derived import COUPLED, Couplings, derived_factors
-from graphtrack.model.kernels.packing import FramePacker, PackedTracks, RecordTypes
+from graphtrack.io.source import read_toml
+from graphtrack.model.factors import COUPLED, Couplings, derived_factors
 from graphtrack.model.observation import States, Step
+from graphtrack.model.packing import FramePacker, PackedTracks, RecordTypes
 from graphtrack.model.parameters import (
     LikelihoodParameters,
     MotionParameters,
@@ -39,8 +37,10 @@ from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
-from graphtrack.scene import GivenScene, known_values
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.display import html_table, listed, shortened
+from graphtrack.tracks.scene import GivenScene, known_values
+from graphtrack.tracks.track import Track
 
 _POSITION: tuple[type[Term], ...] = (Motion, PositionLikelihood)
 _SEPARATE: tuple[type[Term], ...] = (*_POSITION, BodyDynamics, HeadDynamics, BodyLikelihood, HeadLikelihood)

@@ -14,8 +14,8 @@ import numpy as np
 from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray, class_centres, direction, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.later import gtsam
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.track import Track
 
 
 @dataclass(frozen=True, eq=False)

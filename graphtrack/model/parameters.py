@@ -4,6 +4,12 @@ The defaults of motion, orientation and coupling were fitted to motion capture o
 run (30 Hz; 0.1 m of noise on positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2), on every
 other clip: q by the likelihood of the true positions under the smoother's covariance, the others by the mean
 angular errors of `separate` and `joint`. docs/model.md has the errors on the clips that were left out.
+
+Variances that reported covariances contain besides the estimator's own.
+
+White-noise acceleration and rotational diffusion are what estimates are made with. People do other things:
+their hips sway with every step, and their accelerations and turns last. None of that changes an estimate, but
+its covariance; see `graphtrack.inference.chain.covariance`.
 """
 
 from __future__ import annotations
@@ -14,9 +20,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from graphtrack.bounds import check_numbers, with_table
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.validation import check_numbers, with_table
 
 Robust = Literal["none", "huber", "cauchy"]
 
@@ -347,3 +353,31 @@ def steady(parameters: Parameters) -> Parameters:
         ),
         gait=replace(parameters.gait, head_common=1.0, glance_std=0.0),
     )
+
+
+def swaying(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
+    """Covariances (..., 4 or more, …) of hips, from those of the path that they sway about; in place.
+
+    What sways as a sine, ``sway_rate`` times a second, has the variance ``sway_std``² in each position and
+    (2π·``sway_rate``·``sway_std``)² in each velocity, and at any one time these two have nothing to do with
+    each other.
+    """
+    variance = np.einsum("...ii->...i", covariance)
+    variance[..., :4] += sway_variances(motion)
+    return covariance
+
+
+def sway_variances(motion: MotionParameters) -> tuple[float, float, float, float]:
+    """What the sway adds to the variances of x, y, vx and vy."""
+    position = motion.sway_std**2
+    velocity = (2.0 * np.pi * motion.sway_rate * motion.sway_std) ** 2
+    return position, position, velocity, velocity
+
+
+def kept_shares(orientation: OrientationParameters) -> tuple[float, float]:
+    """What remains of the variances of body and head where not all diffusion is white in truth.
+
+    Of the variance that a filter or a smoother of a diffusing angle states, a half is the noise's and a half
+    what the angle diffuses.
+    """
+    return 0.5 * (1.0 + orientation.body_white_share), 0.5 * (1.0 + orientation.head_white_share)

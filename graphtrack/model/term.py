@@ -8,14 +8,13 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.later import gtsam
-from graphtrack.model.factors.derived import derived_factors
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import Field
-from graphtrack.model.kernels.packing import FramePacker, PackedTracks, RecordTypes
+from graphtrack.kernels.layout import Field, Kernel
+from graphtrack.model.factors import derived_factors
 from graphtrack.model.observation import Observation, States, Step
+from graphtrack.model.packing import FramePacker, PackedTracks, RecordTypes
 from graphtrack.model.parameters import Parameters
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.track import Track
 
 Variable = Literal["body", "head"]
 

@@ -1,22 +1,278 @@
-"""The page of a set of tracks, with what people do: `graphtrack report`, and `write_report` in Python."""
+"""The usual report of a tracking run, from tracks and comparison tables to a `Report`.
+
+The page of a set of tracks, with what people do: `graphtrack report`, and `write_report` in Python.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from graphtrack.association.reading import tracks_of
-from graphtrack.report.behaviour.given import behaviour_of
-from graphtrack.report.build import tracking_report
+import numpy as np
+
+from graphtrack.association.associate import tracks_of
+from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Records, Report, Section
 from graphtrack.report.html import write_html
+from graphtrack.report.interaction import behaviour_of
+from graphtrack.report.lives import (
+    Pair,
+    finite_rows,
+    identities_section,
+    identity_cards,
+    is_associated,
+    life_of,
+    pair_tracks,
+)
+from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
+from graphtrack.report.plots.scene import is_crowd, plot_pairs
+from graphtrack.report.replay import replay_data
+from graphtrack.report.style import probability_ellipse
+from graphtrack.tracks.track import ReadSummary, Track, TrackSet
 
 if TYPE_CHECKING:
-    from graphtrack.behaviour.attention import Attention
-    from graphtrack.behaviour.forecast.recorded import Forecasts
-    from graphtrack.behaviour.groups import Groups
-    from graphtrack.behaviour.places import Place
-    from graphtrack.io.given import Given
+    from graphtrack.evaluation.identity_events import IdentityEvent
+    from graphtrack.forecasting.recorded import Forecasts
+    from graphtrack.interaction.attention import Attention
+    from graphtrack.interaction.groups import Groups
+    from graphtrack.interaction.places import Place
+    from graphtrack.io.read_write import Given
+    from graphtrack.report.interaction import Behaviour
+
+
+PersonErrors = dict[str, float | None]
+"""Column of the table of people → error of one of them."""
+
+ANGLES: tuple[Angle, ...] = ("body", "head")
+
+CLOCK_TIMES = 1e6
+"""Seconds from which on times must be those of a clock, not of a recording."""
+
+
+def tracking_report(
+    estimates: TrackSet,
+    observations: TrackSet | None = None,
+    *,
+    title: str = "Tracks",
+    subtitle: str = "",
+    comparison: Records | None = None,
+    consistency: Records | None = None,
+    calibration: Records | None = None,
+    cards: tuple[Card, ...] = (),
+    sections: tuple[Section, ...] = (),
+    events: Sequence[IdentityEvent] | None = None,
+    behaviour: Behaviour | None = None,
+) -> Report:
+    """Put together what a reader of a tracking run wants to see.
+
+    Parameters
+    ----------
+    estimates : the result
+    observations : what it was estimated from, matched by ``track_id``; its summary of the reading is shown
+    title, subtitle : str
+    comparison : methods against each other, as for `graphtrack.report.plots.plot_errors`
+    consistency : NEES of the methods, as for `graphtrack.report.plots.plot_nees`
+    calibration : how often their intervals hold, as for `graphtrack.report.plots.plot_reliability`
+    cards : further numbers for the top of the page
+    sections : further sections, put at the end
+
+    events : where identities went wrong, as `graphtrack.evaluation.identity_events.judge_events` finds it;
+        with it, or with tracks that were associated, there is a timeline of identities
+    behaviour : groups, looks and forecasts, as `graphtrack.report.interaction.behaviour_of` gives them
+
+    Returns
+    -------
+    Report
+        For `graphtrack.report.html.write_html`.
+
+    Raises
+    ------
+    InputError
+        When a comparison table has no rows or lacks a column.
+    """
+    estimates, observations, origin = _from_zero(estimates, observations)
+    if origin:
+        subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
+    behaviour = None if behaviour is None else behaviour.in_times_of(estimates)
+    pairs = pair_tracks(estimates, observations)
+    errors = tuple(person_errors(pair) for pair in pairs)
+    lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
+    replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour)
+    words = (
+        "The time that people spent where, under everybody's path, and the paths by the way they went; "
+        "a dot is where one ends"
+        if is_crowd(pairs)
+        else "Everybody's path from above, with body and head at regular times"
+    )
+    picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
+    parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
+    extra: tuple[Card, ...] = ()
+    if behaviour is not None:
+        # Here, for a page of tracks alone needs none of it.
+        from graphtrack.report.interaction_sections import behaviour_cards, behaviour_sections
+
+        parts += behaviour_sections(behaviour, estimates, pairs)
+        extra = behaviour_cards(behaviour)
+    parts += [
+        _angles_section(pairs),
+        Section("People", (people_table(pairs, errors),)),
+        Section("From above", (picture,)),
+    ]
+    if any(table is not None for table in (comparison, consistency, calibration)):
+        parts.append(_methods_section(comparison, consistency, calibration))
+    summary = (estimates if observations is None else observations).summary
+    if summary.rows_read or summary.notes:
+        parts.append(Section("What was read", reading_items(summary)))
+    return Report(
+        title=title,
+        subtitle=subtitle,
+        cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *extra, *cards),
+        replay=replay,
+        sections=(*parts, *sections),
+    )
+
+
+def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataTable:
+    """One line a person: extent in time, what was observed, uncertainty and, where truth is known, errors.
+
+    Parameters
+    ----------
+    pairs : the people
+    errors : of each of them, as `person_errors` returns them
+    """
+    table: list[dict[str, Any]] = []
+    for pair, line in zip(pairs, errors, strict=True):
+        estimate = pair.estimate
+        step = np.diff(estimate.position[finite_rows(estimate.position)], axis=0)
+        body_std, head_std = (_median_degrees(estimate.std(name)) for name in ("body", "head"))
+        table.append(
+            {
+                "person": estimate.track_id,
+                "label": pair.label,
+                "from (s)": float(estimate.t[0]),
+                "to (s)": float(estimate.t[-1]),
+                "frames": len(estimate),
+                "observed (%)": None if pair.seen is None else 100.0 * float(pair.seen.mean()),
+                "path (m)": float(np.hypot(*step.T).sum()),
+                "95 % radius (m)": _median_radius(pair),
+                "body ±1σ (°)": body_std,
+                "head ±1σ (°)": head_std,
+                **line,
+            }
+        )
+    columns = [
+        c for c in (table[0] if table else {"person": 0}) if any(row[c] not in (None, "") for row in table)
+    ]
+    note = (
+        "Uncertainties are medians over the frames; the 95 % radius is the longer half-axis of the ellipse."
+    )
+    rows = tuple(tuple(row[c] for c in columns) for row in table)
+    return DataTable("Results of each person", tuple(columns), rows, note, person_column="person")
+
+
+def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
+    """The reader's account: rows read, used and refused, reasons, and what was assumed."""
+    rows: list[tuple[str, int]] = [("read", summary.rows_read), ("used", summary.rows_used)]
+    rows += [(f"refused: {reason}", count) for reason, count in summary.refused.items()]
+    table = DataTable(f"Rows of the input ({summary.format})", ("rows", "number"), tuple(rows))
+    return (table, *(Note(note) for note in summary.notes))
+
+
+def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[TrackSet, TrackSet | None, float]:
+    """Clock times such as seconds since 1970 are unreadable on an axis: count from the first whole second."""
+    origin = float(np.floor(min((track.t[0] for track in estimates), default=0.0)))
+    if origin < CLOCK_TIMES:
+        return estimates, observations, 0.0
+
+    def shift(track: Track) -> Track:
+        return replace(track, t=track.t - origin)
+
+    return estimates.map(shift), None if observations is None else observations.map(shift), origin
+
+
+def _angles_section(pairs: tuple[Pair, ...]) -> Section:
+    tracks = [pair.estimate for pair in pairs]
+    # The chart is drawn from the data of the replay, which has nobody without a position.
+    if not any((_is_known(t.body) or _is_known(t.head)) and _is_known(t.position) for t in tracks):
+        return Section("Body and head", (Note("No body or head angle was estimated."),))
+    note = (
+        "Shows whom you choose, here, in the replay or in the table of people. A click takes the replay to "
+        "that time; drag to move, ctrl + wheel to zoom, double-click to fit."
+    )
+    return Section("Body and head", (Chart("angles", "Orientation over time", note),))
+
+
+def _methods_section(
+    comparison: Records | None, consistency: Records | None, calibration: Records | None
+) -> Section:
+    items: list[DataTable | Picture] = []
+    if comparison is not None:
+        words = "Error of each method: the median, and its spread over the tracks"
+        table = DataTable.from_records("Comparison of methods", comparison)
+        items += [Picture(words, plot_errors(comparison)), table]
+    if consistency is not None:
+        words = "Consistency: the mean NEES of each method, and the 95 % band it should lie in"
+        items += [Picture(words, plot_nees(consistency)), DataTable.from_records("Consistency", consistency)]
+    if calibration is not None:
+        words = "Reliability: how often the truth lies inside an interval, against the probability it states"
+        items.append(Picture(words, plot_reliability(calibration)))
+    return Section("Methods", tuple(items))
+
+
+def _cards(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> tuple[Card, ...]:
+    frames = sum(len(pair.estimate) for pair in pairs)
+    times = [pair.estimate.t for pair in pairs]
+    seconds = max(t[-1] for t in times) - min(t[0] for t in times) if times else 0.0
+    cards = [Card("People", str(len(pairs))), Card("Person-frames", f"{frames:,}".replace(",", "\u202f"))]
+    cards.append(Card("Duration", f"{seconds:.1f} s"))
+    seen = [pair.seen for pair in pairs if pair.seen is not None]
+    if seen:
+        cards.append(Card("Observed", f"{100.0 * np.concatenate(seen).mean():.1f} %", "of the person-frames"))
+    for column, label, unit in (
+        ("position RMSE (m)", "Position error", "m"),
+        ("body error (°)", "Body error", "°"),
+        ("head error (°)", "Head error", "°"),
+    ):
+        known = [value for e in errors if (value := e[column]) is not None]
+        if known:
+            cards.append(Card(label, f"{np.median(known):.3g} {unit}", "median over people"))
+    return tuple(cards)
+
+
+def person_errors(pair: Pair) -> PersonErrors:
+    """Errors of one person in position (root mean square, metres) and angles (mean, degrees).
+
+    None where the truth is not known.
+    """
+    truth = replace(
+        pair.estimate,
+        true_position=pair.true_position,
+        true_body=pair.true_body,
+        true_head=pair.true_head,
+    )
+    errors = {"position RMSE (m)": position_rmse(pair.estimate, truth)}
+    errors |= {f"{name} error (°)": angular_error(pair.estimate, truth, name) for name in ANGLES}
+    return {name: error if np.isfinite(error) else None for name, error in errors.items()}
+
+
+def _median_radius(pair: Pair) -> float | None:
+    if pair.estimate.covariance is None:
+        return None
+    radius = probability_ellipse(pair.estimate.covariance[:, :2, :2]).semi_major
+    radius = radius[np.isfinite(radius)]
+    return float(np.median(radius)) if radius.size else None
+
+
+def _median_degrees(std: Any) -> float | None:
+    std = None if std is None else std[np.isfinite(std)]
+    return None if std is None or not std.size else float(np.degrees(np.median(std)))
+
+
+def _is_known(values: FloatArray | None) -> bool:
+    return values is not None and bool(np.isfinite(values).any())
 
 
 def write_report(
@@ -39,7 +295,8 @@ def write_report(
     tracks : estimates, or observations as they are
     observations : what was estimated from, matched by ``track_id``
     groups : of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
-    attention : of `graphtrack.behaviour.attention.attention`, or the file that ``graphtrack attention`` wrote
+    attention : of `graphtrack.interaction.attention.attention`, or the file that
+        ``graphtrack attention`` wrote
     forecast : of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
     places : what else is looked at, or the file that says where it is
     title, subtitle : at the top

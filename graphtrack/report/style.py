@@ -3,17 +3,25 @@
 The colours are those of Okabe & Ito (2008), which people with any common colour blindness can tell apart.
 Three of them are kept for body, head and velocity; people get the others and, since those repeat, a pattern
 of dashes and an id beside their path.
+
+Shapes behind the pictures: uncertainty ellipses, and curves and bands on the circle cut at ±π.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
-from graphtrack.display import BODY_COLOUR, HEAD_COLOUR, PERSON_COLOURS, VELOCITY_COLOUR
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, ndtri
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR, PERSON_COLOURS, VELOCITY_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
 
 TRUTH_COLOUR: Final = "#000000"
 NEUTRAL_COLOUR: Final = "#5F6672"
@@ -71,3 +79,133 @@ def tidy(axes: Axes, *, grid: str = "both") -> None:
     for side in ("left", "bottom"):
         axes.spines[side].set_color("#9AA1AB")
     axes.tick_params(color="#9AA1AB", labelsize=9)
+
+
+NORMAL_95 = float(ndtri(0.975))
+"""Half-width of the central 95 % interval of a normal variable, in standard deviations."""
+
+
+class Ellipse(NamedTuple):
+    """Semi-axes (metres) and the angle of the major one from +x (radians), each of the shape of the batch."""
+
+    semi_major: FloatArray
+    semi_minor: FloatArray
+    angle: FloatArray
+
+
+class Band(NamedTuple):
+    """One unbroken piece of a band: times (seconds) and its lower and upper edge (radians), each (m,)."""
+
+    t: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+def probability_ellipse(covariance: FloatArray, probability: float = 0.95) -> Ellipse:
+    """The ellipse that holds a 2-D Gaussian with the given probability.
+
+    Parameters
+    ----------
+    covariance : (..., 2, 2) square metres; NaN gives a NaN ellipse
+    probability : between 0 and 1
+    """
+    xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    # Closed form: unlike an eigenvalue routine it takes NaN and needs no loop.
+    middle, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
+    scale = chdtri(2, 1.0 - probability)
+    return Ellipse(
+        semi_major=np.sqrt(scale * np.maximum(middle + spread, 0.0)),
+        semi_minor=np.sqrt(scale * np.maximum(middle - spread, 0.0)),
+        angle=np.arctan2(2.0 * xy, xx - yy) / 2.0,
+    )
+
+
+def finite_runs(finite: NDArray[np.bool_]) -> list[slice]:
+    """The maximal runs of True."""
+    edges = np.diff(np.concatenate([[0], np.asarray(finite, dtype=int), [0]]))
+    starts, stops = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0]
+    return [slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
+
+
+def longest_step(t: FloatArray) -> float:
+    """Seconds between samples beyond which a track has a hole: nothing is drawn as known in between."""
+    return max(0.5, 2.5 * float(np.median(np.diff(t)))) if len(t) > 1 else 0.5
+
+
+def open_holes(t: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
+    """Insert a missing value into every hole of a track, so that lines and bands end there.
+
+    Parameters
+    ----------
+    t : (n,) seconds
+    values : any number of (n,) series
+
+    Returns
+    -------
+    t and the series, each (n + number of holes,)
+    """
+    if len(t) < 2:
+        return (t, *values)
+    before = np.nonzero(np.diff(t) > longest_step(t))[0]
+    middle = (t[before] + t[before + 1]) / 2.0
+    return (np.insert(t, before + 1, middle), *(np.insert(v, before + 1, np.nan) for v in values))
+
+
+def break_at_seam(t: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cut a curve of wrapped angles wherever it passes ±π, so that drawing it crosses no seam.
+
+    Each passage becomes a point on the one edge, a NaN, and a point on the other edge, at the time
+    where the straight path between the two samples meets the edge.
+
+    Parameters
+    ----------
+    t : (n,) seconds
+    angle : (n,) radians in (−π, π], NaN where unknown
+
+    Returns
+    -------
+    t, angle : (m,) with m = n + 3 × the number of passages
+    """
+    if len(t) < 2:
+        return np.array(t, dtype=float), np.array(angle, dtype=float)
+    step = np.diff(angle)
+    before = np.nonzero(np.abs(step) > np.pi)[0]
+    edge = np.where(step[before] < 0.0, np.pi, -np.pi)
+    travelled = np.abs(edge - angle[before])
+    whole = 2.0 * np.pi - np.abs(step[before])
+    fraction = np.divide(travelled, whole, out=np.zeros_like(whole), where=whole > 0.0)
+    crossing = t[before] + fraction * (t[before + 1] - t[before])
+    where = np.repeat(before + 1, 3)
+    new_t = np.repeat(crossing, 3)
+    new_angle = np.stack([edge, np.full_like(edge, np.nan), -edge], axis=1).ravel()
+    return np.insert(t, where, new_t), np.insert(angle, where, new_angle)
+
+
+def angle_bands(t: FloatArray, angle: FloatArray, half_width: FloatArray) -> list[Band]:
+    """The band ``angle ± half_width`` on the circle, as pieces that lie within [−π, π].
+
+    A band that reaches over one edge comes in at the other. Half-widths stop at π: the whole circle.
+
+    Parameters
+    ----------
+    t : (n,) seconds
+    angle, half_width : (n,) radians, NaN where unknown
+    """
+    pieces = []
+    for run in finite_runs(np.isfinite(angle) & np.isfinite(half_width)):
+        centre, half = np.unwrap(angle[run]), np.minimum(half_width[run], np.pi)
+        lower, upper = centre - half, centre + half
+        first = int(np.ceil((-np.pi - upper.max()) / (2.0 * np.pi)))
+        last = int(np.floor((np.pi - lower.min()) / (2.0 * np.pi)))
+        for turn in range(first, last + 1):
+            shifted_lower = np.clip(lower + 2.0 * np.pi * turn, -np.pi, np.pi)
+            shifted_upper = np.clip(upper + 2.0 * np.pi * turn, -np.pi, np.pi)
+            inside = shifted_upper > shifted_lower
+            # One sample more on each side closes the piece at the edge it leaves through.
+            inside = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
+            pieces += [
+                Band(t[run][part], shifted_lower[part], shifted_upper[part])
+                for part in finite_runs(inside)
+                if part.stop - part.start > 1
+            ]
+    return pieces

@@ -16,10 +16,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosidl_runtime_py.utilities import get_message
 
 from graphtrack.errors import GraphtrackError
-from graphtrack.ros.definitions import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
-from graphtrack.ros.estimates import gaze_message, group_message, header_of
+from graphtrack.io.formats.ros_bag import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
+from graphtrack.io.formats.ros_writing import TOPICS, gaze_message, group_message, header_of, message_for
 from graphtrack.ros.live import Live, Told
-from graphtrack.ros.writing import TOPICS, message_for
 
 _DEPTH = 10
 _PARAMETERS = {

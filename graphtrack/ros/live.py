@@ -9,18 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.behaviour.online_attention import OnlineAttention
-from graphtrack.behaviour.online_groups import OnlineGroups
 from graphtrack.inference.online import Estimate, OnlineSmoother
+from graphtrack.interaction.attention import OnlineAttention
+from graphtrack.interaction.groups import OnlineGroups
+from graphtrack.io.formats.ros_bag import IDS, SECOND, frame_of
+from graphtrack.io.formats.ros_reading import Ground, Humans, Seen, Transforms
+from graphtrack.io.formats.ros_writing import Person, person_of, quantities_of
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
-from graphtrack.ros.definitions import IDS
-from graphtrack.ros.estimates import Person, person_of, quantities_of
-from graphtrack.ros.ground import Ground, Seen
-from graphtrack.ros.humans import Humans
-from graphtrack.ros.messages import SECOND, frame_of
-from graphtrack.ros.transforms import Transforms
-from graphtrack.smoothing.tracker import OnlineTracker
+from graphtrack.smoothing import OnlineTracker
 
 _GONE = 5.0
 """Seconds without a sight of somebody with a name after which they are forgotten."""
@@ -72,7 +69,7 @@ class Live:
 
     Parameters
     ----------
-    kind : the type of the messages, one of `graphtrack.ros.definitions.OF_PEOPLE`
+    kind : the type of the messages, one of `graphtrack.io.formats.ros_bag.OF_PEOPLE`
     model, lag : as in `OnlineSmoother`
     fixed_frame : to which tf brings all places; None: that of the messages
     behaviour : whether groups and looks are told

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import LARGEST_ID
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scale.dataset import Dataset
-from graphtrack.table.columns import check_integers
+from graphtrack.tracks.table import check_integers
+from graphtrack.tracks.validation import LARGEST_ID
 
 RUN = 4
 """Batches whose rows are sorted in memory at a time."""

@@ -9,28 +9,24 @@ from typing import Literal
 
 import numpy as np
 
-from graphtrack.bounds import INPUT
-from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
-from graphtrack.inference.chain.engine import is_large
+from graphtrack.inference.chain.batch import is_large
 from graphtrack.inference.engines import engine_of
-from graphtrack.inference.solution import OfflineEngine
+from graphtrack.inference.result import OfflineEngine
 from graphtrack.inference.warm import make_solver_ready
-from graphtrack.io.atomic import atomic_path
+from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.places import check_distinct
 from graphtrack.model import Model
-from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
-from graphtrack.scale.cluster import smooth_on_cluster
-from graphtrack.scale.dataset import Dataset, open_dataset
+from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
-from graphtrack.scale.writer import ShardWriter
-from graphtrack.table.columns import check_names
-from graphtrack.table.schema import in_order
-from graphtrack.table.speeds import Speeds
+from graphtrack.scale.workers import Batch, Shard, Work, smooth_batch, smooth_on_cluster
+from graphtrack.tracks.display import listed
+from graphtrack.tracks.schema import in_order
+from graphtrack.tracks.table import check_names
+from graphtrack.tracks.validation import INPUT, Speeds
 
 
 @dataclass(frozen=True)

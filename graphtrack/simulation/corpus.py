@@ -16,7 +16,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 NUMERALS = ("i", "ii", "iii", "iv", "v", "vi", "vii")
 """The behaviours, as Baxter et al. (2014) number them: i is straight, ii–vii avoid an obstacle."""

@@ -1,14 +1,26 @@
-"""Simulated people who cross a place, alone or in pairs, and stop now and then: to tune trackers on."""
+"""Simulated people who cross a place, alone or in pairs, and stop now and then: to tune trackers on.
+
+Pedestrians that are not drawn from the model: they walk, turn, stop and look aside by a schedule.
+
+Parameters and uncertainties of the model are judged on them. Nothing here uses the model's densities: speeds
+and courses are piecewise smooth functions of time, the body follows the course with a lag, the head turns
+ahead of it, and a glance adds an angle of its own. Walking paces follow Daamen & Hoogendoorn (2007) and hip
+sway Murray et al. (1964); glances and stops are choices.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.geometry.angles import FloatArray, unit, wrap
+from graphtrack.simulation.degrade import add_noise
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import check_numbers, number
 
 _GRID = 0.1
 """Seconds a step of the walks."""
@@ -131,3 +143,217 @@ def _seen(path: FloatArray, start: float, identity: int, seconds: float, fps: fl
         return None
     position = np.column_stack([np.interp(frame / fps, own, column) for column in path.T])
     return Track(identity, frame, frame / fps, position)
+
+
+_STROLLER_GRID = 0.02
+"""Seconds between samples of a path before it is observed."""
+
+_FARTHEST = np.radians(120.0)
+"""Of a turn on the spot: the other way round would be as likely beyond."""
+
+
+@dataclass(frozen=True)
+class StrollerParameters:
+    """Habits of simulated pedestrians.
+
+    Attributes
+    ----------
+    speed, speed_std : m/s, mean and 1-σ between people
+    fastest_turn : rad/s of the course, at most
+    turns_per_minute, stops_per_minute, glances_per_minute : mean number
+    stop_low, stop_high : seconds that somebody stands, uniform
+    glance_low, glance_high : seconds that a glance lasts, uniform
+    glance_std : radians, 1-σ of the angle of a glance, at most 90°
+    head_lead : seconds by which the head turns ahead of the course
+    body_lag : seconds by which the body turns after it
+    sidesteps_per_minute : mean number of stretches that are walked sideways or backwards
+    """
+
+    speed: float = number(1.3, 0.1, 3.0, "m/s")
+    speed_std: float = number(0.2, 0.0, 1.0, "m/s")
+    fastest_turn: float = number(1.8, 0.0, 10.0, "rad/s")
+    turns_per_minute: float = number(10.0, 0.0, 60.0)
+    stops_per_minute: float = number(4.5, 0.0, 60.0)
+    stop_low: float = number(2.0, 0.0, 60.0, "s")
+    stop_high: float = number(6.0, 0.0, 60.0, "s")
+    glances_per_minute: float = number(4.0, 0.0, 60.0)
+    glance_low: float = number(1.0, 0.1, 60.0, "s")
+    glance_high: float = number(3.0, 0.1, 60.0, "s")
+    glance_std: float = number(float(np.radians(45.0)), 0.0, np.pi, "rad")
+    head_lead: float = number(0.25, 0.0, 2.0, "s")
+    body_lag: float = number(0.15, 0.0, 2.0, "s")
+    sidesteps_per_minute: float = number(0.0, 0.0, 60.0)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+
+def strollers(
+    rng: np.random.Generator,
+    parameters: StrollerParameters | None = None,
+    *,
+    people: int = 16,
+    seconds: float = 30.0,
+    fps: float = 10.0,
+    position_std: float = 0.15,
+    body_std: float | None = float(np.radians(40.0)),
+    head_std: float | None = float(np.radians(30.0)),
+    turned: float = 0.05,
+    declared: bool = True,
+) -> TrackSet:
+    """Pedestrians with their truth, observed with noise.
+
+    Raise InputError for a number outside its range.
+
+    Parameters
+    ----------
+    rng : source of the people and of the noise
+    people, seconds, fps : number of tracks, their length and frames a second
+    position_std : metres, 1-σ of each axis
+    body_std, head_std : radians, 1-σ of the observed angles (κ = 1/σ²); None: not observed
+    turned : share of observed angles that are turned by 180°
+    declared : whether the tracks state the noise of their angles; else the model's defaults stand
+    """
+    if people < 1 or not (np.isfinite(seconds * fps) and seconds > 0.0 and fps > 0.0):
+        raise InputError(f"{people} people, {seconds!r} s at {fps!r} Hz", "positive numbers")
+    if not 0.0 <= turned <= 1.0:
+        raise InputError(f"turned = {turned!r}", "a share from 0 to 1")
+    habits = StrollerParameters() if parameters is None else parameters
+    truth = TrackSet(tuple(_stroll(k + 1, habits, seconds, fps, rng) for k in range(people)))
+    body_kappa, head_kappa = (None if std is None else 1.0 / std**2 for std in (body_std, head_std))
+    noisy = add_noise(truth, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)
+    return noisy.map(
+        lambda track: _observed(track, body_std is not None, head_std is not None, turned, declared, rng)
+    )
+
+
+def _observed(
+    track: Track, body: bool, head: bool, turned: float, declared: bool, rng: np.random.Generator
+) -> Track:
+    """The track with some angles turned, and without those that are not observed."""
+    changed: dict[str, Any] = {}
+    for name, seen in (("body", body), ("head", head)):
+        angles = getattr(track, name)
+        over = np.pi * (rng.random(len(track)) < turned)
+        changed[name] = wrap(angles + over) if seen else None
+        if not (seen and declared):
+            changed[f"{name}_kappa"] = None
+    return replace(track, **changed)
+
+
+def full_turns_too_many(estimate: Track, truth: Track, seconds: float = 1.0) -> tuple[int, int]:
+    """Stops over which the estimated body turns by 180° more than in truth, and all stops.
+
+    From ``seconds`` before a stop to as many after, each turn unwrapped from frame to frame. Without a body,
+    or a truth of it, there are none.
+    """
+    if estimate.body is None or truth.true_body is None:
+        return 0, 0
+    found, true, t, wrong = np.unwrap(estimate.body), np.unwrap(truth.true_body), truth.t, 0
+    stops = standing(truth)
+    for begin, end in stops:
+        first, last = np.searchsorted(t, [t[begin] - seconds, t[end - 1] + seconds])
+        last = min(last, len(t) - 1)
+        wrong += abs(found[last] - found[first]) - abs(true[last] - true[first]) > np.pi
+    return int(wrong), len(stops)
+
+
+def standing(track: Track, least: float = 1.5, slowest: float = 0.05) -> list[tuple[int, int]]:
+    """Stretches of frames, first and one past the last, in which the true position rests.
+
+    Parameters
+    ----------
+    least : seconds that a stretch lasts at least
+    slowest : m/s below which somebody stands
+    """
+    if track.true_position is None or len(track) < 2:
+        return []
+    speed = np.linalg.norm(np.gradient(track.true_position, track.t, axis=0), axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed < slowest).astype(int), [0]])))
+    return [
+        (begin, end)
+        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+        if track.t[end - 1] - track.t[begin] >= least
+    ]
+
+
+def _stroll(
+    track_id: int, habits: StrollerParameters, seconds: float, fps: float, rng: np.random.Generator
+) -> Track:
+    """One person's truth, sampled at the frames."""
+    # A beginning that is cut off, so that tracks begin in the middle of something.
+    before = 5.0
+    t = np.arange(0.0, seconds + 2.0 * before, _STROLLER_GRID)
+    own = max(habits.speed + habits.speed_std * float(rng.standard_normal()), 0.2)
+    moving = np.ones_like(t)
+    course = np.full_like(t, rng.uniform(-np.pi, np.pi))
+    walks_from = 0.0
+    for begin in _times(t, habits.stops_per_minute, rng):
+        length = rng.uniform(habits.stop_low, habits.stop_high)
+        if begin < walks_from:
+            continue
+        walks_from = begin + length + 2.0
+        moving = np.minimum(moving, 1.0 - _ramp(t, begin - 0.7, 0.7) + _ramp(t, begin + length, 0.7))
+        # The way on is another; the turn is made on the spot before the first step.
+        onward = np.clip(rng.normal(0.0, np.radians(50.0)), -_FARTHEST, _FARTHEST)
+        course += onward * _ramp(t, begin + length - 1.2, 1.2)
+    for begin in _times(t, habits.turns_per_minute, rng):
+        rate, length = rng.uniform(0.4, 1.0) * habits.fastest_turn, rng.uniform(0.5, 2.0)
+        way = rng.choice([-1.0, 1.0])
+        if moving[(t > begin - 1.0) & (t < begin + length + 1.0)].all():
+            course += way * rate * length * _ramp(t, begin, length)
+    aside = np.zeros_like(t)
+    for begin in _times(t, habits.sidesteps_per_minute, rng):
+        angle = rng.choice([-90.0, 90.0, 180.0]) * np.pi / 180.0
+        length = rng.uniform(3.0, 8.0)
+        aside += angle * (_ramp(t, begin, 0.8) - _ramp(t, begin + length, 0.8))
+    glance = np.zeros_like(t)
+    for begin in _times(t, habits.glances_per_minute, rng):
+        length = rng.uniform(habits.glance_low, habits.glance_high)
+        angle = np.clip(habits.glance_std * rng.standard_normal(), -0.5 * np.pi, 0.5 * np.pi)
+        glance += angle * (_ramp(t, begin, 0.3) - _ramp(t, begin + length - 0.3, 0.3))
+    phase, pace = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.85, 1.05)
+    step = moving * np.sin(2.0 * np.pi * pace * t + phase)
+    wander = np.radians(4.0) * _smooth_noise(t, 2.0, rng)
+    velocity = (own * moving * (1.0 + 0.05 * _smooth_noise(t, 3.0, rng)))[:, None] * unit(course + wander)
+    path = np.cumsum(velocity * _STROLLER_GRID, axis=0) + 0.02 * step[:, None] * unit(course + 0.5 * np.pi)
+    body = _lagged(course + wander, habits.body_lag) - aside + np.radians(4.0) * step
+    ahead = np.interp(t + habits.head_lead, t, course)
+    head = _lagged(ahead, 0.1) - aside + glance + np.radians(3.0) * _smooth_noise(t, 1.0, rng)
+    frame = np.arange(round(seconds * fps))
+    at = before + frame / fps
+    body, head = np.interp(at, t, body), np.interp(at, t, head)
+    position = np.stack([np.interp(at, t, column) for column in path.T], axis=1)
+    return Track(
+        track_id, frame, frame / fps, position - position.mean(axis=0), body=wrap(body), head=wrap(head)
+    )
+
+
+def _times(t: FloatArray, per_minute: float, rng: np.random.Generator) -> list[float]:
+    """Moments of a Poisson process over the times ``t``."""
+    seconds = float(t[-1] - t[0])
+    found: list[float] = np.sort(rng.uniform(t[0], t[-1], rng.poisson(per_minute * seconds / 60.0))).tolist()
+    return found
+
+
+def _ramp(t: FloatArray, begin: float, length: float) -> FloatArray:
+    """From 0 to 1 within ``length`` seconds, as half a cosine."""
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip((t - begin) / length, 0.0, 1.0))
+
+
+def _lagged(angle: FloatArray, lag: float) -> FloatArray:
+    """Unwrapped angles through a first-order lag of so many seconds."""
+    if lag == 0.0:
+        return angle
+    keep = float(np.exp(-_STROLLER_GRID / lag))
+    followed: FloatArray = angle[0] + lfilter([1.0 - keep], [1.0, -keep], angle - angle[0])
+    return followed
+
+
+def _smooth_noise(t: FloatArray, seconds: float, rng: np.random.Generator) -> FloatArray:
+    """A stationary Gaussian course of variance 1 whose correlation time is ``seconds``."""
+    keep = float(np.exp(-_STROLLER_GRID / seconds))
+    white = np.sqrt(1.0 - keep**2) * rng.standard_normal(len(t))
+    white[0] = rng.standard_normal()
+    course: FloatArray = lfilter([1.0], [1.0, -keep], white)
+    return course

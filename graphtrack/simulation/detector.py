@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import LARGEST_ID, check_positive
-from graphtrack.display import counted
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, wrap
-from graphtrack.io.given import tracks_of
+from graphtrack.io.read_write import tracks_of
 from graphtrack.simulation.degrade import OBSERVED, add_noise, motion, withhold
-from graphtrack.table.detections import with_those_between
-from graphtrack.tracks import Track, TrackSet, to_columns
+from graphtrack.tracks.detections import with_those_between
+from graphtrack.tracks.display import counted
+from graphtrack.tracks.track import Track, TrackSet, to_columns
+from graphtrack.tracks.validation import LARGEST_ID, check_positive
 
 if TYPE_CHECKING:
-    from graphtrack.io.given import Given
+    from graphtrack.io.read_write import Given
 
 FALSE = "false"
 """Label of a false detection, where identities are kept."""

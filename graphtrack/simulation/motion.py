@@ -1,15 +1,31 @@
-"""Velocities and positions sampled from the motion terms, at a walking pace if wanted."""
+"""Velocities and positions sampled from the motion terms, at a walking pace if wanted.
+
+Velocities of people whose body and head are coupled to the motion.
+
+Body and head angles sampled from the graph's own density: chains that diffuse under von Mises pulls.
+
+The density is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})), as the factor graph has it:
+nothing is normalised step by step. Messages run back from the last frame on a grid around the circle; then
+the course is drawn forward, each angle given the one before and all that is to come.
+
+Body and head sampled from the graph's own density given the motion: couplings, modes and steering.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.model import MotionParameters, Parameters
+from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
+from graphtrack.model import CouplingParameters, GaitParameters, Model, MotionParameters, Parameters
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.gait import BINS, gait_of
+from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import smooth_speed, steered_step
+from graphtrack.packages import special
 
 SCENE_SIZE = 20.0
 """Metres: tracks begin anywhere in a square of this side around the origin."""
@@ -149,3 +165,351 @@ def sample_positions(
     moved += np.sqrt(left) * rng.standard_normal(moved.shape)
     position[:, 1:] = position[:, :1] + np.cumsum(moved, axis=1)
     return position
+
+
+FEWEST_BINS, MOST_BINS = 240, 3840
+_FEWEST_CELLS = 240
+_REACH = 8.0
+"""Standard deviations of a turn to each side that the candidates of the next angle lie in."""
+_FLOOR = 1e-14
+"""Of a message, relative to its greatest value: what lies below is the noise of the Fourier transform."""
+_MEMORY = 2**28
+"""Bytes of messages that are held at a time."""
+
+
+def sample_course(t: FloatArray, diffusion: float, pull: np.ndarray, rng: np.random.Generator) -> FloatArray:
+    """Angles (n_tracks, n) in radians, in (−π, π], at the times ``t`` (n,) seconds.
+
+    Parameters
+    ----------
+    diffusion : rad²/s; the concentration of a step of Δt is 1/(diffusion·Δt)
+    pull : (n_tracks, n) complex: concentration times e^{i·angle} of the von Mises that pulls each frame; 0:
+        nothing does. Without any the first angle is uniform
+    """
+    n_tracks, n = pull.shape
+    kappa = 1.0 / (diffusion * np.diff(t))
+    if not np.any(pull):
+        turns = rng.vonmises(0.0, np.broadcast_to(kappa, (n_tracks, n - 1)))
+        first = rng.uniform(-np.pi, np.pi, (n_tracks, 1))
+        return wrap(np.cumsum(np.hstack([first, turns]), axis=1))
+    bins = _bins(np.abs(pull), kappa)
+    together = max(1, _MEMORY // (4 * n * bins))
+    parts = [pull[a : a + together] for a in range(0, n_tracks, together)]
+    return np.concatenate([_sample(part, kappa, bins, rng) for part in parts])
+
+
+def _bins(pull: FloatArray, kappa: FloatArray) -> int:
+    """Bins that resolve the narrowest message: one a standard deviation is enough for the transform."""
+    narrowest = float(pull.max())
+    if len(kappa):
+        # Where pulls come at a steady rate their messages are as narrow as √(pull·κ).
+        narrowest += math.sqrt(float((pull[:, 1:] * kappa).max()))
+    wanted = 2.0 * np.pi * math.sqrt(narrowest)
+    return int(min(FEWEST_BINS * 2 ** max(0, math.ceil(math.log2(wanted / FEWEST_BINS))), MOST_BINS))
+
+
+def _sample(pull: np.ndarray, kappa: FloatArray, bins: int, rng: np.random.Generator) -> FloatArray:
+    messages = _messages(pull, kappa, bins)
+    n_tracks, n = pull.shape
+    width = 2.0 * np.pi / bins
+    angles = np.empty((n_tracks, n))
+    place = _drawn(messages[0], rng)
+    angles[:, 0] = width * place
+    rows = np.arange(n_tracks)[:, None]
+    for k in range(1, n):
+        reach = min(np.pi, _REACH / math.sqrt(kappa[k - 1]))
+        count = max(_FEWEST_CELLS, round(bins * reach / np.pi))
+        turn = reach * ((2.0 * np.arange(count) + 1.0) / count - 1.0)
+        at = (angles[:, k - 1, None] + turn) / width
+        below = np.floor(at)
+        share = at - below
+        index = below.astype(np.int64) % bins
+        row = messages[k]
+        ahead = (1.0 - share) * row[rows, index] + share * row[rows, (index + 1) % bins]
+        chosen = _drawn(ahead + kappa[k - 1] * (np.cos(turn) - 1.0), rng)
+        angles[:, k] = angles[:, k - 1] + reach * ((2.0 * chosen + 1.0) / count - 1.0)
+    return wrap(angles)
+
+
+def _drawn(log_weight: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """A cell of each row (m, cells), and a place within it: its number, give or take a half."""
+    reached = np.cumsum(np.exp(log_weight - log_weight.max(axis=1, keepdims=True)), axis=1)
+    chosen = (reached < rng.random((len(reached), 1)) * reached[:, -1:]).sum(axis=1)
+    return chosen + rng.uniform(-0.5, 0.5, len(chosen))
+
+
+def _messages(pull: np.ndarray, kappa: FloatArray, bins: int) -> np.ndarray:
+    """Logarithms (n, n_tracks, bins) of what each frame and all after it say of its angle."""
+    n_tracks, n = pull.shape
+    angle = 2.0 * np.pi * np.arange(bins) / bins
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    messages = np.empty((n, n_tracks, bins), np.float32)
+    order = np.arange(bins // 2 + 1)
+    damping = {one: _fourier(order, one) for one in np.unique(kappa).tolist()}
+    ahead = np.zeros((n_tracks, bins))
+    for k in range(n - 1, -1, -1):
+        if k < n - 1:
+            spread = np.fft.irfft(np.fft.rfft(np.exp(ahead)) * damping[float(kappa[k])], bins)
+            ahead = np.log(np.maximum(spread, _FLOOR * spread.max(axis=1, keepdims=True)))
+        ahead = ahead + np.stack([pull[:, k].real, pull[:, k].imag], axis=1) @ circle
+        ahead -= ahead.max(axis=1, keepdims=True)
+        messages[k] = ahead
+    return messages
+
+
+def _fourier(order: np.ndarray, kappa: float) -> FloatArray:
+    """Fourier coefficients I_m(κ)/I_0(κ) of a von Mises density."""
+    if kappa > 1e5:  # a wrapped normal, where Bessel functions of high orders are not to be had
+        return np.exp(-0.5 * order**2 / kappa)
+    return np.asarray(special.ive(order, kappa) / special.ive(0, kappa))
+
+
+_SWEEPS = 2
+"""Gibbs sampling begins where it nearly ends: head and body hold each other loosely beside the rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModeCourse:
+    """Modes of one coupling, frame by frame.
+
+    Attributes
+    ----------
+    aligned : (n_tracks, n) whether the coupling rests near 0
+    glancing : (n_tracks, n) whether it rests at the angle of a glance
+    offset : (n_tracks, n) radians at which it rests
+    strength : (n_tracks, n) multiple of its κ
+    lead : seconds by which it looks ahead
+    """
+
+    aligned: np.ndarray
+    glancing: np.ndarray
+    offset: FloatArray
+    strength: FloatArray
+    lead: float
+
+
+class Modes(NamedTuple):
+    """The modes of both couplings."""
+
+    body: ModeCourse
+    head: ModeCourse
+
+    @property
+    def ahead(self) -> FloatArray:
+        """Cosine (n_tracks, n) of heads to the motion, from 0 to 1: so far they steer it.
+
+        A glance does not.
+        """
+        along = np.maximum(np.cos(self.body.offset + self.head.offset), 0.0)
+        return np.where(self.head.glancing, 0.0, along)
+
+
+def without_modes(n_tracks: int, n: int) -> Modes:
+    """Couplings as Chen et al. (2011) have them: at rest at 0, without a lead."""
+    always = np.ones((n_tracks, n), bool)
+    course = ModeCourse(always, ~always, np.zeros((n_tracks, n)), np.ones((n_tracks, n)), 0.0)
+    return Modes(course, course)
+
+
+def sample_modes(t: FloatArray, n_tracks: int, gait: GaitParameters, rng: np.random.Generator) -> Modes:
+    """Modes and offsets of both couplings at the times ``t`` (n,) seconds.
+
+    They begin as in the long run. At the rate ``switching`` both are drawn anew; the offset of the free mode
+    drifts, that of the aligned one stays. Heads glance aside for a while, and after that both are drawn anew.
+    """
+    return Modes(*(_modes_of(side, t, n_tracks, gait, rng) for side in ("body", "head")))
+
+
+def _modes_of(
+    side: str, t: FloatArray, n_tracks: int, parameters: GaitParameters, rng: np.random.Generator
+) -> ModeCourse:
+    names = ("aligned", "switching", "spread", "drift", "strength", "free_strength", "lead", "offset_kappa")
+    modes = getattr(gait_of(parameters), side)
+    around, nobody = 2.0 * np.pi * np.arange(BINS) / BINS, np.zeros(n_tracks, bool)
+    gait = {name: float(getattr(parameters, f"{side}_{name}")) for name in names}
+    n = len(t)
+    aligned, glancing = np.empty((n_tracks, n), bool), np.empty((n_tracks, n), bool)
+    offset = np.empty((n_tracks, n))
+    for k, dt in enumerate([np.inf, *np.diff(t).tolist()]):
+        near = rng.random(n_tracks) < gait["aligned"]
+        anew = np.where(
+            near,
+            gait["spread"] * rng.standard_normal(n_tracks),
+            rng.vonmises(0.0, gait["offset_kappa"], n_tracks),
+        )
+        glance = rng.choice(around, n_tracks, p=modes.glance)
+        # Two states that change at random, each at its rate; the long run to begin with.
+        before = glancing[:, k - 1] if k > 0 else nobody
+        changed = rng.random(n_tracks) < -np.expm1(-modes.glance_change * dt)
+        drawn = rng.random(n_tracks) < modes.glance_share
+        begins, ends = changed & drawn & ~before, changed & ~drawn & before
+        glancing[:, k] = (before & ~ends) | begins
+        if k == 0:
+            aligned[:, k], offset[:, k] = near & ~begins, np.where(begins, glance, anew)
+            continue
+        drifted = offset[:, k - 1] + np.sqrt(gait["drift"] * dt) * rng.standard_normal(n_tracks)
+        kept = np.where(aligned[:, k - 1] | before, offset[:, k - 1], drifted)
+        changes = ~before & (rng.random(n_tracks) < -np.expm1(-gait["switching"] * dt)) | ends
+        aligned[:, k] = np.where(changes, near, aligned[:, k - 1]) & ~begins
+        offset[:, k] = np.where(begins, glance, np.where(changes, anew, kept))
+    strength = np.where(aligned, gait["strength"], gait["free_strength"])
+    strength = np.where(glancing, modes.glance_strength, strength)
+    return ModeCourse(aligned, glancing, wrap(offset), strength, gait["lead"])
+
+
+def sample_orientations(
+    t: FloatArray,
+    velocity: FloatArray,
+    model: Model,
+    rng: np.random.Generator,
+    *,
+    modes: Modes | None = None,
+    rate: FloatArray | float = 0.0,
+) -> tuple[FloatArray, FloatArray]:
+    """Body and head (n_tracks, n) in radians, given the velocities (n_tracks, n, 2) in m/s.
+
+    The body is drawn from the density of its turns and of its coupling to the motion, over the whole chain;
+    then the head, from that of its turns, of its coupling to the body, and of the motion that it steers; then
+    both once more, the body given the head as well.
+
+    Parameters
+    ----------
+    model : whose terms say what is coupled, and whether the couplings have modes
+    modes : of both couplings; None: without
+    rate : λ in 1/s with which the head steers the motion, of all steps or of each, (n_tracks, n − 1)
+    """
+    parameters, (n_tracks, n) = model.parameters, velocity.shape[:2]
+    turning, coupling = parameters.orientation, parameters.coupling
+    body_modes, head_modes = without_modes(n_tracks, n) if modes is None else modes
+    weights = coupling.weights(np.concatenate([[0.0], np.diff(t)]))
+    of_motion, of_body = np.zeros((n_tracks, n), complex), np.zeros((n_tracks, n))
+    if model.has_term(BodyFollowsMotion):
+        course = np.angle(_leading(t, velocity[..., 0] + 1j * velocity[..., 1], body_modes.lead))
+        excess = np.maximum(np.linalg.norm(velocity, axis=-1) - coupling.speed_threshold, 0.0) ** 2
+        kappa = coupling.motion_body_kappa * body_modes.strength * excess
+        kappa = weights * _loosened(t, kappa, body_modes.lead, turning.body_diffusion)
+        of_motion = kappa * np.exp(1j * (course + body_modes.offset))
+    if model.has_term(HeadFollowsBody):
+        kappa = coupling.head_body_kappa * head_modes.strength
+        of_body = weights * _loosened(t, kappa, head_modes.lead, turning.body_diffusion)
+    steering = np.zeros((n_tracks, n), complex)
+    rate = np.broadcast_to(rate, (n_tracks, n - 1))
+    steering[:, :-1] = _steering(t, velocity, rate, parameters.motion.acceleration_density)
+
+    of_head = np.zeros((n_tracks, n), complex)
+    for _ in range(_SWEEPS if of_body.any() else 1):
+        body = sample_course(t, turning.body_diffusion, of_motion + of_head, rng)
+        target = _leading(t, np.unwrap(body, axis=1), head_modes.lead) + head_modes.offset
+        head = sample_course(t, turning.head_diffusion, of_body * np.exp(1j * target) + steering, rng)
+        of_head = _led(t, of_body * np.exp(1j * (head - head_modes.offset)), head_modes.lead)
+    return body, head
+
+
+def _leading(t: FloatArray, values: np.ndarray, lead: float) -> np.ndarray:
+    """Values (n_tracks, n) ``lead`` seconds after each frame, straight on between frames; the last beyond."""
+    if lead == 0.0:
+        return values
+    return np.stack([np.interp(t + lead, t, own) for own in values])
+
+
+def _led(t: FloatArray, pull: np.ndarray, lead: float) -> np.ndarray:
+    """Pulls (n_tracks, n) on what stands ``lead`` seconds after each frame, as pulls on the frames there."""
+    place = np.interp(t + lead, t, np.arange(len(t)))
+    at = place.astype(np.int64)
+    share, found = place - at, np.zeros_like(pull.T)
+    np.add.at(found, at, ((1.0 - share) * pull).T)
+    np.add.at(found, np.minimum(at + 1, len(t) - 1), (share * pull).T)
+    return found.T
+
+
+def _loosened(t: FloatArray, kappa: FloatArray, lead: float, diffusion: float) -> FloatArray:
+    """Concentrations (n_tracks, n) where the lead reaches past the end: so far the one may have turned."""
+    missing = np.maximum(lead - (t[-1] - t), 0.0)
+    return kappa / (1.0 + kappa * diffusion * missing)
+
+
+def _steering(t: FloatArray, velocity: FloatArray, rate: FloatArray, density: float) -> np.ndarray:
+    """Return the pulls of velocities on the heads that steered them, (n_tracks, n − 1)."""
+    before = velocity[:, :-1]
+    step = steered_step(np.broadcast_to(np.diff(t), rate.shape), rate)
+    gain = 1.0 - step.keep
+    turn = velocity[:, 1:] - step.keep[..., None] * before
+    strength = gain * smooth_speed(before) / (density * step.spread)
+    return strength * (turn[..., 0] + 1j * turn[..., 1])
+
+
+_CANDIDATES = 32
+
+
+def sample_coupled_velocity(
+    t: FloatArray,
+    modes: Modes,
+    parameters: Parameters,
+    rng: np.random.Generator,
+    *,
+    pace: float | None,
+    rate: FloatArray,
+    head_coupled: bool = True,
+) -> FloatArray:
+    """Velocities (n_tracks, n, 2) in m/s that the couplings have held to the body, and the head has steered.
+
+    A velocity is chosen among candidates of the motion terms by how well a body can follow it from where it
+    was. What is to come says of a body that is off the motion as much as it does in the long run: a von Mises
+    whose concentration the pulls and the diffusion balance. Body and head on the way are let go again, for
+    `sample_orientations` draws them given all velocities. Couplings do not slow people down here, as their
+    density would: only in its direction is the motion theirs.
+
+    ``rate``: λ in 1/s (n_tracks, n − 1) with which the head steers each step
+    """
+    motion, turning, coupling = parameters.motion, parameters.orientation, parameters.coupling
+    n_tracks, n = modes.body.offset.shape
+    start = first_velocity(n_tracks, motion, rng, pace)
+    velocity = np.empty((n_tracks, n, 2))
+    velocity[:, 0] = start.velocity
+    body = direction(start.velocity) + modes.body.offset[:, 0]
+    head = body + modes.head.offset[:, 0]
+    of_head = coupling.head_body_kappa if head_coupled else 0.0
+    rows = np.arange(n_tracks)
+    for k, dt in enumerate(np.diff(t).tolist(), start=1):
+        before = velocity[:, k - 1]
+        aim = (smooth_speed(before)[:, None] * unit(head))[:, None]
+        before = np.broadcast_to(before[:, None], (n_tracks, _CANDIDATES, 2))
+        found = next_velocity(before, aim, rate[:, k - 1, None], dt, start.pace, motion, rng)
+        weight = float(coupling.weights(dt))
+        body_kappa, head_kappa = 1.0 / (turning.body_diffusion * dt), 1.0 / (turning.head_diffusion * dt)
+        head_pull = _held(weight * of_head * modes.head.strength[:, k], turning.head_diffusion * dt)
+        # The head that was, and how it turns, say where the body is.
+        said = np.divide(1.0, 1.0 / np.maximum(head_pull, 1e-12) + 1.0 / head_kappa)
+        past = body_kappa * np.exp(1j * body) + said * np.exp(1j * (head - modes.head.offset[:, k]))
+        speed = np.linalg.norm(found, axis=-1)
+        pull = _body_pull(speed, weight, modes.body.strength[:, k, None], coupling)
+        relative = turning.body_diffusion + motion.acceleration_density / np.maximum(speed, 0.1) ** 2
+        pull = _held(pull, relative * dt)
+        course = direction(found) + modes.body.offset[:, k, None]
+        resultant = past[:, None] + pull * np.exp(1j * course)
+        size, known = np.abs(resultant), np.abs(past)[:, None]
+        # Against a body that agrees with the motion: how fast people go is no matter of the coupling.
+        fit = np.log(special.i0e(size)) + size - np.log(special.i0e(known + pull)) - known - pull
+        best = np.cumsum(np.exp(fit - fit.max(axis=1, keepdims=True)), axis=1)
+        one = (best < rng.random((n_tracks, 1)) * best[:, -1:]).sum(axis=1)
+        velocity[:, k] = found[rows, one]
+        chosen = resultant[rows, one]
+        body = rng.vonmises(np.angle(chosen), np.abs(chosen))
+        chosen = head_kappa * np.exp(1j * head) + head_pull * np.exp(1j * (body + modes.head.offset[:, k]))
+        head = rng.vonmises(np.angle(chosen), np.abs(chosen))
+    return velocity
+
+
+def _body_pull(
+    speed: FloatArray, weight: float, strength: FloatArray, coupling: CouplingParameters
+) -> FloatArray:
+    excess = np.maximum(speed - coupling.speed_threshold, 0.0)
+    return weight * coupling.motion_body_kappa * strength * excess**2
+
+
+def _held(pull: FloatArray, turned: FloatArray | float) -> FloatArray:
+    """Concentration of this frame's pull and of all to come, where a frame turns by the variance ``turned``.
+
+    It is the fixed point P of P = pull + 1/(1/P + turned).
+    """
+    return 0.5 * pull + np.sqrt(0.25 * pull**2 + pull / turned)

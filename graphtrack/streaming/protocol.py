@@ -1,21 +1,30 @@
-"""Rows of a stream as observations, and estimates as the answers to them."""
+"""Rows of a stream as observations, and estimates as the answers to them.
+
+Rows of a stream under names and in a unit of time of their own: each line in, each answer out.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from codecs import BOM_UTF8
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
-from graphtrack.bounds import APPEARANCE, INPUT
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrapped
 from graphtrack.inference.online import Estimate
-from graphtrack.io.readers.ndjson import Pairs, identity
+from graphtrack.io.column_names import with_synonyms
+from graphtrack.io.formats.ndjson import Pairs, identity, parse_line
+from graphtrack.io.options import Layout, ReadOptions
 from graphtrack.model import Observation
-from graphtrack.table.schema import in_order, numeric, unknown
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, STATE
+from graphtrack.tracks.schema import in_order, is_column, numeric, unknown
+from graphtrack.tracks.time import DAY, NANOSECONDS_IN
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
+from graphtrack.tracks.validation import APPEARANCE, INPUT
 
 LONGEST_LINE = 1 << 20
 """Bytes of a line; longer ones are refused."""
@@ -27,7 +36,7 @@ _NAMED = 100
 """Unknown keys that are told before it is enough."""
 
 
-class Told:
+class UnknownKeys:
     """Tells of keys that nothing is read from, once each.
 
     Parameters
@@ -161,3 +170,197 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     if estimate.reason:
         row["reason"] = estimate.reason
     return row
+
+
+_TIMES = ("t", "end")
+_DIGITS = 3
+"""Of a unit of time, but nanoseconds, which are whole: what an answer's time is rounded to, so that whole
+numbers are whole again."""
+
+ORIGIN = "time_origin"
+"""The origin's name among the settings of a state."""
+
+KNOWN = "known_names"
+"""The name there of whether columns were read by their well-known names."""
+
+Lines = Iterator[tuple[int, bytes]]
+"""Lines with their numbers, from 1."""
+
+
+Refuse = Callable[[int, bytes], None]
+"""Answers a line that cannot be read, given its number, before it is settled who answers the others."""
+
+
+def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] | None]:
+    """The lines from the first that can be read, and its cells; None if there is none.
+
+    Those before it are refused as they come: who sends them may wait for an answer before going on.
+    """
+    for number, line in lines:
+        try:
+            return chain([(number, line)], lines), dict(parse_line(text_of(line)))
+        except InputError:
+            refuse(number, line)
+    return iter(()), None
+
+
+@dataclass(frozen=True)
+class StreamNames:
+    """Names of a stream's columns, and the unit of its times.
+
+    Attributes
+    ----------
+    columns : name in the native table → name in the stream
+    unit : nanoseconds of a unit of time; those of a second leave times as they are
+    origin : nanoseconds at t = 0; see `beginning`
+    are_known : whether the columns were read by their well-known names, since nobody said what they are
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    unit: int = NANOSECONDS_IN["s"]
+    origin: int = 0
+    are_known: bool = False
+
+    @classmethod
+    def of(cls, layout: Layout) -> StreamNames:
+        """Of what was said of a table.
+
+        Raises
+        ------
+        InputError
+            For what a row alone cannot be read by: degrees of the earth, radians, columns for each person,
+            and text for times.
+        """
+        for key, name in layout.columns.items():
+            if not is_column(key) or name in layout.wild.values():
+                raise InputError(f"columns {key}={name} with -", "names of the native table's columns")
+        unit = layout.time_unit or "s"
+        if unit not in NANOSECONDS_IN:
+            raise InputError(f"--time-unit {unit} with -", f"one of {', '.join(NANOSECONDS_IN)}")
+        if layout.units is not None or layout.crs is not None:
+            raise InputError("--units or --crs with -", "rows in metres")
+        return cls(dict(layout.columns), NANOSECONDS_IN[unit])
+
+    def beginning(
+        self, lines: Lines, refuse: Refuse, note: Callable[[str], None]
+    ) -> tuple[Lines, StreamNames]:
+        """The lines, and the names and the origin that the first of them that can be read implies.
+
+        Columns of well-known names (`synonyms.SYNONYMS`) are read as in a file, unless it was said which
+        columns are which; ``note`` is told of it. The seconds of a stream that has another unit count from
+        the midnight (UTC) before it. That is taken off while times are whole numbers: a double that counts
+        from 1970 has no digits left below a microsecond.
+
+        Raises
+        ------
+        InputError
+            If two columns have well-known names of one meaning, or one in another unit than metres.
+        """
+        lines, given = with_first_row(lines, refuse)
+        if given is None:
+            return lines, self
+        names = self._with_synonyms(list(given), note)
+        if names._leaves_times:
+            return lines, names
+        time = next((given[name] for name in map(names._name, _TIMES) if _is_number(given.get(name))), 0)
+        since = time * names.unit
+        return lines, names.counting_from(int(since) // DAY * DAY if 0 < since < 2**63 else 0)
+
+    def _with_synonyms(self, given: list[str], note: Callable[[str], None]) -> StreamNames:
+        if self.columns:
+            return self
+        unit = None if self._leaves_times else next(u for u, n in NANOSECONDS_IN.items() if n == self.unit)
+        found, notes = with_synonyms(given, ReadOptions(time_unit=unit))
+        for text in notes:
+            note(text)
+        layout = found.layout() if found.columns else None
+        if layout is None:
+            return self
+        if layout.units is not None:
+            raise InputError(f"column {layout.columns['x']} with -", "a column of places in metres")
+        return replace(self.of(layout), are_known=True)
+
+    def going_on(self, saved: Mapping[str, Any]) -> StreamNames:
+        """The names of a stream that goes on, given the settings of its state."""
+        names, columns, per_second = self, saved.get("columns"), saved.get("per_second")
+        if saved.get(KNOWN) is True and not self.columns and isinstance(columns, dict):
+            unit = next((n for n in NANOSECONDS_IN.values() if 1e9 / n == per_second), self.unit)
+            names = StreamNames({str(key): str(name) for key, name in columns.items()}, unit, are_known=True)
+        origin = saved.get(ORIGIN)
+        return names.counting_from(origin if isinstance(origin, int) else 0)
+
+    def counting_from(self, origin: int) -> StreamNames:
+        """The same, of a stream whose seconds count from so many nanoseconds."""
+        return replace(self, origin=origin)
+
+    @property
+    def are_native(self) -> bool:
+        """Return True if nothing is called or measured otherwise than in the native table."""
+        return not self.columns and self._leaves_times
+
+    @property
+    def _leaves_times(self) -> bool:
+        return self.unit == NANOSECONDS_IN["s"]
+
+    def _name(self, key: str) -> str:
+        return self.columns.get(key, key)
+
+    def settings(self) -> dict[str, Any]:
+        """Settings that the answers depend on, for a state."""
+        found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
+        found |= {ORIGIN: self.origin} if self.origin else {}
+        return found | ({KNOWN: True} if self.are_known else {})
+
+    def native_lines(self, lines: Lines) -> Lines:
+        """Lines with their numbers, as the native table has them."""
+        if self.are_native:
+            return lines
+        return ((number, self.native(line)) for number, line in lines)
+
+    def native(self, line: bytes) -> bytes:
+        """A line as the native table has it; one that cannot be read stays, to be told of where rows are."""
+        try:
+            pairs = parse_line(text_of(line))
+        except InputError:
+            return line
+        meaning = {name: key for key, name in self.columns.items()}
+        found: list[tuple[str, Any]] = []
+        for name, value in pairs:
+            key = meaning.get(name, name)
+            if name not in meaning and name in self.columns:  # another column has that meaning
+                continue
+            found.append((key, self._seconds(value) if key in _TIMES else value))
+        # A key that stands twice must stay so: it is an error.
+        body = ", ".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in found)
+        return f"{{{body}}}\n".encode()
+
+    def _seconds(self, value: Any) -> Any:
+        if self._leaves_times or not _is_number(value):
+            return value
+        try:
+            if isinstance(value, int):
+                return (value * self.unit - self.origin) / 10**9
+            # The difference of two doubles of one size is exact; what a product would lose is not lost.
+            return (value - self.origin // self.unit) / (1e9 / self.unit)
+        except OverflowError:  # no time at all, which is told where rows are
+            return value
+
+    def restored(self, answer: Mapping[str, Any]) -> dict[str, Any]:
+        """An answer under the stream's own names, in its unit."""
+        return {self._name(key): self._value(key, value) for key, value in answer.items()}
+
+    def _value(self, key: str, value: Any) -> Any:
+        if isinstance(value, list):  # what is revised, and forecasts, are rows themselves
+            return [self.restored(one) if isinstance(one, Mapping) else one for one in value]
+        return self._time(value) if key in _TIMES else value
+
+    def _time(self, value: Any) -> Any:
+        if self._leaves_times or not _is_number(value):
+            return value
+        count = round(value * (1e9 / self.unit), 0 if self.unit == 1 else _DIGITS)
+        whole = self.origin // self.unit
+        return int(count) + whole if float(count).is_integer() else count + whole
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.behaviour.groups import KINDS, Groups
-from graphtrack.tracks import STATE, Track
-from graphtrack.viewer.behaviour import arrange_groups, show_forecasts, show_ground, show_groups
+from graphtrack.interaction.groups import KINDS, Groups
+from graphtrack.tracks.track import STATE, Track
+from graphtrack.viewer.interaction import arrange_groups, show_forecasts, show_ground, show_groups
 from graphtrack.viewer.layout import Extent, circles_of, layout
 from graphtrack.viewer.people import ShownPeople
 from graphtrack.viewer.recording import CLOCK_TIMES, Recording, Target, recording

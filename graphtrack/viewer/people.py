@@ -9,12 +9,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.display import VELOCITY_COLOUR, person_colour, rgb
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.pairing import finite_rows, observed_angle
-from graphtrack.report.shapes import NORMAL_95, longest_step, probability_ellipse
-from graphtrack.report.style import ANGLE_COLOURS
-from graphtrack.tracks import Track
+from graphtrack.report.lives import finite_rows, observed_angle
+from graphtrack.report.style import ANGLE_COLOURS, NORMAL_95, longest_step, probability_ellipse
+from graphtrack.tracks.display import VELOCITY_COLOUR, person_colour, rgb
+from graphtrack.tracks.track import Track
 from graphtrack.viewer.recording import IntArray, Recording
 
 GROUND: Final = "ground"

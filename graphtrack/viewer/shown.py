@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.association.reading import tracks_of
+from graphtrack.association.associate import tracks_of
 from graphtrack.errors import InputError
-from graphtrack.io.places import check_place
-from graphtrack.report.behaviour.given import behaviour_of
-from graphtrack.report.pairing import finite_rows, observed_angle
-from graphtrack.tracks import TrackSet
-from graphtrack.viewer.behaviour import arrange_groups, show_forecasts, show_ground, show_groups
+from graphtrack.io.atomic import check_place
+from graphtrack.report.interaction import behaviour_of
+from graphtrack.report.lives import finite_rows, observed_angle
+from graphtrack.tracks.track import TrackSet
+from graphtrack.viewer.interaction import arrange_groups, show_forecasts, show_ground, show_groups
 from graphtrack.viewer.layout import Extent, circles_of, layout
 from graphtrack.viewer.people import ShownPeople
 from graphtrack.viewer.pictures import FrameTimes, PersonBoxes, open_frames, show_boxes, show_frames
 from graphtrack.viewer.recording import CLOCK_TIMES, Target, recording
 
 if TYPE_CHECKING:
-    from graphtrack.behaviour.forecast.recorded import Forecasts
-    from graphtrack.behaviour.groups import Groups
+    from graphtrack.forecasting.recorded import Forecasts
     from graphtrack.geometry.angles import FloatArray
-    from graphtrack.io.given import Given
+    from graphtrack.interaction.groups import Groups
+    from graphtrack.io.read_write import Given
 
 
 def view(
@@ -103,7 +103,7 @@ class _Places:
         self._tracks = {track.track_id: track for track in tracks}
 
     def __call__(self, person: int, t: float) -> FloatArray | None:
-        """As `graphtrack.viewer.behaviour.Place`."""
+        """As `graphtrack.viewer.interaction.Place`."""
         track = self._tracks[person]
         row = min(int(np.searchsorted(track.t, t - 1e-6)), len(track) - 1)
         there = abs(track.t[row] - t) < 1e-3 and np.isfinite(track.position[row]).all()

@@ -1,22 +1,186 @@
-"""Who surely walks, and where to: people who walk face where they go."""
+"""A person with what is around the box, always in the same size.
+
+What is taken from the frames of a recording: people's looks, and pictures of those who walk.
+
+Who surely walks, and where to: people who walk face where they go.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from graphtrack.association.tracks import associate
+from graphtrack.association.associate import associate
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.smoothing import smooth
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks.track import TrackSet
 from perception.detection.boxes import PersonBox
-from perception.ground.upright import LeaningView, feet_of, heights_of
-from perception.pose.features.appearance import LENGTH, Projection
+from perception.ground.upright import LeaningView, feet_of, heights_of, standing_in, upright_picture
+from perception.images.frames import Frame
+from perception.images.pixels import Image, checked_box, crop
+from perception.pose.features import LENGTH, Projection, describe, light_of
+
+TALL = 160
+"""Rows of a patch that the person's box has."""
+ABOVE, BELOW = 32, 32
+"""Rows of a patch above and below the box."""
+ROWS, COLUMNS = ABOVE + TALL + BELOW, 160
+
+Window = tuple[float, float, float, float]
+"""Left and top from the middle of the head, width and height, all in heights of the box."""
+
+
+def patch_of(image: Image, box: ArrayLike) -> Image:
+    """The surroundings (`ROWS`, `COLUMNS`, 3) of a box (4,) in an image (h, w, 3); its border is repeated.
+
+    The box, left, top, width and height in pixels, is in the middle, and `TALL` rows high.
+    """
+    return as_patch(surroundings(image, box))
+
+
+def surroundings(image: Image, box: ArrayLike) -> Image:
+    """What `patch_of` takes from the image, in the pixels that it has there."""
+    left, top, width, height = np.asarray(box, float)
+    h, w = image.shape[:2]
+    scale = height / TALL
+    first_column = round(left + width / 2.0 - COLUMNS / 2.0 * scale)
+    first_row = round(top - ABOVE * scale)
+    columns = np.clip(first_column + np.arange(max(2, round(COLUMNS * scale))), 0, w - 1)
+    rows = np.clip(first_row + np.arange(max(2, round(ROWS * scale))), 0, h - 1)
+    return np.ascontiguousarray(image[rows[:, None], columns[None, :]])
+
+
+def as_patch(found: Image) -> Image:
+    """The patch of `surroundings`."""
+    method = cv2.INTER_AREA if found.shape[0] > ROWS else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(found, (COLUMNS, ROWS), interpolation=method), np.uint8)
+
+
+def in_patch(place: FloatArray) -> FloatArray:
+    """Pixels (..., 2) of a patch, of places (..., 2) in heights of the box from the middle of its top."""
+    return np.asarray(place, float) * TALL + np.array([COLUMNS / 2.0, ABOVE])
+
+
+def of_patch(pixel: FloatArray) -> FloatArray:
+    """The inverse of `in_patch`."""
+    return (np.asarray(pixel, float) - np.array([COLUMNS / 2.0, ABOVE])) / TALL
+
+
+def cut(patch: Image, head: FloatArray, window: Window, size: tuple[int, int]) -> Image:
+    """A window about the head's middle (2,), as `of_patch` has it, in ``size`` columns and rows."""
+    x, y = in_patch(head)
+    left, top, width, height = (TALL * value for value in window)
+    across, down = size[0] / width, size[1] / height
+    # Only what is needed is blurred.
+    edge = np.array([2.0 / across, 2.0 / down])
+    begin = np.clip(np.floor(np.array([x + left, y + top]) - edge).astype(int), 0, (COLUMNS - 2, ROWS - 2))
+    end = np.clip(np.ceil(np.array([x + left + width, y + top + height]) + edge).astype(int), begin + 2, None)
+    part = patch[begin[1] : end[1], begin[0] : end[0]]
+    if min(across, down) < 0.7:
+        part = np.asarray(cv2.blur(part, (max(1, round(1.0 / across)), max(1, round(1.0 / down)))), np.uint8)
+    start = np.array([x + left, y + top]) - begin
+    move: NDArray[Any] = np.array(
+        [
+            [across, 0.0, -across * start[0] + (across - 1.0) / 2.0],
+            [0.0, down, -down * start[1] + (down - 1.0) / 2.0],
+        ]
+    )
+    found = cv2.warpAffine(part, move, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, np.uint8)
+
+
+_CENTRAL = 0.25
+"""Share of the image, on each side, in which no camera has its principal point."""
+
+
+def looks_of(
+    frames: Iterable[Frame], boxes: Sequence[PersonBox], refuse: Callable[[str], object]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """What people look like (n, `LENGTH`), and whether their boxes are in the pictures (n,).
+
+    ``refuse`` is told of frames that cannot be decoded and of boxes that hold nothing.
+    """
+    looks, usable = np.zeros((len(boxes), LENGTH), np.uint8), np.zeros(len(boxes), bool)
+    of_frame = _by_frame(boxes)
+    for frame in frames:
+        if frame.image is None:
+            refuse(frame.reason)
+            continue
+        inside = [k for k in of_frame.get(frame.number, []) if _is_inside(boxes[k], frame.image, refuse)]
+        if inside:
+            pictures = [crop(frame.image, boxes[k].box) for k in inside]
+            looks[inside], usable[inside] = describe(pictures, light_of(frame.image)), True
+    return looks, usable
+
+
+def patches_in(
+    frames: Iterable[Frame],
+    boxes: Sequence[PersonBox],
+    refuse: Callable[[str], object],
+    view: LeaningView | None = None,
+) -> dict[int, Image]:
+    """The surroundings of boxes, by their places in the sequence; those that hold nothing are left out.
+
+    Who leans in a ``view`` is turned upright.
+    """
+    found: dict[int, Image] = {}
+    of_frame = _by_frame(boxes)
+    for frame in frames:
+        if frame.image is None:
+            refuse(frame.reason)
+            continue
+        for k in of_frame.get(frame.number, []):
+            if _is_inside(boxes[k], frame.image, refuse):
+                box = boxes[k].box
+                found[k] = patch_of(*upright_picture(frame.image, box, standing_in(view, box)))
+    return found
+
+
+def _by_frame(boxes: Sequence[PersonBox]) -> dict[int, list[int]]:
+    found: dict[int, list[int]] = {}
+    for k, item in enumerate(boxes):
+        found.setdefault(item.frame, []).append(k)
+    return found
+
+
+def _is_inside(item: PersonBox, image: Image, refuse: Callable[[str], object]) -> bool:
+    try:
+        checked_box(item.box, image.shape)
+    except InputError as error:
+        refuse(f"frame {item.frame}, box {item.track_id}: {error}")
+        return False
+    return True
+
+
+def check_camera(camera: GroundCamera, size: tuple[int, int]) -> None:
+    """Refuse a calibration of another image size, as far as it shows.
+
+    Parameters
+    ----------
+    size : columns and rows of the frames
+
+    Raises
+    ------
+    InputError
+        If the principal point is far from the middle of the frames.
+    """
+    if camera.intrinsics is None:
+        return
+    principal = camera.intrinsics[:2, 2]
+    share = principal / np.array(size, float)
+    if (share < _CENTRAL).any() or (share > 1.0 - _CENTRAL).any():
+        raise InputError(
+            f"frames of {size[0]} × {size[1]} pixels",
+            f"those of the calibration, whose principal point is {principal[0]:.0f}, {principal[1]:.0f}",
+        )
+
 
 _ROW = "input_row"
 

@@ -1,8 +1,17 @@
-"""From pictures of people who walk to the models of their camera."""
+"""Rendered people where a camera saw people walk, who count as a few more where few walk.
+
+Real people teach better than rendered ones, and many need no help; of few, nothing tells apart what is
+common to people from what these have on. The others are as large as people at these places, seen from as
+high, and before what the camera sees there. How much they count is chosen by people left out.
+
+From pictures of people who walk to the models of their camera.
+
+From recordings and the boxes of their people to the models of their camera.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,38 +20,155 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference
-from perception.adaptation.alignment import (
-    HEAD_HEIGHT,
-    HEAD_WIDTH,
-    HeadSamples,
-    HeadTemplates,
-    crop_of,
-    head_of_crop,
-    within_reach,
-)
-from perception.adaptation.labels import WalkingLabels
-from perception.adaptation.models import CameraModels
-from perception.adaptation.patches import ABOVE, COLUMNS, TALL, in_patch
-from perception.adaptation.rendered import RenderedPeople, rendered_people
-from perception.adaptation.teaching import (
+from graphtrack.geometry.camera import GroundCamera
+from perception.adaptation.directions import (
     BODY,
     CLASSES,
     HEAD,
+    HEAD_HEIGHT,
+    HEAD_WIDTH,
+    OUTLIERS,
+    HeadSamples,
+    HeadTemplates,
     HeldOut,
     Taught,
+    class_outlier_probability,
+    crop_of,
     folds_of,
+    head_of_crop,
     seen_directions,
     taught,
+    within_reach,
 )
-from perception.adaptation.tracks import OUTLIERS, class_outlier_probability
+from perception.adaptation.labels import (
+    ABOVE,
+    COLUMNS,
+    ROWS,
+    TALL,
+    WalkingLabels,
+    as_patch,
+    check_camera,
+    in_patch,
+    looks_of,
+    of_patch,
+    patches_in,
+    surroundings,
+    walking_labels,
+)
+from perception.adaptation.models import CameraModels
+from perception.detection.boxes import PersonBox
+from perception.ground.upright import LeaningView, feet_of, standing_in, upright_picture
+from perception.images.frames import Frame, FrameSource, Progress, told_frames
 from perception.images.pixels import Image, crop
 from perception.pose.classifier import FeatureClassifier
-from perception.pose.head_path import select_along_track
-from perception.pose.heads import HeadLocaliser
+from perception.pose.head_detection import HeadLocaliser, select_along_track
 from perception.storage import ModelCard
 
 if TYPE_CHECKING:
     from perception.synthetic.inserted import Place
+
+
+_COUNT = 900
+_PLACES = 60
+"""Of a recording, in which people are rendered."""
+_FRAMES = 20
+"""Of which the median is what a place looks like without people."""
+_STEEPEST = 1.2
+"""Radians; from straight above nobody is upright."""
+_UNKNOWN = (0.0, 0.45), 10.0
+"""Elevation, from and to, and distance in metres where the camera's are not known."""
+_MIDDLE = 0.9
+"""Metres above the ground of a person's middle."""
+
+
+class Scenery:
+    """What a camera sees where people walk, as it is without them.
+
+    Parameters
+    ----------
+    walkers : boxes of those who walk
+    people : everybody's boxes in the recording
+    """
+
+    def __init__(
+        self,
+        walkers: Sequence[PersonBox],
+        people: Sequence[PersonBox],
+        view: LeaningView | None,
+        camera: GroundCamera,
+    ) -> None:
+        self._walkers = [walkers[k] for k in _evenly(len(walkers), _PLACES)]
+        numbers = sorted({item.frame for item in people})
+        self.frames = frozenset(numbers[k] for k in _evenly(len(numbers), _FRAMES))
+        """Numbers of the frames that are looked at."""
+        self._view, self._camera = view, camera
+        self._seen: list[list[Image]] = [[] for _ in self._walkers]
+
+    def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The same frames; those that are needed are looked at on the way."""
+        for frame in frames:
+            if frame.image is not None and frame.number in self.frames:
+                for item, seen in zip(self._walkers, self._seen, strict=True):
+                    found = surroundings(
+                        *upright_picture(frame.image, item.box, standing_in(self._view, item.box))
+                    )
+                    seen.append(as_patch(found) if len(found) > ROWS else found)
+            yield frame
+
+    def places(self, rng: np.random.Generator) -> list[Place]:
+        """Of some of those who walk."""
+        from perception.synthetic.inserted import Place
+
+        feet = self._camera.image_to_ground(feet_of(self._walkers, self._view))
+        found = []
+        for item, foot, seen in zip(self._walkers, feet, self._seen, strict=True):
+            if not seen:
+                continue
+            image = np.median(np.stack(seen), axis=0).astype(np.uint8)
+            standing = standing_in(self._view, item.box)
+            _, _, width, height = item.box if standing is None else standing.box
+            scale = len(image) / ROWS
+            wide = TALL * width / height
+            box = scale * (COLUMNS - wide) / 2.0, scale * ABOVE, scale * wide, scale * TALL
+            found.append(Place(image, box, *_seen_from(self._camera, foot, rng)))
+        return found
+
+
+def _evenly(n: int, most: int) -> list[int]:
+    return [int(k) for k in np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))]
+
+
+def _seen_from(camera: GroundCamera, foot: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
+    """Elevation of the camera above somebody who stands at ``foot`` (2,), and its distance in metres."""
+    centre = camera.optical_centre_on_ground
+    if camera.height is None or centre is None:
+        elevation, distance = _UNKNOWN
+        return float(rng.uniform(*elevation)), distance
+    away, rise = float(np.linalg.norm(foot - centre)), max(camera.height - _MIDDLE, 0.0)
+    return min(float(np.arctan2(rise, away)), _STEEPEST), max(float(np.hypot(away, rise)), 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedPeople:
+    """Patches of people, the middles (n, 2) of their heads, and where they go (n,), as `learn` has them."""
+
+    patches: Sequence[Image]
+    head: FloatArray
+    angle: FloatArray
+
+
+def rendered_people(places: Sequence[Place], rng: np.random.Generator, count: int = _COUNT) -> RenderedPeople:
+    """People who walk, in all directions alike, where the camera sees people walk."""
+    from perception.synthetic.inserted import with_person
+
+    angle = rng.uniform(-np.pi, np.pi, count)
+    patches, heads = [], []
+    for where, body in zip(rng.integers(0, len(places), count).tolist(), angle.tolist(), strict=True):
+        picture, head = with_person(places[where], body, rng)
+        patches.append(as_patch(picture))
+        heads.append(of_patch(head * (ROWS / len(picture))))
+    return RenderedPeople(patches, np.array(heads), angle)
+
 
 _SMOOTHNESS = 12.0
 """Log ratio that a step of one head height along a track costs."""
@@ -330,3 +456,132 @@ def _card(
 def _views(some: NDArray[np.bool_]) -> list[str]:
     """Some of the directions (8,), to print."""
     return [f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[some].tolist()]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Frames of a camera and the boxes of their people.
+
+    Attributes
+    ----------
+    people : with identities or without
+    rate : frames a second
+    """
+
+    frames: FrameSource
+    people: Sequence[PersonBox]
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Adapted:
+    """The models that a camera has taught itself, and the people who surely walk of whom it learned."""
+
+    models: CameraModels
+    labels: WalkingLabels
+
+    @property
+    def people(self) -> int:
+        """Who surely walk."""
+        return len(np.unique(self.labels.person))
+
+
+def adapted(
+    recordings: Sequence[Recording],
+    camera: GroundCamera,
+    package: PackageModels,
+    rng: np.random.Generator,
+    progress: Progress,
+    refuse: Callable[[str], object],
+    parameters: AdaptationParameters = AdaptationParameters(),
+) -> Adapted:
+    """Let a camera teach itself how bodies and heads point, from people who surely walk.
+
+    Parameters
+    ----------
+    recordings : of the camera; people of one are others than those of another
+    camera : over the ground
+    package : models to begin with
+    progress : is told how far decoding and learning came
+    refuse : is told of frames that cannot be decoded and of boxes that hold nothing
+
+    Raises
+    ------
+    InputError
+        If there are no people, too few surely walk, or the camera or recordings are of several image sizes.
+    """
+    if not any(recording.people for recording in recordings):
+        raise InputError("a recording without people", "people who walk")
+    size = recordings[0].frames.size()
+    check_camera(camera, size)
+    view = LeaningView.of(camera, size)
+    walking = [_labels(one, camera, view, progress, refuse) for one in recordings if one.people]
+    used = [one for one in recordings if one.people]
+    labels = thinned(joined(walking), parameters)
+    few = len(np.unique(labels.person)) < parameters.many_people
+    taken, parts, seconds, places = [], [], 0.0, []
+    for one, whose in zip(used, _recording_of(labels, walking), strict=True):
+        if one.frames.size() != size:
+            width, height = one.frames.size()
+            expected = f"{size[0]} × {size[1]} as those of the first recording"
+            raise InputError(f"frames of {width} × {height} pixels", expected, path=one.frames.path)
+        chosen = [one.people[k] for k in labels.box[whose].tolist()]
+        scenery = Scenery(chosen if few else (), one.people, view, camera)
+        wanted = {item.frame for item in chosen} | (scenery.frames if few else set())
+        with told_frames(one.frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
+            found = patches_in(scenery.watched(decoded), chosen, refuse, view)
+        there = np.array(sorted(found), np.int64)
+        places += scenery.places(rng)
+        parts.append(whose[there])  # boxes of frames that did not come are gone
+        taken += [found[k] for k in there.tolist()]
+        seconds += (max(p.frame for p in one.people) - min(p.frame for p in one.people) + 1) / one.rate
+    order = np.concatenate(parts)
+    left = labels.taken(order)
+    kept = thinned(replace(left, box=np.arange(len(left))), parameters)
+    patches = [taken[k] for k in kept.box.tolist()]
+    with progress(stages(parameters), "rounds") as advance:
+        models = learn(patches, kept, seconds, size, package, rng, parameters, advance, places)
+    models.upright = view is not None
+    return Adapted(models, labels)
+
+
+def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
+    """Labels of several recordings, in which nobody is the same."""
+    person, start = [], 0
+    for one in walking:
+        person.append(one.person + start)
+        start += int(one.person.max(initial=-1)) + 1
+    return WalkingLabels(
+        np.concatenate([one.box for one in walking]),
+        np.concatenate(person),
+        np.concatenate([one.angle for one in walking]),
+        np.concatenate([one.std for one in walking]),
+        sum(one.tracks for one in walking),
+        np.concatenate([one.count for one in walking]),
+    )
+
+
+def _recording_of(labels: WalkingLabels, walking: Sequence[WalkingLabels]) -> list[NDArray[np.int64]]:
+    """Which of the joined labels are of each recording."""
+    found, start = [], 0
+    for one in walking:
+        stop = start + int(one.person.max(initial=-1)) + 1
+        found.append(np.flatnonzero((labels.person >= start) & (labels.person < stop)))
+        start = stop
+    return found
+
+
+def _labels(
+    recording: Recording,
+    camera: GroundCamera,
+    view: LeaningView | None,
+    progress: Progress,
+    refuse: Callable[[str], object],
+) -> WalkingLabels:
+    """Who surely walks; for detections the frames are decoded, to see what people look like."""
+    frames, people, looks = recording.frames, recording.people, None
+    if not people[0].identified:
+        wanted = {item.frame for item in people}
+        with told_frames(frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
+            looks, _ = looks_of(decoded, people, refuse)
+    return walking_labels(people, looks, camera, recording.rate, view=view)

@@ -12,13 +12,21 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Model
-from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH, HeadTemplates
-from perception.adaptation.patches import patch_of
-from perception.adaptation.teaching import BODY, CLASSES, HEAD, Taught
-from perception.adaptation.tracks import OUTLIERS, with_outliers
+from perception.adaptation.directions import (
+    BODY,
+    CLASSES,
+    HEAD,
+    HEAD_HEIGHT,
+    HEAD_WIDTH,
+    OUTLIERS,
+    HeadTemplates,
+    Taught,
+    with_outliers,
+)
+from perception.adaptation.labels import patch_of
 from perception.ground.upright import Standing, upright_picture
 from perception.images.pixels import Image
-from perception.pose.heads import HeadCandidates
+from perception.pose.head_detection import HeadCandidates
 from perception.storage import ModelCard, Stored
 
 _SCALE = 6.0

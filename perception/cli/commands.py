@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from graphtrack.cli.options import program_of
-from perception.cli.adapt import adapt
-from perception.cli.calibrate import calibrate
+from perception.cli.adapt import adapt, calibrate
 from perception.cli.evaluate import evaluate
 from perception.cli.follow import follow
 from perception.cli.observe import observe
 from perception.cli.report import report
-from perception.cli.simulate import simulate
-from perception.cli.train import card, sheet, train
+from perception.cli.train import card, sheet, simulate, train
 
 app = program_of(
     "perception",

@@ -13,7 +13,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, print_table, progress_bar, write_json
 
 if TYPE_CHECKING:
-    from graphtrack.evaluation.reproduce.experiment import Table
+    from graphtrack.experiments.harness import Table
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
 _REAL = ("sigma-pi", "heads", "lobby", "street", "people")
@@ -57,7 +57,7 @@ def evaluate(
     """
     from graphtrack.cli.reproduce import BESIDE
     from graphtrack.errors import InputError
-    from graphtrack.evaluation.reproduce.experiment import Table
+    from graphtrack.experiments.harness import Table
 
     for name in tables or ():
         if name not in (*_TABLES, *_REAL):
@@ -93,12 +93,12 @@ def evaluate(
 
 
 def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -> None:
-    from perception.evaluation.measures import class_rates
+    from perception.evaluation.classifiers import class_rates
     from perception.models import HEAD_POSE, load_classifier
-    from perception.pose.scores import PoseScores
-    from perception.pose.scores import evaluate as judge
+    from perception.pose.classifier import PoseScores
+    from perception.pose.classifier import evaluate as judge
     from perception.synthetic import make_heads, make_pedestrians
-    from perception.training.models import FAR, FOUND_AS_WALKING
+    from perception.training import FAR, FOUND_AS_WALKING
 
     exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
     near, far = make_pedestrians(count, rng), make_pedestrians(count, rng, FAR)
@@ -139,7 +139,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -
     )
     if plot is not None:
         from graphtrack.io import atomic_path
-        from perception.evaluation.measures import reliability_figure
+        from perception.evaluation.classifiers import reliability_figure
 
         figure = reliability_figure(scores, degrees)
         with atomic_path(plot) as temporary:
@@ -149,10 +149,10 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -
 
 def _localisation(count: int, train: int, rng: np.random.Generator, show: Show) -> None:
     from perception.models import load_head_localiser
-    from perception.pose.head_detector import Weak
-    from perception.pose.heads import HeadLocaliser
+    from perception.pose.boosting import Weak
+    from perception.pose.head_detection import HeadLocaliser
     from perception.synthetic import make_pedestrians
-    from perception.training.models import localisation_figures
+    from perception.training import localisation_figures
 
     people, judged = make_pedestrians(train, rng), make_pedestrians(count, rng)
     models = {"the package's (differential)": load_head_localiser()}
@@ -174,7 +174,7 @@ def _published(name: str, first: float, best: float, candidates: float) -> dict[
 
 
 def _published_forms(count: int, train: int, rng: np.random.Generator, show: Show) -> None:
-    from perception.evaluation.published import published_beside_ours
+    from perception.evaluation.classifiers import published_beside_ours
 
     for name, rows in published_beside_ours(train, count, rng).items():
         title = f"{name}: ours and Chen et al.'s as printed, both trained on {train} rendered images"
@@ -182,7 +182,7 @@ def _published_forms(count: int, train: int, rng: np.random.Generator, show: Sho
 
 
 def _keypoints(count: int, rng: np.random.Generator, show: Show) -> None:
-    from perception.evaluation.keypoints import keypoint_table
+    from perception.evaluation.classifiers import keypoint_table
     from perception.models import load_keypoint_pose
 
     title = f"Body and head by keypoints, {count} rendered people of each size"
@@ -190,7 +190,7 @@ def _keypoints(count: int, rng: np.random.Generator, show: Show) -> None:
 
 
 def _recognition(rng: np.random.Generator, show: Show) -> None:
-    from perception.evaluation.recognition import recognition_table
+    from perception.evaluation.classifiers import recognition_table
 
     for title, people, exemplars, repetitions in (
         ("34 people train, 34 test (Ba & Odobez 2003, Table 1)", 68, (1, 2), 1),
@@ -221,7 +221,7 @@ def _recognition(rng: np.random.Generator, show: Show) -> None:
 
 
 def _joint(count: int, head_pose: str, rng: np.random.Generator, show: Show) -> None:
-    from graphtrack.evaluation.reproduce.chen_tables import PAPER
+    from graphtrack.experiments.chen_joint import PAPER
     from perception.evaluation.joint_effect import joint_effect
     from perception.models import load_classifier, load_head_localiser
     from perception.observe.pipeline import Models
@@ -241,24 +241,24 @@ def _of_recordings(name: str, data: Path, seeds: int, heads: int, seed: int) -> 
     """The tables of a name that are made of recordings, with a progress bar."""
     town, caviar = data / "towncentre", data / "caviar"
     if name == "sigma-pi":
-        from perception.evaluation.real_trackers import people_of, sigma_pi_table
+        from perception.experiments.yan_sigma_pi import people_of, sigma_pi_table
 
         people = people_of(caviar)
         with progress_bar(len(people) * seeds, "runs") as advance:
             return sigma_pi_table(people, seeds, seed, advance)
     if name == "heads":
-        from perception.evaluation.real_heads import heads_table
+        from perception.experiments.head_trackers import heads_table
 
         with progress_bar(heads, "heads") as advance:
             return [heads_table(town, heads, seed, advance)]
     if name == "lobby":
-        from perception.evaluation.adapted_lobby import adapted_table, sequences_of
+        from perception.evaluation.adapted_cameras import adapted_table, sequences_of
 
         sequences = sequences_of(caviar)
         with progress_bar(len(sequences), "sequences") as advance:
             return [adapted_table(sequences, seed, advance)]
     if name == "street":
-        from perception.evaluation.adapted_street import METHODS, PARTS, methods_table
+        from perception.evaluation.adapted_cameras import METHODS, PARTS, methods_table
 
         with progress_bar(PARTS + len(METHODS), "steps") as advance:
             return [methods_table(town, seed, advance)]

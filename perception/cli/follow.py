@@ -14,7 +14,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
-from perception.cli.common import (
+from perception.cli.options import (
     CameraOptions,
     Render,
     VideoOrFolder,
@@ -73,10 +73,10 @@ def follow(
     head_pose : head_p*: frame (what each frame says by itself) or filtered (the tracker's).
     """
     from graphtrack.errors import InputError
+    from perception.drawing.people import draw
     from perception.follow import following
-    from perception.images.drawing.estimates import draw
-    from perception.images.drawing.output import pictures
     from perception.images.frames import FrameSource
+    from perception.images.pixels import pictures
     from perception.trackers.registry import OF_HEADS, make_tracker, parameters_of
 
     if head_pose not in ("frame", "filtered"):

@@ -12,9 +12,10 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit
-from graphtrack.display import counted
 from graphtrack.errors import InputError
-from perception.cli.common import (
+from graphtrack.tracks.display import counted
+from perception.cli.adapt import check_adapt, forget, stamp_of_camera, teach
+from perception.cli.options import (
     Boxes,
     CameraOptions,
     Render,
@@ -27,24 +28,24 @@ from perception.cli.common import (
     print_written,
     stamp_of,
 )
-from perception.cli.own_networks import (
+from perception.cli.searching import (
     NetworkOptions,
     OwnNetworks,
+    PeopleSearch,
     find_keypoints,
+    key_of,
     say_how_far,
+    search_journals,
     with_their_keypoints,
 )
-from perception.cli.searching import PeopleSearch, key_of, search_journals
-from perception.cli.teaching import check_adapt, forget, stamp_of_camera, teach
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
-    from perception.observe.identified import SeenTracks
     from perception.observe.live import LiveObserver
-    from perception.observe.pipeline import Models
-    from perception.observe.seen import SeenFrame
+    from perception.observe.pipeline import Models, SeenFrame
+    from perception.observe.tables import SeenTracks
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def observe(
     appearance : Write what people look like (appearance_0 ...), by which they are told apart; on for boxes
         without identities, else off.
     """
-    from graphtrack.io.reading import check_table_name
+    from graphtrack.io.read_write import check_table_name
     from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
     from perception.observe.live import LiveObserver
@@ -206,11 +207,10 @@ class _Run:
     ) -> None:
         """Find people, look at them, and write the table."""
         from perception.detection.boxes import Detections, write_boxes
-        from perception.images.drawing.output import is_video
+        from perception.images.pixels import is_video
         from perception.observe import pipeline
-        from perception.observe.detections import to_detections
-        from perception.observe.identified import to_tracks
         from perception.observe.journal import FrameJournal
+        from perception.observe.tables import to_detections, to_tracks
 
         frames, refuse = self.frames, self.refused.setdefault
         points_place, frames_place, taught_place = _places(self.output)
@@ -275,7 +275,7 @@ class _Run:
             assert observed is not None
             _render(frames, observed, journal.frames, self.render, self.rate)
         if alone is not None:
-            from graphtrack.io.reading import write_table
+            from graphtrack.io.read_write import write_table
 
             write_table(alone.columns, self.output)
             left_out, said = alone.refused, counted(len(alone.number), "detection")
@@ -315,7 +315,7 @@ def _stream(
     networks: OwnNetworks,
 ) -> None:
     """Give the rows of every frame as soon as it was looked at; what was left out is told in the end."""
-    from graphtrack.cli.live import give
+    from graphtrack.streaming.session import give
     from perception.observe.live import (
         boxes_of_keypoints,
         boxes_with_keypoints,
@@ -340,8 +340,8 @@ def _render(
     frames: FrameSource, observed: SeenTracks, seen: Mapping[int, SeenFrame], path: Path, fps: float
 ) -> None:
     """Decode the frames once more, now that all tracks are known, and draw what was seen in them."""
-    from perception.images.drawing.output import pictures
-    from perception.images.drawing.people import draw_people, people_by_frame
+    from perception.drawing.people import draw_people, people_by_frame
+    from perception.images.pixels import pictures
 
     people, camera = people_by_frame(observed, seen), observed.tracks.camera
     assert camera is not None

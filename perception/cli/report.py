@@ -12,18 +12,18 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
-from graphtrack.display import counted
 from graphtrack.errors import InputError
-from perception.cli.calibrate import PersonHeight
-from perception.cli.common import Boxes, CameraOptions, VideoOrFolder, decoded_frames
+from graphtrack.tracks.display import counted
+from perception.cli.adapt import PersonHeight
 from perception.cli.observe import ModelOptions
+from perception.cli.options import Boxes, CameraOptions, VideoOrFolder, decoded_frames
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.tracks import TrackSet
+    from graphtrack.tracks.track import TrackSet
     from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
-    from perception.report.folder import ReportFolder
+    from perception.report import ReportFolder
 
 _STAGES = 7
 _SHOWN = 10
@@ -56,11 +56,11 @@ def report(
         same, whole tracks. chain, isam2, fixed-lag: the graph, from the past.
     view : Show it in Rerun in the end.
     """
-    from graphtrack.io.places import check_distinct
-    from perception.adaptation.recording import check_camera
+    from graphtrack.io.atomic import check_distinct
+    from perception.adaptation.labels import check_camera
     from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
-    from perception.report.folder import FILES, STAGES, ReportFolder, check_folder
+    from perception.report import FILES, STAGES, ReportFolder, check_folder
 
     if view:
         showing.target()
@@ -123,7 +123,7 @@ class _Run:
 
     def find_people(self, boxes: Path | None, given: list[PersonBox] | None) -> None:
         """Stage 1: boxes, of a file or detected."""
-        from perception.cli.teaching import stamp_of_camera
+        from perception.cli.adapt import stamp_of_camera
         from perception.detection.boxes import read_boxes, write_boxes
 
         detected = self.folder.file("boxes")
@@ -152,8 +152,8 @@ class _Run:
         """Stage 2: the camera, as given or found out."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
-        from perception.cli.teaching import stamp_of_camera
-        from perception.ground.calibrating import CalibrationParameters, ViewUnknown, found_view
+        from perception.cli.adapt import stamp_of_camera
+        from perception.ground.calibration import CalibrationParameters, ViewUnknown, found_view
 
         place = self.folder.file("calibration")
 
@@ -194,7 +194,7 @@ class _Run:
 
     def teach(self, adapt: bool) -> None:
         """Stage 3: what the camera teaches itself."""
-        from perception.cli.teaching import teach
+        from perception.cli.adapt import teach
 
         place = self.folder.file("models")
 
@@ -219,10 +219,8 @@ class _Run:
         """Stage 4: what is seen of everybody, and who is who."""
         from graphtrack.io import write
         from perception.observe import pipeline
-        from perception.observe.detections import to_detections
-        from perception.observe.estimates import associated, numbered
-        from perception.observe.identified import to_tracks
         from perception.observe.journal import FrameJournal
+        from perception.observe.tables import associated, numbered, to_detections, to_tracks
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
@@ -267,7 +265,7 @@ class _Run:
         """Stage 5: where everybody is, how they move and point."""
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
-        from perception.observe.estimates import FILTERS, estimated
+        from perception.observe.tables import FILTERS, estimated
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
@@ -284,8 +282,7 @@ class _Run:
 
     def draw(self) -> None:
         """Stage 6: the annotated video."""
-        from perception.report.people import shown_by_frame
-        from perception.report.showing import write_video
+        from perception.report import shown_by_frame, write_video
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
@@ -302,7 +299,7 @@ class _Run:
     def write_page(self, title: str) -> None:
         """Stage 7: the page, the view from above, and what was assumed."""
         from graphtrack.io.atomic import atomic_path
-        from perception.report.showing import write_above, write_page
+        from perception.report import write_above, write_page
 
         lines = tuple(self.assumed)
 
@@ -319,9 +316,9 @@ class _Run:
 
     def view(self, showing: options.Showing) -> None:
         """Show it all in Rerun."""
-        from graphtrack.behaviour.groups import groups
+        from graphtrack.interaction.groups import groups
         from graphtrack.viewer.shown import view
-        from perception.report.people import boxes_shown, shown_by_frame
+        from perception.report import boxes_shown, shown_by_frame
 
         assert self.camera is not None
         estimates = self._read("tracks")
@@ -351,8 +348,8 @@ def found_people(
     refuse: Callable[[str], object],
 ) -> list[PersonBox]:
     """People who are detected, as `perception observe` does; a search that was broken off goes on."""
+    from perception.cli.adapt import stamp_of_camera
     from perception.cli.searching import PeopleSearch
-    from perception.cli.teaching import stamp_of_camera
 
     asked = (stamp_of_camera(camera),)
     with PeopleSearch(frames, camera, rate, output, asked, one_size=True) as search:

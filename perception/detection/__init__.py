@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from perception.detection.libraries import from_supervision, from_ultralytics
+from perception.detection.boxes import from_supervision, from_ultralytics
 
 __all__ = ["from_supervision", "from_ultralytics"]

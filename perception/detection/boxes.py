@@ -1,24 +1,44 @@
-"""Boxes of people: MOT text (frame, id, left, top, width, height, confidence), and CAVIAR's XML."""
+"""Boxes of people: MOT text (frame, id, left, top, width, height, confidence), and CAVIAR's XML.
+
+People's keypoints beside their boxes: which are whose, and boxes where none are given.
+
+What other libraries find, as boxes: their objects are taken as they are, and nothing is imported.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import atomic_path
-from graphtrack.io.boxes import with_scores
-from graphtrack.io.readers.caviar import CAVIAR
-from graphtrack.io.readers.caviar import read_boxes as read_caviar_boxes
-from graphtrack.io.readers.mot import read_boxes as read_mot_boxes
+from graphtrack.io.cameras import with_scores
+from graphtrack.io.formats.caviar import CAVIAR
+from graphtrack.io.formats.caviar import read_boxes as read_caviar_boxes
+from graphtrack.io.formats.mot import read_boxes as read_mot_boxes
+from graphtrack.io.libraries import FoundBoxes, array_of, boxes_of_supervision, boxes_of_ultralytics
 from graphtrack.io.source import Source
-from graphtrack.table.rows import check_rows
-from perception.images.pixels import Image
-from perception.pose.keypoints.skeleton import N_POINTS, Points
+from graphtrack.tracks.table import check_rows
+from perception.images.pixels import Image, intersection_over_union
+from perception.pose.keypoints import (
+    ANKLES,
+    BY_NUMBER,
+    FACE,
+    HIPS,
+    KNOWN,
+    N_POINTS,
+    SHOULDERS,
+    PersonPoints,
+    Points,
+    as_points,
+    in_coco_order,
+)
 
 
 @dataclass(frozen=True)
@@ -139,3 +159,216 @@ class Detector(Protocol):
     def detect(self, image: Image) -> Detections:
         """Return the people of an image, best first."""
         ...
+
+
+_LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1
+"""Share of somebody's points in a box, and overlap of the boxes, below which they are not the box's."""
+_SURE = 0.3
+_ABOVE, _BELOW, _BESIDE = 0.09, 0.04, 0.06
+"""How far a person reaches beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
+_TRUNKS = 1.86
+"""From hips to soles, in lengths from shoulders to hips."""
+
+
+def found_by_frame(people: Iterable[PersonPoints]) -> dict[int, Detections]:
+    """People of files by frame."""
+    groups: dict[int, list[PersonPoints]] = {}
+    for person in people:
+        groups.setdefault(person.frame, []).append(person)
+    return {
+        frame: Detections(
+            np.array([person.box for person in group]),
+            np.array([person.score for person in group]),
+            np.array([person.points for person in group]),
+        )
+        for frame, group in groups.items()
+    }
+
+
+def box_of(points: FloatArray) -> FloatArray | None:
+    """The box (4,) of whoever has these points (17, 3); None if they do not say where the feet are.
+
+    Hidden feet are as far below the hips as they are of somebody who stands.
+    """
+    there = points[:, 2] >= _SURE
+    if there.sum() < 2:
+        return None
+    (left, top), (right, bottom) = points[there, :2].min(axis=0), points[there, :2].max(axis=0)
+    shoulders, hips = (
+        points[list(pair), 1][there[list(pair)]].mean() if there[list(pair)].any() else np.nan
+        for pair in (SHOULDERS, HIPS)
+    )
+    trunk = hips - shoulders
+    if there[list(ANKLES)].any():
+        bottom += _BELOW * (bottom - top)
+    elif np.isfinite(trunk) and trunk > 0.0:
+        bottom = max(bottom, hips + _TRUNKS * trunk)
+    else:
+        return None
+    height = bottom - top
+    if there[list(FACE)].any():
+        top -= _ABOVE * height
+    elif np.isfinite(trunk):
+        top -= 0.6 * trunk
+    else:
+        return None
+    aside = _BESIDE * height
+    box = np.array([left - aside, top, right - left + 2.0 * aside, bottom - top])
+    return box if box[2] >= 1.0 and box[3] >= 1.0 else None
+
+
+def boxes_of(
+    found: Mapping[int, Detections], refuse: Callable[[str], object] = lambda reason: None
+) -> list[PersonBox]:
+    """Return detections as boxes without identities, numbered from 1 on; people without a box are refused."""
+    boxes: list[PersonBox] = []
+    without = 0
+    for frame, people in sorted(found.items()):
+        for k, score in enumerate(people.scores.tolist()):
+            box = _own_box(people, k)
+            if box is None:
+                without += 1
+                continue
+            points = None if people.points is None else as_points(people.points[k])
+            left, top, width, height = box.tolist()
+            number = len(boxes) + 1
+            boxes.append(PersonBox(frame, number, (left, top, width, height), score, False, score, points))
+    if without:
+        refuse(f"{without} people whose keypoints do not say where they stand")
+    return boxes
+
+
+def _own_box(people: Detections, k: int) -> FloatArray | None:
+    """Somebody's box: the given one, or that of their points."""
+    box = people.boxes[k]
+    if np.isfinite(box).all() and box[2] >= 1.0 and box[3] >= 1.0:
+        return box
+    return None if people.points is None else box_of(people.points[k])
+
+
+def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) -> list[PersonBox]:
+    """The same boxes with the keypoints of those whom they hold; who has none has none.
+
+    Within a frame everybody's points are given to one box at most, so that overlaps are the largest in all.
+    """
+    groups: dict[int, list[int]] = {}
+    result = list(boxes)
+    for place, item in enumerate(result):
+        groups.setdefault(item.frame, []).append(place)
+    for frame, places in groups.items():
+        people = found.get(frame)
+        if people is None or people.points is None or not len(people):
+            continue
+        fit = np.array([[_fit(result[place].box, people, k) for k in range(len(people))] for place in places])
+        for row, k in zip(*linear_sum_assignment(fit, maximize=True), strict=True):
+            if fit[row, k] > 0.0:
+                place = places[row]
+                result[place] = replace(result[place], keypoints=as_points(people.points[k]))
+    return result
+
+
+def _fit(box: tuple[float, float, float, float], people: Detections, k: int) -> float:
+    """How well somebody fits into a box; 0: not at all."""
+    assert people.points is not None
+    points, (left, top, width, height) = people.points[k], box
+    sure = points[:, 2]
+    inside = (np.abs(points[:, 0] - left - width / 2.0) <= 0.55 * width) & (
+        np.abs(points[:, 1] - top - height / 2.0) <= 0.55 * height
+    )
+    if sure.sum() <= 0.0 or (share := float((sure * inside).sum() / sure.sum())) < _LEAST_INSIDE:
+        return 0.0
+    own = _own_box(people, k)
+    if own is None:
+        there = points[sure > 0.0, :2]
+        own = np.concatenate([there.min(axis=0), np.maximum(np.ptp(there, axis=0), 1.0)])
+    overlap = float(intersection_over_union(own, box))
+    return share + overlap if overlap >= _LEAST_OVERLAP else 0.0
+
+
+def points_of(item: PersonBox) -> FloatArray:
+    """The keypoints (17, 3) of a box; all 0 if it has none."""
+    return np.zeros((N_POINTS, 3)) if item.keypoints is None else np.array(item.keypoints, float)
+
+
+def from_supervision(
+    detections: Any, frame: int, *, person: int | None = 0, keypoints: Any = None, first: int = 1
+) -> list[PersonBox]:
+    """The people of a ``supervision.Detections``, with its tracker's ids where it has any.
+
+    Parameters
+    ----------
+    detections : with ``xyxy`` (n, 4) and perhaps ``confidence``, ``class_id`` and ``tracker_id``
+    frame : number
+    person : the class of people; None: all are people
+    keypoints : a ``supervision.KeyPoints`` of the same people in the same order
+    first : number of the first detection without an id; give other numbers to other frames
+
+    Raises
+    ------
+    InputError
+        If it is no such object, or its arrays do not fit together.
+    """
+    found = boxes_of_supervision(detections, person)
+    points = None
+    if keypoints is not None:
+        places = array_of(keypoints, "xy", "a supervision.KeyPoints")
+        said = array_of(keypoints, "keypoint_confidence")
+        sure = said if said is not None else array_of(keypoints, "confidence")
+        points = _joined(places, None if sure is None or sure.ndim != 2 else sure)
+        _check_number(points, found.among)
+    return _boxes(found, points, frame, first)
+
+
+def from_ultralytics(
+    results: Any, frame: int, *, person: int | None = None, first: int = 1
+) -> list[PersonBox]:
+    """The people of Ultralytics' ``Results`` of one image, with ids and keypoints where it has any.
+
+    Parameters
+    ----------
+    results : with ``boxes`` (``xyxy``, ``conf``, ``cls``, ``id``) and perhaps ``keypoints``
+    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
+    frame, first : as in `from_supervision`
+
+    Raises
+    ------
+    InputError
+        As there.
+    """
+    found = boxes_of_ultralytics(results, person)
+    points = None
+    keypoints = getattr(results, "keypoints", None)
+    if keypoints is not None and getattr(keypoints, "xy", None) is not None:
+        points = _joined(array_of(keypoints, "xy", "keypoints with xy"), array_of(keypoints, "conf"))
+        _check_number(points, found.among)
+    return _boxes(found, points, frame, first)
+
+
+def _check_number(points: FloatArray, boxes: int) -> None:
+    if len(points) != boxes:
+        raise InputError(f"{len(points)} keypoints of {boxes} boxes", "as many as boxes")
+
+
+def _joined(places: FloatArray, sure: FloatArray | None) -> FloatArray:
+    """COCO's points (n, 17, 3) out of places (n, k, 2) and confidences (n, k); without any, all are sure."""
+    if places.ndim != 3 or places.shape[2] != 2:
+        raise InputError(f"keypoints of shape {places.shape}", "(n, k, 2)")
+    if places.shape[1] not in BY_NUMBER:
+        raise InputError(f"{places.shape[1]} keypoints", KNOWN)
+    if sure is None:
+        sure = (places != 0.0).any(axis=2).astype(float)  # who is nowhere is at 0, 0
+    if sure.shape != places.shape[:2]:
+        raise InputError(f"confidences of shape {sure.shape}", f"{places.shape[:2]}")
+    return in_coco_order(np.concatenate([places, sure[..., None]], axis=2), BY_NUMBER[places.shape[1]])
+
+
+def _boxes(found: FoundBoxes, points: FloatArray | None, frame: int, first: int) -> list[PersonBox]:
+    boxes: list[PersonBox] = []
+    identified = found.track_id is not None
+    for k, (left, top, width, height) in enumerate(found.box.tolist()):
+        score = None if found.confidence is None else float(found.confidence[k])
+        number = first + k if found.track_id is None else int(found.track_id[k])
+        given = None if points is None else as_points(points[found.place[k]])
+        sure = 1.0 if score is None else score
+        boxes.append(PersonBox(frame, number, (left, top, width, height), sure, identified, score, given))
+    return boxes

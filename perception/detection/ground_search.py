@@ -1,26 +1,243 @@
-"""Where people may be in a frame of a camera whose ground plane is known."""
+"""How large a person is at each place of an image whose ground plane is known.
+
+The parts of an image in which people have about one height, brought to that of the detector's window.
+
+Where people may be in a frame of a camera whose ground plane is known.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import PERSON_HEIGHT
 from perception.detection.background import Background
-from perception.detection.bands import GroundBands
-from perception.detection.blocks import (
+from perception.detection.hog import (
+    CELL,
+    FOOT,
     ORIENTATIONS,
     TALL,
     WINDOW,
+    Grid,
     WindowFilter,
+    gradient_blocks,
+    mean_blocks,
+    resized,
     window_at,
 )
-from perception.detection.sizes import PersonSizes
 from perception.images.pixels import Image
+
+LEAN = 0.5
+"""Largest shift of the head to the side, in heights, of a person who counts as upright in the image."""
+
+
+@dataclass(frozen=True, eq=False)
+class PersonSizes:
+    """Where the head of a person is who stands on the ground.
+
+    Attributes
+    ----------
+    camera : over the ground
+    lift : (3,) what a metre of height adds to the homogeneous ideal pixel of a ground point
+    height : of a person, in metres
+    """
+
+    camera: GroundCamera
+    lift: FloatArray
+    height: float = PERSON_HEIGHT
+
+    @classmethod
+    def of(cls, camera: GroundCamera, size: tuple[int, int], height: float = PERSON_HEIGHT) -> PersonSizes:
+        """Of a camera whose images have ``size`` columns and rows.
+
+        Where its matrix is not known, pixels are taken to be square, the principal point to be the middle of
+        the image, and the focal length follows from the ground plane (Zhang 2000, eq. 3–4).
+        """
+        to_image = np.asarray(np.linalg.inv(camera.homography), float)
+        matrix = camera.intrinsics
+        if matrix is None:
+            matrix = _square_matrix(to_image, size)
+        first, second, translation = (np.linalg.inv(matrix) @ to_image).T
+        scale = float(np.sqrt(np.linalg.norm(first) * np.linalg.norm(second)))
+        up = np.cross(first, second) / scale
+        if up @ translation > 0.0:  # the camera is above the ground
+            up = -up
+        return cls(camera, matrix @ up, height)
+
+    def heads(self, foot: ArrayLike) -> FloatArray:
+        """Raw pixels (n, 2) of the heads of people whose feet are at (n, 2); NaN beyond the horizon."""
+        ground = self.camera.image_to_ground(foot)
+        flat = np.column_stack([ground, np.ones(len(ground))])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            head = flat @ np.linalg.inv(self.camera.homography).T + self.height * self.lift
+            ideal = np.where(head[:, 2:] > 0.0, head[:, :2] / head[:, 2:], np.nan)
+        return self.camera.distort(ideal)
+
+    def heights(self, foot: ArrayLike) -> FloatArray:
+        """Pixels (n,) from head to foot; NaN where a person does not stand upright in the image."""
+        foot = np.asarray(foot, float)
+        up = foot - self.heads(foot)
+        with np.errstate(invalid="ignore"):
+            upright = (up[:, 1] > 0.0) & (np.abs(up[:, 0]) <= LEAN * up[:, 1])
+        return np.where(upright, up[:, 1], np.nan)
+
+
+def _square_matrix(to_image: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """The camera matrix (3, 3) under which the ground's axes are square."""
+    middle = np.array([size[0], size[1]], float) / 2.0
+    centred = to_image.copy()
+    centred[:2] -= middle[:, None] * to_image[2]
+    (x1, y1, w1), (x2, y2, w2) = centred[:, 0], centred[:, 1]
+    left = np.array([x1 * x2 + y1 * y2, x1**2 + y1**2 - x2**2 - y2**2])
+    right = -np.array([w1 * w2, w1**2 - w2**2])
+    share = float(left @ right) / max(float(left @ left), 1e-300)  # 1 / focal²
+    widest = float(max(size))
+    # From straight above, or with rounding, the ground does not tell.
+    focal = np.clip(1.0 / np.sqrt(share), 0.3 * widest, 10.0 * widest) if share > 0.0 else 1.2 * widest
+    return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
+
+
+_STEP = 1.12
+"""Ratio of the heights of neighbouring bands."""
+_LEAST, _MOST = 28.0, 1200.0
+"""Heights of people in pixels who are looked for."""
+_LATTICE = 16
+
+
+@dataclass(frozen=True)
+class Band:
+    """A part of the image, enlarged or reduced.
+
+    Attributes
+    ----------
+    scale : pixels of the band over those of the image
+    left, top : pixel of the image at which the band begins
+    size : columns and rows of the band
+    """
+
+    scale: float
+    left: int
+    top: int
+    size: tuple[int, int]
+
+    def cut(self, image: Image) -> Image:
+        """The band of an image; beyond the border the image is repeated."""
+        columns, rows = (round(length / self.scale) for length in self.size)
+        h, w = image.shape[:2]
+        first, last = max(self.top, 0), min(self.top + rows, h)
+        start, end = max(self.left, 0), min(self.left + columns, w)
+        part = image[first:last, start:end]
+        beyond = first - self.top, self.top + rows - last, start - self.left, self.left + columns - end
+        if any(beyond):
+            part = cv2.copyMakeBorder(part, *beyond, cv2.BORDER_REPLICATE)
+        return resized(np.asarray(part, np.uint8), self.size)
+
+    def feet(self) -> FloatArray:
+        """Pixels (rows, columns, 2) of the image where the feet of each window are."""
+        columns, rows = (length // CELL - blocks for length, blocks in zip(self.size, WINDOW, strict=True))
+        u = self.left + (CELL * np.arange(columns) + FOOT[0]) / self.scale
+        v = self.top + (CELL * np.arange(rows) + FOOT[1]) / self.scale
+        return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class GroundBands:
+    """Bands of a camera over the ground, and their windows in which somebody may stand.
+
+    Attributes
+    ----------
+    bands : by height
+    windows : of each band, (n, 2) rows and columns of windows
+    foot : of each band, (n, 2) pixels where their feet are
+    expected : of each band, (n,) log of the window's height over that of a person of mean height
+    """
+
+    bands: tuple[Band, ...]
+    windows: tuple[NDArray[np.int64], ...]
+    foot: tuple[FloatArray, ...]
+    expected: tuple[FloatArray, ...]
+
+    @classmethod
+    def of(cls, sizes: PersonSizes, size: tuple[int, int], tolerance: float = 0.1) -> GroundBands:
+        """Bands of images of ``size`` columns and rows.
+
+        Parameters
+        ----------
+        tolerance : of the log of people's height
+        """
+        u, v = np.meshgrid(np.arange(0, size[0], _LATTICE), np.arange(0, size[1], _LATTICE))
+        lattice = np.column_stack([u.ravel(), v.ravel()]).astype(float)
+        height = sizes.heights(lattice)
+        usable = np.isfinite(height) & (height >= _LEAST) & (height <= min(_MOST, 2.0 * size[1]))
+        lattice, height = lattice[usable], height[usable]
+        found: list[tuple[Band, NDArray[np.int64], FloatArray, FloatArray]] = []
+        if len(height):
+            count = max(1, int(np.ceil(np.log(height.max() / height.min()) / np.log(_STEP))))
+            for tall in np.geomspace(height.min(), height.max(), count + 1) if count > 1 else height[:1]:
+                near = lattice[np.abs(np.log(height / tall)) <= tolerance + 0.02]
+                if len(near):
+                    found.append(_band(sizes, size, near, float(tall), tolerance))
+        kept = [one for one in found if len(one[1])]
+        return cls(*(tuple(values) for values in zip(*kept, strict=True))) if kept else cls((), (), (), ())
+
+    def grids(self, image: Image, foreground: NDArray[np.float32] | None) -> list[Grid]:
+        """Blocks (rows, columns, 37) of each band: gradients, and the share of the foreground.
+
+        Parameters
+        ----------
+        foreground : (h, w) from 0 to 1, at the image's size or a smaller one; None: not known, and 0
+        """
+        found = []
+        for band in self.bands:
+            gradients = gradient_blocks(band.cut(image))
+            if foreground is None:
+                shares = np.zeros((*gradients.shape[:2], 1), np.float32)
+            else:
+                shares = mean_blocks(_of_smaller(band, foreground, image.shape[1]))
+            found.append(np.concatenate([gradients, shares], axis=2))
+        return found
+
+
+def _of_smaller(band: Band, values: NDArray[np.float32], columns: int) -> NDArray[np.float32]:
+    """The band of values (h, w) that were reduced from so many columns."""
+    factor = values.shape[1] / columns
+    move = np.array(
+        [
+            [band.scale / factor, 0.0, -band.left * band.scale],
+            [0.0, band.scale / factor, -band.top * band.scale],
+        ]
+    )
+    if band.scale < 0.7 * factor:
+        width = max(1, round(0.7 * factor / band.scale))
+        values = cv2.blur(values, (width, width))
+    return np.asarray(
+        cv2.warpAffine(values, move, band.size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+        np.float32,
+    )
+
+
+def _band(
+    sizes: PersonSizes, size: tuple[int, int], near: FloatArray, tall: float, tolerance: float
+) -> tuple[Band, NDArray[np.int64], FloatArray, FloatArray]:
+    scale = TALL / tall
+    low, high = near.min(axis=0), near.max(axis=0) + _LATTICE
+    left, top = (int(np.floor(low[k] - FOOT[k] / scale)) for k in range(2))
+    extent = (high - np.array([left, top])) * scale + np.array([32.0, 128.0 - FOOT[1]])
+    band = Band(scale, left, top, (int(np.ceil(extent[0])), int(np.ceil(extent[1]))))
+    feet = band.feet()
+    expected = np.log(tall / sizes.heights(feet.reshape(-1, 2))).reshape(feet.shape[:2])
+    inside = (feet >= 0.0).all(axis=-1) & (feet <= np.array(size)).all(axis=-1)
+    with np.errstate(invalid="ignore"):
+        rows, columns = np.nonzero(inside & (np.abs(expected) <= tolerance))
+    windows = np.column_stack([rows, columns]).astype(np.int64)
+    return band, windows, feet[rows, columns], expected[rows, columns]
+
 
 FEATURES = WINDOW[0] * WINDOW[1] * (ORIENTATIONS + 1)
 """Numbers that are kept of a candidate's window."""

@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
-from graphtrack.later import package
+from graphtrack.packages import package
 from perception.detection.boxes import Detections
 from perception.images.pixels import Image, non_maximum_suppression
-from perception.pose.keypoints.skeleton import BY_NUMBER, KNOWN, in_coco_order
+from perception.pose.keypoints import BY_NUMBER, KNOWN, in_coco_order
 
 _GREY = (114, 114, 114)
 

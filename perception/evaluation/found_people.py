@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.evaluation.reproduce.experiment import Cell, Progress, Table
+from graphtrack.experiments.harness import Cell, Progress, Table
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import read_calibration

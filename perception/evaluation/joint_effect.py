@@ -9,24 +9,25 @@ from typing import Literal
 
 import numpy as np
 
-from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
-from graphtrack.evaluation.reproduce.chen_tables import ANGLES, WITH_FULL, Scores, most_likely_error
+from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
+from graphtrack.experiments.chen_joint import ANGLES, WITH_FULL, Scores, most_likely_error
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.smoothing import track_online
-from graphtrack.tracks import Track, TrackSet
-from perception.observe.identified import to_tracks
+from graphtrack.tracks.track import Track, TrackSet
 from perception.observe.pipeline import (
     Models,
+    SeenPerson,
+    by_frame,
     by_track,
     channels_of,
     head_in_image,
     is_on_ground,
     observe_frame,
 )
-from perception.observe.seen import SeenPerson, by_frame
+from perception.observe.tables import to_tracks
 from perception.synthetic.clips import Clip
 
 LAG = 2.0

@@ -12,11 +12,11 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
-from graphtrack.io.numbers import parse_number
-from graphtrack.table.schema import BOX_COLUMNS, TILT_COLUMN
-from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet, to_columns
-from perception.detection.people import PeopleDetector
-from perception.follow.world import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
+from graphtrack.io.text import parse_number
+from graphtrack.tracks.schema import BOX_COLUMNS, TILT_COLUMN
+from graphtrack.tracks.track import HEAD_CLASSES, Track, TrackSet, to_columns
+from perception.detection.hog import PeopleDetector
+from perception.follow.ground import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame, FrameSource, of_one_size
 from perception.images.pixels import Image, as_uint8, crop
 from perception.models import load_head_localiser

@@ -14,7 +14,7 @@ from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Model, Observation, Parameters
 from graphtrack.model.parameters import MotionParameters, steady
 from graphtrack.model.terms.motion import process_noise, transition_matrix
-from perception.follow.world import BoxCamera
+from perception.follow.ground import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from perception.detection.boxes import PersonBox, foot_point
-from perception.detection.sizes import LEAN, PersonSizes
+from perception.detection.ground_search import LEAN, PersonSizes
 from perception.images.pixels import Image
 
 _PERSON = 1.75
@@ -28,7 +28,7 @@ _SHORTEST = 0.6
 short but wide."""
 _TOWARDS_FEET = 0.8
 """Where the feet are between the middle of a leaning person's box (0) and its edge (1): as measured by the
-reader of CAVIAR's lobby, `graphtrack.io.readers.caviar`."""
+reader of CAVIAR's lobby, `graphtrack.io.formats.caviar`."""
 _GRID = 12
 _MARGIN = 0.5
 """About an upright box, in its heights, that a turned picture has."""

@@ -7,9 +7,11 @@ from pathlib import Path
 from graphtrack.errors import InputError
 from perception.pose.body import BodyPose
 from perception.pose.classifier import FeatureClassifier
-from perception.pose.head_pose import DeepBelief, Exemplars, Templates
-from perception.pose.heads import HeadLocaliser
-from perception.pose.keypoints.model import KeypointPose
+from perception.pose.deep_belief import DeepBelief
+from perception.pose.exemplars import Exemplars
+from perception.pose.head_detection import HeadLocaliser
+from perception.pose.keypoints import KeypointPose
+from perception.pose.templates import Templates
 
 CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "templates": Templates,

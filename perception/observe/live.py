@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import Track, TrackSet, to_columns
-from perception.detection.boxes import Detections, Detector, PersonBox
-from perception.detection.ground_detector import GroundDetector
-from perception.detection.people import PeopleDetector
-from perception.detection.pointed import boxes_of, with_keypoints
+from graphtrack.tracks.track import Track, TrackSet, to_columns
+from perception.detection.boxes import Detections, Detector, PersonBox, boxes_of, with_keypoints
+from perception.detection.hog import PeopleDetector
+from perception.detection.rescoring import GroundDetector
 from perception.images.frames import Frame
 from perception.images.pixels import Image
-from perception.observe.detections import scaled_camera
 from perception.observe.pipeline import (
     Models,
+    SeenFrame,
+    SeenPerson,
     channels_of,
     in_heights,
     is_on_ground,
     observe_frame,
 )
-from perception.observe.seen import SeenFrame, SeenPerson
-from perception.pose.features.appearance import Projection
-from perception.pose.head_path import HeadPath
+from perception.observe.tables import scaled_camera
+from perception.pose.features import Projection
+from perception.pose.head_detection import HeadPath
 
 Finder = Callable[[int, Image], list[PersonBox]]
 """The boxes of the people of a frame, by its number and image."""
@@ -35,7 +35,7 @@ Look = Callable[[int, Image], Detections]
 
 
 class LiveObserver:
-    """Rows of each frame at once, as causal `perception.observe.identified.to_tracks` makes them in the end.
+    """Rows of each frame at once, as causal `perception.observe.tables.to_tracks` makes them in the end.
 
     Parameters
     ----------

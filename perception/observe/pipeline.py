@@ -1,7 +1,13 @@
-"""From frames and boxes to the table of observations that `graphtrack` smooths."""
+"""What was seen of people in frames, and how a journal writes it down.
+
+What keypoints say of people: where body and head point, and where the head is.
+
+From frames and boxes to the table of observations that `graphtrack` smooths.
+"""
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,25 +15,161 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import APPEARANCE
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
+from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
-from perception.detection.boxes import PersonBox
+from perception.detection.boxes import PersonBox, foot_point, points_of
 from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
-from perception.observe.by_keypoints import said_by_keypoints
 from perception.observe.journal import FrameJournal
-from perception.observe.seen import SeenFrame, SeenPerson
-from perception.observe.turned import image_likelihood, world_likelihood
-from perception.pose.classes import PoseClasses
+from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
 from perception.pose.classifier import FeatureClassifier
-from perception.pose.features.appearance import Projection, describe, light_of
-from perception.pose.heads import HeadCandidates, HeadLocaliser
-from perception.pose.keypoints.model import KeypointPose
+from perception.pose.features import LENGTH, Projection, describe, light_of
+from perception.pose.head_detection import HeadCandidates, HeadLocaliser
+from perception.pose.keypoints import FACE, KeypointPose
+
+
+@dataclass(eq=False)
+class SeenPerson:
+    """What the models say of one person in one frame.
+
+    Attributes
+    ----------
+    box : left, top, width, height of the person in pixels
+    body : (8,) log likelihoods of the body's classes, image frame
+    heads : candidates of the head's box, in the crop of the person
+    pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
+    score : of a detection; None: not known
+    looks : (`appearance.LENGTH`,) uint8 what the person looks like, None: not asked for
+    standing : of somebody who leans in the picture; the heads are in the crop of the turned one then
+    """
+
+    frame: int
+    track_id: int
+    box: tuple[float, float, float, float]
+    body: FloatArray
+    heads: HeadCandidates
+    pan: FloatArray
+    score: float | None = None
+    looks: NDArray[np.uint8] | None = None
+    standing: Standing | None = None
+
+    @property
+    def height(self) -> float:
+        """Of the box, or of somebody who leans, in pixels."""
+        return self.box[3] if self.standing is None else self.standing.length
+
+    @property
+    def foot(self) -> FloatArray:
+        """(2,) pixels."""
+        return np.asarray(foot_point(self.box) if self.standing is None else self.standing.foot, float)
+
+    def to_record(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        record = {
+            "frame": self.frame,
+            "track_id": self.track_id,
+            "box": list(self.box),
+            "body": self.body.tolist(),
+            "boxes": self.heads.boxes.tolist(),
+            "scores": self.heads.scores.tolist(),
+            "pan": self.pan.tolist(),
+        }
+        if self.score is not None:
+            record["score"] = self.score
+        if self.looks is not None:
+            record["looks"] = base64.b64encode(self.looks.tobytes()).decode()
+        if self.standing is not None:
+            record["standing"] = [*self.standing.foot, self.standing.turn, self.standing.length]
+        return record
+
+    @classmethod
+    def from_record(cls, values: dict[str, Any]) -> SeenPerson:
+        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        left, top, width, height = (float(value) for value in values["box"])
+        boxes, scores, pan = (np.array(values[name], float) for name in ("boxes", "scores", "pan"))
+        body, n = np.array(values["body"], float), len(scores)
+        if boxes.shape != (n, 4) or pan.shape[:1] != (n,) or pan.ndim != 2 or body.shape != (BODY_CLASSES,):
+            raise ValueError("arrays of other shapes")
+        person = int(values["frame"]), int(values["track_id"])
+        looks = None
+        if "looks" in values:
+            looks = np.frombuffer(base64.b64decode(values["looks"], validate=True), np.uint8)
+            if looks.shape != (LENGTH,):
+                raise ValueError("looks of another length")
+        score = float(values["score"]) if "score" in values else None
+        box, heads = (left, top, width, height), HeadCandidates(boxes, scores)
+        standing = None
+        if "standing" in values:
+            across, down, turn, length = (float(value) for value in values["standing"])
+            standing = Standing((across, down), turn, length)
+        return cls(*person, box, body, heads, pan, score, looks, standing)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrame:
+    """The people of one frame, and why other boxes hold nobody."""
+
+    people: list[SeenPerson]
+    refused: list[str]
+
+    def to_record(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        return {"people": [person.to_record() for person in self.people], "refused": self.refused}
+
+    @classmethod
+    def from_record(cls, values: dict[str, Any]) -> SeenFrame:
+        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        people = [SeenPerson.from_record(person) for person in values["people"]]
+        return cls(people, [str(reason) for reason in values["refused"]])
+
+
+def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
+    """Group people by the numbers of their frames."""
+    frames: dict[int, SeenFrame] = {}
+    for item in seen:
+        frames.setdefault(item.frame, SeenFrame([], [])).people.append(item)
+    return frames
+
+
+_HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065
+"""Of a head, and of its middle below the top, in heights of the person's box."""
+_LEAST = 0.2
+"""Confidence from which on a point of the face says where the head is."""
+
+
+def said_by_keypoints(
+    people: Sequence[PersonBox], model: KeypointPose
+) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
+    """Of each box: the body's log likelihoods (8,), the head in its crop, and its log likelihoods (1, 12).
+
+    Whose keypoints are not known may point anywhere.
+    """
+    if not people:
+        return []
+    points = np.array([points_of(item) for item in people])
+    body, head = model.log_likelihoods(points)
+    return [
+        (body[k], HeadCandidates(_head_in_crop(item.box, points[k])[None], np.zeros(1)), head[k : k + 1])
+        for k, item in enumerate(people)
+    ]
+
+
+def _head_in_crop(box: tuple[float, float, float, float], points: FloatArray) -> FloatArray:
+    """The head's box (4,) in the crop of the person: about the points of the face, or at the top."""
+    left, top, width, height = box
+    middle = np.array([left + width / 2.0, top + _MIDDLE * height])
+    face = points[list(FACE)]
+    sure = np.where(face[:, 2] >= _LEAST, face[:, 2], 0.0)
+    if sure.any():
+        middle = np.average(face[:, :2], axis=0, weights=sure)
+    size = np.array([_WIDTH, _HEIGHT]) * height
+    return np.concatenate([middle - size / 2.0 - (round(left), round(top)), size])
+
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
 
@@ -229,7 +371,7 @@ def channels_of(
     ----------
     items : one person in n frames, on this side of the horizon
     heads : (n,) which candidate is the head
-    head_classes, camera, fps : as of `perception.observe.identified.to_tracks`
+    head_classes, camera, fps : as of `perception.observe.tables.to_tracks`
     in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
         et al. 2011, eq. 13–14)
     projection : of appearance; None: tracks have none

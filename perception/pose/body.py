@@ -14,8 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, grey_stack
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import FeatureClassifier
-from perception.pose.features.hog import multi_level_hog
-from perception.pose.features.linear import fisher_projection, sparse_weights
+from perception.pose.features import fisher_projection, multi_level_hog, sparse_weights
 
 _WIDTH, _HEIGHT = 64, 128
 _LEVELS = ((4, 2), (8, 4))

@@ -1,27 +1,111 @@
-"""What every pose classifier has in common: fit, log likelihoods, calibration and a file."""
+"""How honest class likelihoods are, and the one number that makes them more so.
+
+What every pose classifier has in common: fit, log likelihoods, calibration and a file.
+
+Errors of pose classifiers on labelled images.
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_softmax
+from scipy.optimize import minimize, minimize_scalar
+from scipy.special import expit, log_softmax, logsumexp
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, difference
 from perception.images.pixels import Image
-from perception.pose.calibration import (
-    fit_temperature,
-    fit_temperature_and_share,
-    reliability,
-    with_neighbours,
-)
 from perception.pose.classes import PoseClasses
 from perception.storage import ModelCard, Stored
+
+
+def fit_temperature(scores: FloatArray, labels: NDArray[np.int64], *, groups: int = 1) -> float:
+    """The t > 0 for which softmax(scores / t) has the highest likelihood of the labels.
+
+    Parameters
+    ----------
+    scores : (n, groups · k) log likelihoods up to a constant a row, of samples that were not fitted
+    labels : (n,) true classes, 0 to k − 1
+    groups : classes that are alike but for their group are added up first, as tilts are
+    """
+    rows = np.arange(len(labels))
+
+    def loss(log_t: float) -> float:
+        log_p = log_softmax(scores / np.exp(log_t), axis=1).reshape(len(scores), groups, -1)
+        return -float(logsumexp(log_p, axis=1)[rows, labels].mean())
+
+    spread = max(float(np.std(scores)), 1e-6)
+    around = np.log(spread)
+    return float(np.exp(minimize_scalar(loss, bounds=(around - 8.0, around + 8.0), method="bounded").x))
+
+
+def with_neighbours(probability: FloatArray, share: float) -> FloatArray:
+    """Probabilities (..., k) around a circle, of which each class gives ``share`` to both neighbours."""
+    beside = np.roll(probability, 1, axis=-1) + np.roll(probability, -1, axis=-1)
+    return np.asarray((1.0 - 2.0 * share) * probability + share * beside, float)
+
+
+def fit_temperature_and_share(
+    scores: FloatArray, labels: NDArray[np.int64], *, groups: int = 1
+) -> tuple[float, float]:
+    """Temperature and `with_neighbours` share of the highest likelihood of the labels, together.
+
+    Angles near the border of two classes are told as either: a temperature alone, which must make up for
+    that too, leaves the surest answers too sure. The parameters are those of `fit_temperature`, for classes
+    all around a circle.
+    """
+    rows = np.arange(len(labels))
+    start = np.log(fit_temperature(scores, labels, groups=groups))
+
+    def loss(values: FloatArray) -> float:
+        log_p = log_softmax(scores / np.exp(values[0]), axis=1).reshape(len(scores), groups, -1)
+        p = with_neighbours(np.exp(logsumexp(log_p, axis=1)), 0.5 * expit(values[1]))
+        return -float(np.log(p[rows, labels] + 1e-300).mean())
+
+    found = minimize(loss, np.array([start, -3.0]), method="Nelder-Mead").x
+    return float(np.exp(found[0])), float(0.5 * expit(found[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """Confidence against accuracy in bins of confidence.
+
+    Attributes
+    ----------
+    confidence, accuracy : (b,) means in each bin that is not empty
+    count : (b,) samples
+    """
+
+    confidence: FloatArray
+    accuracy: FloatArray
+    count: NDArray[np.int64]
+
+    @property
+    def expected_calibration_error(self) -> float:
+        """Mean |confidence − accuracy|, weighted by the samples."""
+        return float(np.average(np.abs(self.confidence - self.accuracy), weights=self.count))
+
+
+def reliability(log_likelihood: FloatArray, labels: NDArray[np.int64], bins: int = 15) -> Reliability:
+    """The reliability curve of the most likely class, for a uniform prior over the classes.
+
+    Parameters
+    ----------
+    log_likelihood : (n, k); labels : (n,) true classes
+    """
+    probability = np.exp(log_softmax(log_likelihood, axis=1))
+    confidence, right = probability.max(axis=1), probability.argmax(axis=1) == labels
+    place = np.minimum((confidence * bins).astype(int), bins - 1)
+    count = np.bincount(place, minlength=bins)
+    used = count > 0
+    means = [np.bincount(place, values, bins)[used] / count[used] for values in (confidence, right)]
+    return Reliability(means[0], means[1], count[used])
+
 
 _HELD_OUT = 0.2
 _BATCH = 256
@@ -203,3 +287,59 @@ def split(
         members = np.flatnonzero(labels == k)
         second[rng.choice(members, max(1, round(share * len(members))), replace=False)] = True
     return np.flatnonzero(~second), np.flatnonzero(second)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseScores:
+    """Errors of a classifier on labelled images.
+
+    Attributes
+    ----------
+    mean_error, median_error : degrees, of the centre of the most likely pan class
+    accuracy : share of the most likely pan classes that are right; ``within_one`` counts neighbours too
+    reliability : confidence against accuracy of the pan classes
+    confusion : (n_pan, n_pan) images by true (row) and most likely (column) pan class
+    """
+
+    mean_error: float
+    median_error: float
+    accuracy: float
+    within_one: float
+    reliability: Reliability
+    confusion: NDArray[np.int64]
+
+    @property
+    def expected_calibration_error(self) -> float:
+        """Of the pan classes."""
+        return self.reliability.expected_calibration_error
+
+    def figures(self) -> dict[str, float]:
+        """The numbers by name, for a model card."""
+        return {
+            "mean_error_deg": self.mean_error,
+            "median_error_deg": self.median_error,
+            "accuracy": self.accuracy,
+            "accuracy_within_one_class": self.within_one,
+            "expected_calibration_error": self.expected_calibration_error,
+        }
+
+
+def evaluate(classifier: FeatureClassifier, images: Sequence[Image], pan: ArrayLike) -> PoseScores:
+    """Judge a classifier on images whose pan (n,) in radians is known."""
+    classes, pan = classifier.classes, np.asarray(pan, float)
+    found = classifier.log_likelihoods(images)
+    of_pan = classes.pan_log_likelihood(found)
+    error = np.degrees(np.abs(difference(classes.most_likely_pan(found), pan)))
+    labels = classes.pans.index(pan)
+    likely = of_pan.argmax(axis=1)
+    confusion = np.zeros((classes.n_pan, classes.n_pan), np.int64)
+    np.add.at(confusion, (labels, likely), 1)
+    apart = np.abs(difference(classes.pan[likely], classes.pan[labels]))
+    return PoseScores(
+        float(error.mean()),
+        float(np.median(error)),
+        float(np.mean(likely == labels)),
+        float(np.mean(apart < 1.5 * classes.step)),
+        reliability(of_pan, labels),
+        confusion,
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from perception.synthetic.cameras import Camera
-from perception.synthetic.contact_sheet import contact_sheet
+from perception.synthetic.folders import contact_sheet
 from perception.synthetic.heads import HeadSet, HeadVariation, draw_poses, make_heads
 from perception.synthetic.pedestrians import PedestrianSet, PedestrianVariation, make_pedestrians
 from perception.synthetic.scene import Furniture, Label, Person, RenderedFrame, Scene, render_frame

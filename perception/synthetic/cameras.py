@@ -1,4 +1,7 @@
-"""Cameras of synthetic scenes: the rays of their pixels and where points are seen."""
+"""Cameras of synthetic scenes: the rays of their pixels and where points are seen.
+
+From light to the bytes of a file: exposure, blur, noise, JPEG; and backgrounds for crops.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal
 
+import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from perception.images.pixels import Image
+from perception.synthetic.raycast import Light
 
 
 @dataclass(frozen=True)
@@ -101,3 +107,106 @@ def _camera_rays(size: tuple[int, int], focal: float, lens: str, oversampling: i
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     directions.setflags(write=False)
     return directions
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What a camera does to an image.
+
+    Attributes
+    ----------
+    gain : factor of the light
+    gamma : exponent of the response
+    blur : 1-σ in pixels
+    noise : 1-σ in grey levels
+    jpeg_quality : 1…100; 0 for none
+    """
+
+    gain: float = 1.0
+    gamma: float = 0.6
+    blur: float = 0.0
+    noise: float = 0.0
+    jpeg_quality: int = 0
+
+
+def random_sensor(rng: np.random.Generator, blur: float = 0.4) -> Sensor:
+    """A surveillance camera of any make; ``blur`` is the 1-σ of its blur (pixels)."""
+    return Sensor(
+        gain=float(rng.uniform(0.55, 1.25)),
+        gamma=float(rng.uniform(0.5, 0.85)),
+        blur=float(abs(rng.normal(0.0, blur))),
+        noise=float(rng.uniform(0.0, 5.0)),
+        jpeg_quality=int(rng.integers(45, 96)) if rng.random() < 0.7 else 0,
+    )
+
+
+def random_light(rng: np.random.Generator) -> Light:
+    """A light from above at any bearing, slightly coloured."""
+    bearing, height = rng.uniform(-np.pi, np.pi), rng.uniform(0.35, 1.4)
+    tint = rng.normal(1.0, 0.05, 3)
+    key, ambient = rng.uniform(0.2, 0.75), rng.uniform(0.35, 0.7)
+    return Light.above(bearing, height, key * tint, ambient * tint[::-1])
+
+
+def develop(light: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator) -> Image:
+    """The 8-bit image (h, w, 3), blue green red, of the light (h, w, 3) that arrives."""
+    exposed = np.clip(np.asarray(light, np.float32) * sensor.gain, 0.0, 1.0) ** sensor.gamma * 255.0
+    if sensor.blur > 0.15:
+        exposed = cv2.GaussianBlur(exposed, (0, 0), sensor.blur, borderType=cv2.BORDER_REPLICATE)
+    if sensor.noise > 0.0:
+        exposed = exposed + rng.normal(0.0, sensor.noise, exposed.shape)
+    image = np.clip(exposed, 0.0, 255.0).astype(np.uint8)
+    if sensor.jpeg_quality:
+        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg_quality])[1]
+        image = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+    return image
+
+
+def random_clutter(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """A shop or a street behind a person (height, width, 3) as light in 0…1: sharp, busy and contrasty.
+
+    Many small things, rows of alike ones, and a texture over all of it.
+    """
+    picture = random_background(height, width, rng)
+    grain = rng.normal(0.0, 1.0, (height // 4 + 2, width // 4 + 2)).astype(np.float32)
+    texture = cv2.resize(grain, (width, height), interpolation=cv2.INTER_LINEAR)
+    picture = picture + (rng.uniform(0.0, 0.12) * texture)[..., None]
+    for _ in range(int(rng.integers(5, 30))):
+        shade = rng.uniform(0.02, 0.95) + rng.normal(0.0, 0.08, 3)
+        wide, high = int(rng.integers(1, width // 3 + 2)), int(rng.integers(2, height // 3 + 3))
+        left, top = int(rng.integers(-wide, width)), int(rng.integers(-high, height))
+        count, gap = (int(rng.integers(2, 9)), int(rng.integers(1, 6))) if rng.random() < 0.3 else (1, 0)
+        across = rng.random() < 0.7
+        for k in range(count):
+            x = left + k * (wide + gap) * across
+            y = top + k * (high + gap) * (not across)
+            picture[max(y, 0) : max(y + high, 0), max(x, 0) : max(x + wide, 0)] = shade
+    return np.asarray(np.clip(picture, 0.0, 1.0), np.float32)
+
+
+def random_background(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Clutter (height, width, 3) as light in 0…1: a gradient with boxes, bars and blobs on it."""
+    full = (width, height)
+    height, width = max(8, height // 2), max(8, width // 2)  # it is blurred anyway
+    base, slope = rng.uniform(0.05, 0.8, 3), rng.uniform(-0.25, 0.25, 2)
+    x, y = np.linspace(-1.0, 1.0, width), np.linspace(-1.0, 1.0, height)
+    ramp = slope[0] * x[None, :] + slope[1] * y[:, None]
+    grey = 0.75 * base.mean() + 0.25 * base
+    picture = np.clip(grey + ramp[..., None], 0.0, 1.0).astype(np.float32)
+    for _ in range(int(rng.integers(0, 7))):
+        shade = np.clip(rng.uniform(0.03, 0.9) + rng.normal(0.0, 0.06, 3), 0.0, 1.0).tolist()
+        place = (int(rng.integers(0, width)), int(rng.integers(0, height)))
+        size = (int(rng.integers(2, width)), int(rng.integers(2, height)))
+        kind = rng.integers(0, 3)
+        if kind == 0:
+            cv2.rectangle(picture, place, (place[0] + size[0], place[1] + size[1]), shade, -1)
+        elif kind == 1:
+            cv2.ellipse(
+                picture, place, (size[0] // 2, size[1] // 2), float(rng.uniform(0, 180)), 0, 360, shade, -1
+            )
+        else:
+            end = (int(rng.integers(0, width)), int(rng.integers(0, height)))
+            cv2.line(picture, place, end, shade, int(rng.integers(1, max(2, width // 8))))
+    if rng.random() < 0.5:
+        picture = cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.3, 1.2))
+    return np.asarray(cv2.resize(picture, full, interpolation=cv2.INTER_LINEAR), np.float32)

@@ -1,4 +1,7 @@
-"""Folders of rendered clips and crops, with what belongs to them: boxes, camera, labels, and the truth."""
+"""Many crops in one picture, to look at.
+
+Folders of rendered clips and crops, with what belongs to them: boxes, camera, labels, and the truth.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +18,47 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.io import atomic_path, write
 from graphtrack.io.cameras import write_calibration
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 from perception.detection.boxes import PersonBox, write_boxes
-from perception.images.drawing.output import pictures
-from perception.images.pixels import Image
+from perception.images.pixels import Image, pictures
 from perception.synthetic.cameras import Camera
 from perception.synthetic.ceiling import ALL_KINDS as CEILING_KINDS
 from perception.synthetic.ceiling import CeilingSequence, ceiling_sequence
 from perception.synthetic.clips import Walks, draw_walks
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.synthetic.heads import HeadVariation, make_heads
-from perception.synthetic.joints import seen_keypoints
 from perception.synthetic.pedestrians import make_pedestrians
+from perception.synthetic.skeletons import seen_keypoints
+
+_TITLE_HEIGHT = 18
+
+
+def contact_sheet(
+    images: Sequence[Image], columns: int, *, cell: tuple[int, int] = (64, 64), titles: Sequence[str] = ()
+) -> Image:
+    """Crops row by row, enlarged without smoothing so that every pixel shows.
+
+    Parameters
+    ----------
+    images : arrays (h, w, 3) uint8
+    columns : crops in a row
+    cell : width and height of a cell in pixels; crops keep their proportions
+    titles : of the columns
+    """
+    width, height = cell
+    rows = -(-len(images) // columns)
+    sheet = np.zeros((_TITLE_HEIGHT + rows * height, columns * width, 3), np.uint8)
+    for k, image in enumerate(images):
+        factor = min(width / image.shape[1], height / image.shape[0])
+        shown = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)[
+            :height, :width
+        ]
+        top, left = _TITLE_HEIGHT + k // columns * height, k % columns * width
+        sheet[top : top + shown.shape[0], left : left + shown.shape[1]] = shown
+    for k, title in enumerate(titles):
+        cv2.putText(sheet, title, (k * width + 4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1)
+    return sheet
+
 
 VIDEO, IMAGES, BOXES, TRUTH, LABELS = "video.mp4", "images", "boxes.txt", "truth.csv", "labels.csv"
 HOMOGRAPHY, CALIBRATION, KEYPOINTS = "homography.txt", "camera.ci", "keypoints.json"

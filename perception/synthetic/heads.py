@@ -12,11 +12,16 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
 from perception.pose.classes import PoseClasses
-from perception.synthetic.appearance import Appearance, random_appearance
-from perception.synthetic.cameras import Camera
-from perception.synthetic.head import CORE, EXTRA, head_solids, neck_and_shoulders
+from perception.synthetic.cameras import Camera, develop, random_background, random_light, random_sensor
+from perception.synthetic.people import (
+    CORE,
+    EXTRA,
+    Appearance,
+    head_solids,
+    neck_and_shoulders,
+    random_appearance,
+)
 from perception.synthetic.raycast import Cast, Light, cast
-from perception.synthetic.sensor import develop, random_background, random_light, random_sensor
 from perception.synthetic.solids import Solids, rotation_roll, rotation_up, rotation_z
 
 _DISTANCE = 6.0

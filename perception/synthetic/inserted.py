@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
-from perception.synthetic.appearance import random_appearance
-from perception.synthetic.cameras import Camera
-from perception.synthetic.person import Posture
+from perception.synthetic.cameras import Camera, Sensor, develop, random_light
+from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.scene import Person, Scene, cast_scene
-from perception.synthetic.sensor import Sensor, develop, random_light
 
 _TALL = 1.78
 """Metres of a box's height across the line of sight."""

@@ -10,17 +10,16 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
-from perception.synthetic.appearance import random_appearance
-from perception.synthetic.cameras import Camera
-from perception.synthetic.person import Posture
-from perception.synthetic.raycast import Ground
-from perception.synthetic.scene import Furniture, Person, Scene, render_frame
-from perception.synthetic.sensor import (
+from perception.synthetic.cameras import (
+    Camera,
     random_background,
     random_clutter,
     random_light,
     random_sensor,
 )
+from perception.synthetic.people import Posture, random_appearance
+from perception.synthetic.raycast import Ground
+from perception.synthetic.scene import Furniture, Person, Scene, render_frame
 
 _DISTANCE = 9.0
 

@@ -1,4 +1,7 @@
-"""Ray casting of solids over a ground plane, with one light, an ambient term and shadows on the ground."""
+"""Compiled kernels of the ray caster: rays against ellipsoids, tubes and boxes in their local coordinates.
+
+Ray casting of solids over a ground plane, with one light, an ambient term and shadows on the ground.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,266 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.readiness import Rehearsal, make_ready
-from perception.synthetic.raycast_kernels import cast_rays, group_balls
-from perception.synthetic.solids import Solids
+from graphtrack.kernels.compilation import Rehearsal, make_ready
+from perception.synthetic.solids import BOX, CHECKED, SKIN, SPECKLED, STRIPED, TUBE, Solids
+
+_FAR = 1e9
+_NEAR = 1e-6
+
+
+@njit(cache=True)
+def group_balls(centre: Any, radius: Any, first: Any) -> Any:
+    """A ball (x, y, z, radius) around each group."""
+    count = len(first) - 1
+    balls = np.zeros((count, 4))
+    for g in range(count):
+        a, b = first[g], first[g + 1]
+        if a == b:
+            continue
+        for k in range(3):
+            low, high = _FAR, -_FAR
+            for i in range(a, b):
+                low = min(low, centre[i, k] - radius[i])
+                high = max(high, centre[i, k] + radius[i])
+            balls[g, k] = 0.5 * (low + high)
+        for i in range(a, b):
+            away = 0.0
+            for k in range(3):
+                away += (centre[i, k] - balls[g, k]) ** 2
+            balls[g, 3] = max(balls[g, 3], np.sqrt(away) + radius[i])
+    return balls
+
+
+@njit(cache=True, inline="always")
+def _misses_ball(dx: float, dy: float, dz: float, x: float, y: float, z: float, radius: float) -> bool:
+    """Whether the half line along d from the origin passes the ball around (x, y, z)."""
+    along = x * dx + y * dy + z * dz
+    outside = x * x + y * y + z * z - radius * radius
+    return outside > 0.0 and (along <= 0.0 or along * along < outside)
+
+
+@njit(cache=True)
+def _to_local(inverse: Any, x: float, y: float, z: float, out: Any) -> None:
+    for i in range(3):
+        out[i] = inverse[i, 0] * x + inverse[i, 1] * y + inverse[i, 2] * z
+
+
+@njit(cache=True)
+def _hit(kind: int, p: Any, q: Any, clip: Any, local: Any, normal: Any) -> float:
+    """Distance along the ray p + t·q in local coordinates, 1e9 if missed.
+
+    Fills the local point and the outward local normal.
+    """
+    if kind == BOX:
+        return _hit_box(p, q, local, normal)
+    n = 2 if kind == TUBE else 3
+    a, b, c = 0.0, 0.0, -1.0
+    for i in range(n):
+        a += q[i] * q[i]
+        b += p[i] * q[i]
+        c += p[i] * p[i]
+    root = b * b - a * c
+    if root <= 0.0 or a < 1e-18:
+        return _FAR
+    root = np.sqrt(root)
+    for side in range(2):
+        t = (-b - root) / a if side == 0 else (-b + root) / a
+        if t < _NEAR:
+            continue
+        for i in range(3):
+            local[i] = p[i] + t * q[i]
+        if kind == TUBE and abs(local[2]) > 1.0:
+            continue
+        if clip[0] * local[0] + clip[1] * local[1] + clip[2] * local[2] > clip[3]:
+            continue
+        sign = 1.0 if side == 0 else -1.0  # the far side is seen from within
+        for i in range(3):
+            normal[i] = sign * local[i]
+        if kind == TUBE:
+            normal[2] = 0.0
+        return t
+    return _FAR
+
+
+@njit(cache=True)
+def _hit_box(p: Any, q: Any, local: Any, normal: Any) -> float:
+    near, far, axis = -_FAR, _FAR, 0
+    for i in range(3):
+        if abs(q[i]) < 1e-12:
+            if abs(p[i]) > 1.0:
+                return _FAR
+            continue
+        t0, t1 = (-1.0 - p[i]) / q[i], (1.0 - p[i]) / q[i]
+        if t0 > t1:
+            t0, t1 = t1, t0
+        if t0 > near:
+            near, axis = t0, i
+        far = min(far, t1)
+    if near > far or near < _NEAR:
+        return _FAR
+    for i in range(3):
+        local[i] = p[i] + near * q[i]
+        normal[i] = 0.0
+    normal[axis] = -1.0 if q[axis] > 0.0 else 1.0
+    return near
+
+
+@njit(cache=True, inline="always")
+def _noise(x: float, y: float, z: float) -> float:
+    """Noise in −1…1, constant on unit cells."""
+    i = int(np.floor(x)) * 73856093 ^ int(np.floor(y)) * 19349663 ^ int(np.floor(z)) * 83492791
+    i = (i ^ (i >> 13)) * 1274126177 & 0x7FFFFFFF
+    i = (i ^ (i >> 16)) & 0xFFFF
+    return i / 32767.5 - 1.0
+
+
+@njit(cache=True)
+def _textured(texture: Any, local: Any) -> float:
+    """Factor of the albedo at a local point."""
+    kind, contrast, periods = int(texture[0]), texture[1], texture[2]
+    if kind == SPECKLED:
+        return 1.0 + contrast * _noise(local[0] * periods, local[1] * periods, local[2] * periods)
+    band = int(np.floor(local[2] * periods)) & 1
+    if kind == STRIPED:
+        return 1.0 - contrast * band
+    if kind == CHECKED:
+        return 1.0 - contrast * 0.5 * (band + (int(np.floor(local[0] * periods)) & 1))
+    return 1.0
+
+
+@njit(cache=True)
+def _in_shadow(
+    point: Any,
+    toward: Any,
+    kind: Any,
+    centre: Any,
+    inverse: Any,
+    radius: Any,
+    clip: Any,
+    first: Any,
+    balls: Any,
+    scratch: Any,
+) -> bool:
+    """Whether a solid lies between a point and the light."""
+    lx, ly, lz = toward
+    for g in range(len(balls)):
+        b = balls[g]
+        if b[3] == 0.0 or _misses_ball(lx, ly, lz, b[0] - point[0], b[1] - point[1], b[2] - point[2], b[3]):
+            continue
+        for i in range(first[g], first[g + 1]):
+            x, y, z = centre[i, 0] - point[0], centre[i, 1] - point[1], centre[i, 2] - point[2]
+            if _misses_ball(lx, ly, lz, x, y, z, radius[i]):
+                continue
+            _to_local(inverse[i], -x, -y, -z, scratch[0])
+            _to_local(inverse[i], lx, ly, lz, scratch[1])
+            if _hit(kind[i], scratch[0], scratch[1], clip[i], scratch[2], scratch[3]) < _FAR:
+                return True
+    return False
+
+
+@njit(cache=True)
+def cast_rays(
+    origin: Any,
+    rays: Any,
+    width: int,
+    kind: Any,
+    centre: Any,
+    inverse: Any,
+    radius: Any,
+    clip: Any,
+    albedo: Any,
+    texture: Any,
+    material: Any,
+    first: Any,
+    balls: Any,
+    owner: Any,
+    light: Any,
+    floor: Any,
+) -> Any:
+    """Follow each ray to the first surface and shade it; see `raycast.cast` for what comes back."""
+    n, groups = len(rays), len(balls)
+    colour = np.zeros((n, 3), np.float32)
+    covered, skin = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    nearest = np.full(n, -1, np.int32)
+    extent = np.full((groups, 4), -1, np.int64)
+    owners = owner[-1] + 1 if groups else 0
+    covers, shows = np.zeros(owners, np.int64), np.zeros(owners, np.int64)
+    q, local, normal, world = np.empty(3), np.empty(3), np.empty(3), np.zeros(3)
+    best_local, best_normal = np.empty(3), np.empty(3)
+    scratch = np.empty((4, 3))
+    start, away = np.empty((len(kind), 3)), centre - origin
+    for i in range(len(kind)):
+        _to_local(inverse[i], -away[i, 0], -away[i, 1], -away[i, 2], start[i])
+    ball_away = balls[:, :3] - origin
+    toward = light[0]
+    for r in range(n):
+        dx, dy, dz = rays[r]
+        if not np.isfinite(dx):
+            continue
+        t_best, hit, last = _FAR, -1, -1
+        for g in range(groups):
+            b = ball_away[g]
+            if balls[g, 3] == 0.0 or _misses_ball(dx, dy, dz, b[0], b[1], b[2], balls[g, 3]):
+                continue
+            met = False
+            for i in range(first[g], first[g + 1]):
+                if _misses_ball(dx, dy, dz, away[i, 0], away[i, 1], away[i, 2], radius[i]):
+                    continue
+                _to_local(inverse[i], dx, dy, dz, q)
+                t = _hit(kind[i], start[i], q, clip[i], local, normal)
+                if t >= _FAR:
+                    continue
+                met = True
+                if t < t_best:
+                    t_best, hit = t, i
+                    nearest[r] = g
+                    for k in range(3):
+                        best_local[k], best_normal[k] = local[k], normal[k]
+            if met:
+                u, v = r % width, r // width
+                e = extent[g]
+                if e[0] < 0:
+                    e[0], e[1], e[2], e[3] = u, u, v, v
+                e[0], e[1] = min(e[0], u), max(e[1], u)
+                e[2], e[3] = min(e[2], v), max(e[3], v)
+                if owner[g] != last:
+                    last = owner[g]
+                    covers[last] += 1
+        if floor[0] > 0.0 and dz < -1e-6 and -origin[2] / dz < t_best:
+            nearest[r] = -1
+            covered[r] = True
+            t = -origin[2] / dz
+            world[0], world[1], world[2] = origin[0] + t * dx, origin[1] + t * dy, 0.0
+            dark = (int(np.floor(world[0] / floor[4])) + int(np.floor(world[1] / floor[4]))) & 1
+            lit = toward[2]
+            if _in_shadow(world, toward, kind, centre, inverse, radius, clip, first, balls, scratch):
+                lit = 0.0
+            for k in range(3):
+                colour[r, k] = floor[1 + k] * (1.0 - floor[5] * dark) * (light[2, k] + light[1, k] * lit)
+            continue
+        if hit < 0:
+            continue
+        shows[owner[nearest[r]]] += 1
+        covered[r] = True
+        skin[r] = material[hit] == SKIN
+        length, lit = 0.0, 0.0
+        for k in range(3):  # normals go by the transposed inverse
+            world[k] = 0.0
+            for j in range(3):
+                world[k] += inverse[hit, j, k] * best_normal[j]
+            length += world[k] * world[k]
+            lit += world[k] * toward[k]
+        length = np.sqrt(length)
+        lit = max(lit / length, 0.0)
+        sky = 0.75 + 0.25 * world[2] / length
+        factor = _textured(texture[hit], best_local)
+        for k in range(3):
+            colour[r, k] = albedo[hit, k] * factor * (light[2, k] * sky + light[1, k] * lit)
+    return colour, covered, skin, nearest, extent, covers, shows
 
 
 @dataclass(frozen=True)

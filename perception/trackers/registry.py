@@ -10,9 +10,9 @@ import numpy as np
 from graphtrack.errors import InputError
 from perception.images.pixels import Image
 from perception.trackers.color import ColourParameters, ColourTracker
-from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
-from perception.trackers.sigma_pi.parameters import SigmaPiParameters
-from perception.trackers.sigma_pi.tracker import SigmaPiTracker
+from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
+from perception.trackers.sigma_pi import SigmaPiTracker
+from perception.trackers.sigma_pi_network import SigmaPiParameters
 from perception.trackers.tracker import Tracker
 
 _KINDS: dict[str, tuple[Any, Any]] = {

@@ -1,4 +1,10 @@
-"""What every tracker on pixels takes and gives."""
+"""What every tracker on pixels takes and gives.
+
+Second-order autoregressive motion of boxes (Ba & Odobez 2003, §3.3), with another's prediction mixed
+in.
+
+Grey patches of many boxes at once: cut, resized and equalised without a loop in Python.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
+import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from graphtrack.baselines.particle_weights import effective_sample_size, resample
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, box_text, checked_box
@@ -197,3 +206,123 @@ def check_box(box: Box, image: Image) -> FloatArray:
     except InputError as error:
         raise InputError(f"no target in the first frame: {error.found}", error.expected) from error
     return values
+
+
+@dataclass(frozen=True)
+class BoxDynamics:
+    """Of the centre in units of the box's size, and of the logarithm of the size; all for one frame.
+
+    Attributes
+    ----------
+    persistence : share of the centre's last step that is made again, 0 (random walk) … 1 (constant velocity)
+    centre_std : 1-σ of the noise of the centre, as a share of the box's width and height
+    size_persistence : the same for the logarithm of the size
+    size_std : 1-σ of the noise of the logarithm of the size
+    reversion : share of the way back to the first size that is gone in each frame
+    guided_share : share of the particles whose centre is drawn from a `Proposal`, where there is one
+    """
+
+    persistence: float = 0.8
+    centre_std: float = 0.08
+    size_persistence: float = 0.3
+    size_std: float = 0.02
+    reversion: float = 0.01
+    guided_share: float = 0.8
+
+
+def resampled(cloud: Cloud, below: float, rng: np.random.Generator) -> tuple[Cloud, NDArray[np.int64]]:
+    """A cloud whose weights do their work, and the particles (n,) that it is made of.
+
+    It is drawn anew where its effective sample size is less than a share ``below`` of its particles.
+    """
+    n = len(cloud.weights)
+    if effective_sample_size(cloud.weights) >= below * n:
+        return cloud, np.arange(n)
+    ancestors = resample(cloud.weights, rng)
+    return cloud.chosen(ancestors), ancestors
+
+
+def predict(
+    cloud: Cloud,
+    reference: FloatArray,
+    dynamics: BoxDynamics,
+    rng: np.random.Generator,
+    proposal: Proposal | None = None,
+    shape: tuple[int, ...] | None = None,
+) -> Cloud:
+    """Draw the next states of all particles.
+
+    x_t = x_{t−1} + a·(x_{t−1} − x_{t−2}) + noise for the centre; the size also goes back to its reference.
+    With a proposal the motion is a mixture: the centres of ``guided_share`` of the particles come from it,
+    with no step behind them, so that a cloud that lost its target is not carried on by its last speed.
+
+    Parameters
+    ----------
+    reference : (2,) logarithms of the first width and height (pixels)
+    shape : of an image (h, w) that the centres are kept within
+    """
+    now, step = cloud.now, cloud.now - cloud.before
+    noise = rng.standard_normal(now.shape)
+    size = np.exp(now[:, 2:])
+    after = np.empty_like(now)
+    after[:, :2] = now[:, :2] + dynamics.persistence * step[:, :2] + dynamics.centre_std * size * noise[:, :2]
+    after[:, 2:] = (
+        now[:, 2:]
+        + dynamics.size_persistence * step[:, 2:]
+        + dynamics.reversion * (reference - now[:, 2:])
+        + dynamics.size_std * noise[:, 2:]
+    )
+    before = now.copy()
+    if proposal is not None:
+        guided = rng.random(len(now)) < dynamics.guided_share
+        drawn = rng.multivariate_normal(proposal.centre, proposal.covariance, len(now))
+        after[guided, :2] = drawn[guided]
+        before[guided] = after[guided]
+    if shape is not None:
+        np.clip(after[:, :2], 0.0, shape[::-1], out=after[:, :2])
+    return Cloud(after, before, cloud.weights)
+
+
+PATCH_MARGIN = 1.06
+"""Size of a head's patch relative to its box, as that of the crops which classifiers are trained with."""
+
+
+def cut(grey: NDArray[np.uint8], boxes: FloatArray, side: int) -> NDArray[np.uint8]:
+    """Patches (n, side, side) of boxes (n, 4) in a grey image (h, w), by linear interpolation.
+
+    Beyond the image its border is repeated.
+    """
+    share = ((np.arange(side) + 0.5) / side).astype(np.float32)
+    left, top, width, height = np.asarray(boxes, np.float32).T[:, :, None]
+    x, y = left + width * share - np.float32(0.5), top + height * share - np.float32(0.5)
+    shape = (len(boxes), side, side)
+    # A patch is a row of the maps: OpenCV takes no more than 2¹⁵ rows.
+    columns = np.ascontiguousarray(np.broadcast_to(x[:, None, :], shape)).reshape(len(boxes), -1)
+    rows = np.ascontiguousarray(np.broadcast_to(y[:, :, None], shape)).reshape(len(boxes), -1)
+    patches = cv2.remap(grey, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(patches, np.uint8).reshape(shape)
+
+
+@njit(cache=True)
+def equalised(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Every patch (n, h, w) with its histogram equalised, as ``cv2.equalizeHist`` does for one."""
+    flat = patches.reshape(len(patches), -1)
+    result = np.empty_like(flat)
+    size = flat.shape[1]
+    levels = np.empty(256, np.uint8)
+    for i in range(len(flat)):
+        count = np.zeros(256, np.int64)
+        for value in flat[i]:
+            count[value] += 1
+        first = 0
+        while count[first] == 0:
+            first += 1
+        levels[first] = first if count[first] == size else 0
+        scale = np.float32(255.0) / np.float32(max(size - count[first], 1))
+        below = 0
+        for level in range(first + 1, 256):
+            below += count[level]
+            levels[level] = np.uint8(np.rint(np.float32(below) * scale))
+        for j in range(size):
+            result[i, j] = levels[flat[i, j]]
+    return result.reshape(patches.shape)

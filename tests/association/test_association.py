@@ -11,12 +11,10 @@ from command import run as run_command
 from crossing_people import idf1, street
 
 import graphtrack as gt
-from graphtrack.association.chains import Scene
-from graphtrack.association.kernels import GATE, missed
-from graphtrack.association.moves import match
-from graphtrack.association.offline import associate_detections, repair_detections
-from graphtrack.scene import SceneParameters
-from graphtrack.table.detections import Detections
+from graphtrack.association.likelihood import GATE, Scene, missed
+from graphtrack.association.offline import associate_detections, match, repair_detections
+from graphtrack.tracks.detections import Detections
+from graphtrack.tracks.scene import SceneParameters
 
 
 def table_of(detections: Detections) -> pd.DataFrame:

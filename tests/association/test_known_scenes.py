@@ -13,7 +13,7 @@ from crossing_people import idf1, street
 import graphtrack as gt
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.online import OnlineAssociation
-from graphtrack.table.detections import Detections
+from graphtrack.tracks.detections import Detections
 
 KNOWN = {"detection_probability": 0.6, "position_std": 0.2, "duplicate_rate": 0.3, "body_turn": 1.5}
 

@@ -9,10 +9,10 @@ import pytest
 from crossing_people import idf1, looks_of, met_behind_a_pillar, street
 
 import graphtrack as gt
+from graphtrack.association.associate import rows_of
 from graphtrack.association.online import OnlineAssociation
-from graphtrack.association.recorded import track_rows
-from graphtrack.association.tracks import rows_of
-from graphtrack.table.detections import Detections
+from graphtrack.association.tracker import track_rows
+from graphtrack.tracks.detections import Detections
 
 TURNING = {"acceleration_density": 0.2}
 """People may turn, whatever those do whom the rest is learned from."""

@@ -11,8 +11,8 @@ from crossing_people import idf1, street
 
 import graphtrack as gt
 from graphtrack.association.online import Decision, OnlineAssociation
-from graphtrack.scene import SceneParameters
-from graphtrack.table.detections import Detections
+from graphtrack.tracks.detections import Detections
+from graphtrack.tracks.scene import SceneParameters
 
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
 

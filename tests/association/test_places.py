@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.association.chains import Chains, Scene, link_by, unlinked
-from graphtrack.association.kernels import refresh
+from graphtrack.association.likelihood import Chains, Scene, link_by, refresh, unlinked
 from graphtrack.association.online import TOLD, OnlineAssociation
-from graphtrack.association.places import AHEAD, SPREAD, learn_places, seen_from_within
+from graphtrack.association.scene import AHEAD, SPREAD, learn_places, seen_from_within
 
 FRAMES, CROSSING = 400, 20
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from graphtrack.association.chains import BODY, STATE
-from graphtrack.association.resemblance import steer
+from graphtrack.association.likelihood import BODY, STATE, steer
 
 VARIANCE = 0.5
 """Of an angle about the direction of travel, rad²."""

@@ -14,16 +14,13 @@ from graphtrack.baselines.intentional import (
     IntentionalParameters,
     bin_deviation,
     intentional_filter,
-    prior_weight,
-    step_tracker,
-)
-from graphtrack.baselines.intentional_continuous import (
     intentional_states,
     intentional_tracker,
     intentional_transition,
+    prior_weight,
+    step_tracker,
 )
-from graphtrack.baselines.isotropic import full_covariance
-from graphtrack.baselines.kalman import kalman_filter
+from graphtrack.baselines.kalman import full_covariance, kalman_filter
 from graphtrack.errors import InputError, SolveError
 from graphtrack.geometry.angles import unit, wrap
 from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters

@@ -34,7 +34,7 @@ from graphtrack.baselines.kalman import (
 )
 from graphtrack.errors import SolveError
 from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 PARAMETERS = Parameters(
     motion=MotionParameters(acceleration_density=0.7, initial_speed_std=1.2),

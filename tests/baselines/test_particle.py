@@ -15,24 +15,35 @@ from von_mises import von_mises_product
 from walks import walk, without
 
 from graphtrack.baselines.kalman import filter_states, rauch_tung_striebel
-from graphtrack.baselines.particle.backward import backward
-from graphtrack.baselines.particle.data import prepare
-from graphtrack.baselines.particle.densities import (
-    add_pose_log_density,
-    add_position_log_density,
-    sample_von_mises,
+from graphtrack.baselines.particle_filter import (
+    ParticleOptions,
+    draw_orientations,
+    particle_filter,
+    particle_smoother,
+    recover,
 )
-from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.baselines.particle.kernels import (
+from graphtrack.baselines.particle_kernels import (
     BODY,
     HEAD,
     POSITION,
+    backward,
     draw_angles,
     draw_motion,
     summarise,
     summarise_motion,
 )
-from graphtrack.baselines.particle.recovery import draw_orientations, recover
+from graphtrack.baselines.particle_model import (
+    add_pose_log_density,
+    add_position_log_density,
+    prepare,
+    sample_von_mises,
+)
+from graphtrack.baselines.particle_weights import (
+    effective_sample_size,
+    generator,
+    normalise,
+    systematic_ancestors,
+)
 from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import (
     class_centres,
@@ -43,15 +54,9 @@ from graphtrack.geometry.angles import (
     wrap,
 )
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
-from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.particles import (
-    effective_sample_size,
-    generator,
-    normalise,
-    systematic_ancestors,
-)
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 PARAMETERS = Parameters(
     motion=MotionParameters(acceleration_density=0.7, initial_speed_std=1.2),

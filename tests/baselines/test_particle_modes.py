@@ -9,12 +9,11 @@ import pytest
 from scipy import special
 from walks import walk
 
-from graphtrack.baselines.particle.data import prepare
-from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.baselines.particle.kernels import FIRST, POSITION, run, steering_share
+from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter, particle_smoother
+from graphtrack.baselines.particle_kernels import FIRST, POSITION, run, steering_share
+from graphtrack.baselines.particle_model import mode_table, prepare, transition
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, wrap
-from graphtrack.inference.chain.mode_tables import mode_table, transition
 from graphtrack.model import (
     CouplingParameters,
     GaitParameters,
@@ -26,7 +25,7 @@ from graphtrack.model import (
 )
 from graphtrack.model.model import default_parameters
 from graphtrack.model.terms.gait import BASE, BINS, gait_of
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def aside(n: int = 60, *, seed: int = 0, offset: float = 1.4) -> Track:

@@ -13,15 +13,13 @@ from command import Done
 from command import run as run_program
 
 import graphtrack as gt
-from graphtrack.behaviour.attention import Attention, attention
-from graphtrack.behaviour.looks import attention_columns, summary_of
-from graphtrack.behaviour.places import Place, read_places
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import class_centres, direction, wrap
-from graphtrack.io.groups import read_groups
-from graphtrack.simulation.party import party
-from graphtrack.table.groups import GroupLabels
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.interaction.attention import Attention, attention, attention_columns, summary_of
+from graphtrack.interaction.places import Place, read_places
+from graphtrack.io.groups import GroupLabels, read_groups
+from graphtrack.simulation.scenario import party
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def run(*arguments: object) -> Done:

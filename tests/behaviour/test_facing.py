@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 
 import graphtrack as gt
-from graphtrack.behaviour.evidence import pair_evidence
-from graphtrack.behaviour.facing import facing
-from graphtrack.behaviour.learned import DEFAULT
-from graphtrack.behaviour.people import People, people_of
 from graphtrack.geometry.angles import difference, mean_absolute_error, unit
-from graphtrack.learning.groups import fit_groups
-from graphtrack.simulation.party import Party
-from graphtrack.simulation.party import party as simulated
-from graphtrack.table.groups import GroupLabels, GroupStep
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.interaction.evidence import facing, pair_evidence
+from graphtrack.interaction.parameters import DEFAULT
+from graphtrack.interaction.people import People, people_of
+from graphtrack.io.groups import GroupLabels, GroupStep
+from graphtrack.learning.interaction import fit_groups
+from graphtrack.simulation.scenario import Party
+from graphtrack.simulation.scenario import party as simulated
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def circle(count: int, centre: tuple[float, float] = (0.0, 0.0), radius: float = 0.8) -> TrackSet:

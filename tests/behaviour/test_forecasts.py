@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.behaviour.forecast.forecaster import Forecaster, times_ahead
-from graphtrack.behaviour.forecast.near import kernel_sums
-from graphtrack.behaviour.forecast.parameters import ForecastParameters
-from graphtrack.behaviour.forecast.spread import offsets, radius
-from graphtrack.behaviour.forecast.table import is_forecast, read_forecasts
 from graphtrack.errors import InputError
 from graphtrack.evaluation.forecasts import judge_forecasts
+from graphtrack.forecasting.forecaster import Forecaster, times_ahead
+from graphtrack.forecasting.motion import ForecastParameters
+from graphtrack.forecasting.paths import kernel_sums
+from graphtrack.forecasting.recorded import is_forecast, read_forecasts
+from graphtrack.forecasting.spread import offsets, radius
 
 STEP = 0.4
 

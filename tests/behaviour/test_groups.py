@@ -11,12 +11,12 @@ from command import Done
 from command import run as run_program
 
 import graphtrack as gt
-from graphtrack.behaviour.partition import partition
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import direction, wrap
+from graphtrack.interaction.groups import partition
 from graphtrack.interaction.scores import matches, score_groups
 from graphtrack.io.groups import read_groups
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def run(*arguments: object) -> Done:

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.behaviour.attention import attention
-from graphtrack.behaviour.looks import LEAST
-from graphtrack.behaviour.numbering import Numbering
-from graphtrack.behaviour.places import Place
 from graphtrack.errors import InputError
 from graphtrack.inference.state import Estimate
-from graphtrack.simulation.party import party
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.interaction.attention import LEAST, attention
+from graphtrack.interaction.groups import Numbering
+from graphtrack.interaction.places import Place
+from graphtrack.simulation.scenario import party
+from graphtrack.tracks.track import Track, TrackSet
 
 PLACES = (
     Place("bar", np.array([[1.0, 1.0]]), 0.5),

@@ -21,12 +21,12 @@ from filterpy.kalman import KalmanFilter
 from walks import walk
 
 from graphtrack.inference import Solution, smooth_track
-from graphtrack.inference.initial import initial_states
+from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.model import Model
 from graphtrack.model.observation import Step, chain
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.smoothing import solve
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 pytestmark = pytest.mark.benchmark
 TRACKS, STEPS, DT, ROUNDS = 1000, 200, 0.1, 7

@@ -12,7 +12,7 @@ from walks import walk
 
 from graphtrack import simulate
 from graphtrack.inference import OnlineSmoother
-from graphtrack.inference.prior import variable_keys
+from graphtrack.inference.state import variable_keys
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import Step, chain, observations
 

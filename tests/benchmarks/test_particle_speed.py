@@ -19,9 +19,9 @@ from stonesoup.types.state import ParticleState
 from stonesoup.updater.particle import ParticleUpdater
 from walks import walk
 
-from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
+from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 pytestmark = pytest.mark.benchmark
 

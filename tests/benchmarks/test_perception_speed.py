@@ -62,7 +62,7 @@ def test_three_head_pose_likelihoods(people: PedestrianSet, record: Callable[[st
 
 
 def test_body_pose_and_detection(people: PedestrianSet, record: Callable[[str, float], None]) -> None:
-    from perception.detection.people import PeopleDetector
+    from perception.detection.hog import PeopleDetector
 
     body, detector = load_classifier("body_pose"), PeopleDetector()
     frame = np.random.default_rng(0).integers(0, 256, (288, 384, 3)).astype(np.uint8)

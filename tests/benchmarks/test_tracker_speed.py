@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 from perception.images.pixels import Image
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
-from perception.trackers.mixed_state.tracker import MixedStateTracker
-from perception.trackers.sigma_pi.parameters import SigmaPiParameters
-from perception.trackers.sigma_pi.tracker import SigmaPiTracker
+from perception.trackers.mixed_state import MixedStateTracker
+from perception.trackers.sigma_pi import SigmaPiTracker
+from perception.trackers.sigma_pi_network import SigmaPiParameters
 
 pytestmark = pytest.mark.benchmark
 REPEATS, FRAMES = 3, 60

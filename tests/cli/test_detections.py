@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from crossing_people import street
 
-from graphtrack.cli.detections import Scenes
-from graphtrack.scene import SceneParameters
-from graphtrack.smoothing.tracker import OnlineTracker
+from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming.answers import Scenes
+from graphtrack.tracks.scene import SceneParameters
 
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import graphtrack as gt
 from graphtrack.cli.commands import app
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def walker(speed: float, noise: float, **channels: object) -> TrackSet:

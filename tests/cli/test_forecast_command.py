@@ -12,14 +12,14 @@ import pytest
 from command import run
 
 import graphtrack as gt
-from graphtrack.behaviour.forecast.forecaster import times_ahead
-from graphtrack.behaviour.forecast.parameters import ForecastParameters
-from graphtrack.cli import live
-from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
+from graphtrack.forecasting.forecaster import times_ahead
+from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
-from graphtrack.smoothing.tracker import OnlineTracker
+from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming import session
+from graphtrack.streaming.answers import FrameForecasts
 
 KEYS = ["ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90"]
 
@@ -75,7 +75,7 @@ def test_forecasts_do_not_go_with_options_of_tracks(here):
 
 def test_what_is_learned_is_written_and_can_be_used(here, monkeypatch):
     one = {"place_distance": (1.0, 2.0)}
-    monkeypatch.setattr("graphtrack.learning.forecast.PLACE_STEPS", one)
+    monkeypatch.setattr("graphtrack.learning.forecasts.PLACE_STEPS", one)
     done = graphtrack("fit tracks.csv -o learned.toml --forecast --json learned.json")
     assert done.returncode == 0, done.stderr
     learned = ForecastParameters.load("learned.toml")
@@ -124,14 +124,14 @@ def test_a_stream_with_forecasts_goes_on_as_if_it_had_not_stopped(monkeypatch, t
         end = place
         options = {"engine": "chain", "lag": 1.0, "fps": None, "camera": None, "horizon": (2.0, 0.4)}
         with suppress(Killed):
-            live.track_stream(live.Answers(Model("position"), **options), state=state, save_every=0.01)
+            session.track_stream(session.Answers(Model("position"), **options), state=state, save_every=0.01)
         found = list(answers)
         answers.clear()
         return found
 
-    monkeypatch.setattr(live, "lines_of", rows)
-    monkeypatch.setattr(live, "open_streams", lambda: None)
-    monkeypatch.setattr(live, "give", lambda answer: answers.append(json.dumps(answer)))
+    monkeypatch.setattr(session, "lines_of", rows)
+    monkeypatch.setattr(session, "open_streams", lambda: None)
+    monkeypatch.setattr(session, "give", lambda answer: answers.append(json.dumps(answer)))
     whole, found = run_to(len(lines), None), []
     assert any("forecast" in one for one in whole)
     for place in [*stops, len(lines)]:
@@ -144,13 +144,13 @@ def test_a_stream_with_forecasts_goes_on_as_if_it_had_not_stopped(monkeypatch, t
 
 
 def test_a_state_with_forecasts_is_not_gone_on_with_without_them(here, monkeypatch):
-    monkeypatch.setattr(live, "open_streams", lambda: None)
-    monkeypatch.setattr(live, "lines_of", lambda stream, first: iter(()))
-    answers = live.Answers(Model("position"), "chain", 1.0, associate="never", horizon=(2.0, 0.4))
-    live.track_stream(answers, state=here / "state")
+    monkeypatch.setattr(session, "open_streams", lambda: None)
+    monkeypatch.setattr(session, "lines_of", lambda stream, first: iter(()))
+    answers = session.Answers(Model("position"), "chain", 1.0, associate="never", horizon=(2.0, 0.4))
+    session.track_stream(answers, state=here / "state")
     for horizon in (None, (4.0, 0.4)):
         with pytest.raises(InputError, match="forecast"):
-            live.track_stream(replace(answers, horizon=horizon), state=here / "state")
+            session.track_stream(replace(answers, horizon=horizon), state=here / "state")
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_settings_that_make_no_sense_are_one_line(here, options, told):
 
 
 def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch):
-    monkeypatch.setattr("graphtrack.learning.forecast.PLACE_STEPS", {"stop_speed": (0.0, 0.2)})
+    monkeypatch.setattr("graphtrack.learning.forecasts.PLACE_STEPS", {"stop_speed": (0.0, 0.2)})
     walkers(here / "one.csv", people=1, steps=40)
     assert graphtrack("forecast one.csv -o forecast.csv").returncode == 0
     assert set(pd.read_csv("forecast.csv")["track_id"]) == {0}

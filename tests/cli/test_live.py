@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from command import TRACK_STREAM, going_on
 
-from graphtrack.cli import live, main
-from graphtrack.cli.state_file import StateFile
+from graphtrack.cli import main
 from graphtrack.errors import InputError
 from graphtrack.model import Model
+from graphtrack.streaming import session
+from graphtrack.streaming.saved_state import StateFile
 
 
 def scene(n_frames, people=3, seed=0):
@@ -107,7 +108,7 @@ class Killed(BaseException):
 def test_kills_leave_no_trace_in_the_answers(monkeypatch, tmp_path, engine, n_frames):
     lines, state, rng = scene(n_frames, people=2), tmp_path / "state", np.random.default_rng(1)
     answers, left, kills, resumed, gone_on = [], 0, 0, False, []
-    listener = live.Listener(went_on=lambda row, line, again: gone_on.append(row - again))
+    listener = session.Listener(went_on=lambda row, line, again: gone_on.append(row - again))
 
     def rows(stream, first):
         return ((n, lines[n - 1]) for n in range(first, len(lines) + 1) if lines[n - 1].strip())
@@ -127,16 +128,16 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, tmp_path, engine, n_fr
             raise Killed
 
     def track_all():
-        answering = live.Answers(Model("joint"), engine, 0.5)
-        live.track_stream(answering, state=state, save_every=0.02, listener=listener)
+        answering = session.Answers(Model("joint"), engine, 0.5)
+        session.track_stream(answering, state=state, save_every=0.02, listener=listener)
 
-    monkeypatch.setattr(live, "lines_of", rows)
-    monkeypatch.setattr(live, "open_streams", lambda: None)
-    monkeypatch.setattr(live, "give", lambda answer: answers.append(json.dumps(answer)))
+    monkeypatch.setattr(session, "lines_of", rows)
+    monkeypatch.setattr(session, "open_streams", lambda: None)
+    monkeypatch.setattr(session, "give", lambda answer: answers.append(json.dumps(answer)))
     track_all()
     whole, answers = answers, []
     state.unlink()
-    monkeypatch.setattr(live, "give", give)
+    monkeypatch.setattr(session, "give", give)
     while True:
         left = int(rng.integers(1, len(lines) // 4))
         try:
@@ -323,7 +324,7 @@ def test_closed_streams_are_one_error(track, monkeypatch):
         patch.setattr(sys, "stdin", sys.__stdin__)
         patch.setattr(sys, "stdout", None)
         with pytest.raises(InputError, match="closed standard output"):
-            live.open_streams()
+            session.open_streams()
 
 
 def test_unknown_keys_and_bad_rows_are_told(track):

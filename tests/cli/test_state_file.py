@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graphtrack.cli import state_file
-from graphtrack.cli.saving import Saving
-from graphtrack.cli.state_file import StateFile, StateInUse, packed, remove
 from graphtrack.errors import InputError
+from graphtrack.streaming import saved_state
+from graphtrack.streaming.saved_state import Saving, StateFile, StateInUse, packed, remove
 
 VALUES = [{"first": 1}, [2, "grün \udcff"], [3, "x"]]
 HOUR = 3600.0
@@ -182,7 +181,7 @@ def test_a_disk_that_is_full_is_told_and_what_was_there_stays(tmp_path, monkeypa
     path = made(tmp_path / "state")
     file = StateFile(path, HOUR)
     with monkeypatch.context() as patch:
-        patch.setattr(state_file, "_write", full)
+        patch.setattr(saved_state, "_write", full)
         with pytest.raises(InputError, match="No space left"):
             file.append("x")
         file.mark()

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from graphtrack.cli.live import lines_of
-from graphtrack.cli.stream import People
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
+from graphtrack.streaming.answers import TrackAnswers
 from graphtrack.streaming.protocol import LONGEST_LINE
+from graphtrack.streaming.session import lines_of
 
 
 def smoother(**options):
@@ -28,14 +28,14 @@ def answers(people, rows):
 
 
 def answer(line, fps=10.0):
-    return People(smoother, fps).answer(1, line if isinstance(line, bytes) else line.encode())
+    return TrackAnswers(smoother, fps).answer(1, line if isinstance(line, bytes) else line.encode())
 
 
 def test_interleaved_people_do_not_touch_each_other():
     mixed = [one for pair in zip(walker(1), walker(2), strict=True) for one in pair]
-    found = answers(People(smoother, 10.0), mixed)
+    found = answers(TrackAnswers(smoother, 10.0), mixed)
     for track_id in (1, 2):
-        alone = answers(People(smoother, 10.0), walker(track_id))
+        alone = answers(TrackAnswers(smoother, 10.0), walker(track_id))
         assert [one for one in found if one["track_id"] == track_id] == alone
 
 
@@ -49,7 +49,7 @@ def test_every_row_is_told_what_became_of_it():
         row(1, 0, x=0.0, y=0.0),
         row(1, 4),
     ]
-    found = answers(People(smoother, 10.0), rows)
+    found = answers(TrackAnswers(smoother, 10.0), rows)
     expected = ["waiting", "new", "new", "late", "duplicate", "too-late", "new"]
     assert [one["status"] for one in found] == expected
     assert found[0]["x"] is None
@@ -62,12 +62,12 @@ def test_every_row_is_told_what_became_of_it():
 def test_a_row_in_pixels_alone_starts_a_person_where_the_camera_is_known():
     camera = GroundCamera.from_scale(0.01)
     rows = [row(1, k, u=100.0 + 12.0 * k, v=250.0) for k in range(10)]
-    found = answers(People(lambda: smoother(camera=camera), 10.0), rows)
+    found = answers(TrackAnswers(lambda: smoother(camera=camera), 10.0), rows)
     assert {one["status"] for one in found} == {"new"}
     x, y = camera.image_to_ground([100.0 + 12.0 * 9, 250.0])
     assert found[-1]["x"] == pytest.approx(x, abs=0.1)
     assert found[-1]["y"] == pytest.approx(y, abs=0.1)
-    blind = answers(People(smoother, 10.0), rows[:2])
+    blind = answers(TrackAnswers(smoother, 10.0), rows[:2])
     assert {one["status"] for one in blind} == {"waiting"}
 
 
@@ -139,7 +139,7 @@ def test_line_numbers_count_blank_and_long_lines(tmp_path):
 
 def test_identities_that_doubles_cannot_tell_apart_stay_apart_or_are_refused():
     lines = [f'{{"track_id": {2**53 + k}, "frame": 0, "x": 0, "y": 0}}' for k in range(-3, 3)]
-    people = People(smoother, 10.0)
+    people = TrackAnswers(smoother, 10.0)
     found = [people.answer(1, line.encode()) for line in lines]
     known = [one["track_id"] for one in found if "error" not in one]
     assert len(known) == len(set(known)) == len(people.members) >= 2
@@ -149,7 +149,7 @@ def test_identities_that_doubles_cannot_tell_apart_stay_apart_or_are_refused():
 
 def test_unknown_keys_are_told_once_and_known_ones_of_answers_never():
     told = []
-    people = People(smoother, 10.0, told.append)
+    people = TrackAnswers(smoother, 10.0, told.append)
     first = {"mood": "good", "status": "new", "confidence": 1, "true_x": 0, "true_y": 0, "label": "she"}
     for one in ({**first}, {**first, "colour": [1]}, {"shape": {"a": 1}, "x": "bad"}):
         answers(people, [row(1, 0, **one)])
@@ -159,6 +159,6 @@ def test_unknown_keys_are_told_once_and_known_ones_of_answers_never():
 def test_angles_are_the_same_in_any_turn():
     def last(turn):
         rows = [row(1, k, x=0.1 * k, y=0.0, head_deg=30.0 + turn) for k in range(5)]
-        return answers(People(smoother, 10.0), rows)[-1]["head_deg"]
+        return answers(TrackAnswers(smoother, 10.0), rows)[-1]["head_deg"]
 
     assert last(3600.0) == pytest.approx(last(0.0), abs=1e-9)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from graphtrack.cli.stream_names import StreamNames, with_first_row
 from graphtrack.errors import InputError
+from graphtrack.streaming.protocol import StreamNames, with_first_row
 
 DAY = 86_400 * 10**9
 

@@ -13,14 +13,19 @@ import pytest
 from command import Done, run
 
 import graphtrack as gt
-from graphtrack.behaviour.forecast.forecaster import times_ahead
-from graphtrack.behaviour.places import Place
-from graphtrack.cli.detections import Scenes
-from graphtrack.cli.stream import People
-from graphtrack.cli.stream_behaviour import Asked, FrameBehaviour, SceneBehaviour, merged
-from graphtrack.cli.stream_forecast import FrameForecasts
+from graphtrack.forecasting.forecaster import times_ahead
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.smoothing.tracker import OnlineTracker
+from graphtrack.interaction.places import Place
+from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming.answers import (
+    Asked,
+    FrameBehaviour,
+    FrameForecasts,
+    SceneBehaviour,
+    Scenes,
+    TrackAnswers,
+    merged,
+)
 
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
 OF_GROUPS = ["group", "kind", "probability", "centre_x", "centre_y"]
@@ -36,10 +41,10 @@ def rows(frames: int = 8, people: int = 3) -> list[dict[str, Any]]:
     ]
 
 
-def people_of(asked: Asked | None = ALL, *, ahead: bool = True) -> People:
+def people_of(asked: Asked | None = ALL, *, ahead: bool = True) -> TrackAnswers:
     behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
     forecasts = FrameForecasts(times_ahead(0.8, 0.4)) if ahead else None
-    return People(lambda: OnlineSmoother("position"), None, lambda note: None, forecasts, behaviour)
+    return TrackAnswers(lambda: OnlineSmoother("position"), None, lambda note: None, forecasts, behaviour)
 
 
 def answers(people: Any, given: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -12,13 +12,19 @@ from scipy import stats
 from walks import walk
 
 from graphtrack.cli import main
-from graphtrack.evaluation.calibration import CONFIDENCES, DEGREES, pooled, track_calibration
 from graphtrack.evaluation.compare import compare
-from graphtrack.evaluation.metrics import true_velocity, velocity_nees
+from graphtrack.evaluation.metrics import (
+    CONFIDENCES,
+    DEGREES,
+    pooled,
+    track_calibration,
+    true_velocity,
+    velocity_nees,
+)
 from graphtrack.geometry.angles import wrap
 from graphtrack.report.plots import plot_reliability
 from graphtrack.report.style import NEUTRAL_COLOUR
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def drawn(truth: Track, claimed: float, seed: int = 0) -> Track:

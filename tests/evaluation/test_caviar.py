@@ -13,24 +13,27 @@ from walks import walk
 
 from graphtrack.baselines.intentional import IntentionalParameters
 from graphtrack.cli.commands import app
-from graphtrack.evaluation.reproduce.baxter_caviar import METHODS, gains, spread
-from graphtrack.evaluation.reproduce.caviar_controls import CONTROLS, control_gains, shuffled
-from graphtrack.evaluation.reproduce.caviar_people import (
+from graphtrack.experiments import EXPERIMENTS, Settings
+from graphtrack.experiments.baxter_caviar import (
+    CONTROLS,
     LEAST_LABELS,
+    METHODS,
+    control_gains,
     detected,
+    gains,
     labelled_stretch,
     outcomes,
     own_outcome,
     relabelled_rate,
+    shuffled,
+    spread,
     with_noise,
 )
-from graphtrack.evaluation.reproduce.experiment import ISAM2
-from graphtrack.evaluation.reproduce.fitting import GRAPHS, Fitted
-from graphtrack.evaluation.statistics import deviation, travel_velocity
-from graphtrack.experiments import EXPERIMENTS, Settings
+from graphtrack.experiments.baxter_statistics import deviation, travel_velocity
+from graphtrack.experiments.harness import GRAPHS, ISAM2, Fitted
 from graphtrack.geometry.angles import difference, direction, unit, wrap
 from graphtrack.model import Model
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def labelled_walk(seed: int = 0, n: int = 200) -> Track:

@@ -7,19 +7,18 @@ from functools import partial
 import numpy as np
 import pytest
 
-from graphtrack.evaluation.reproduce.chen_classes import classified
-from graphtrack.evaluation.reproduce.chen_image import (
+from graphtrack.experiments.chen_classes import (
     OPTIONS,
     camera_before,
+    classified,
     image_scores,
     in_image,
     turned_to_world,
 )
 from graphtrack.geometry.angles import class_centres, difference
-from graphtrack.simulation.classes import add_class_likelihoods
-from graphtrack.simulation.degrade import add_noise
+from graphtrack.simulation.degrade import add_class_likelihoods, add_noise
 from graphtrack.simulation.sampling import simulate
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks.track import TrackSet
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 from graphtrack import InputError, SolveError, Track, TrackSet
 from graphtrack.evaluation import Comparison, Method, compare, make_method, registry
-from graphtrack.evaluation.scoring import scored_frames
+from graphtrack.evaluation.compare import scored_frames
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise, occlude
 from graphtrack.simulation.sampling import scenario, simulate

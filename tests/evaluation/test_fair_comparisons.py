@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphtrack.evaluation.reproduce.baxter_simulated import RIVAL, Gain, paired
-from graphtrack.evaluation.reproduce.chen_fitted import (
+from graphtrack.experiments.baxter_simulated import RIVAL, Gain, paired
+from graphtrack.experiments.chen_joint import (
+    ANGLES,
     FITTED,
     PAIRS,
     SHARED,
+    errors_of,
     fits,
     fitted_models,
     pair_table,
@@ -17,12 +19,11 @@ from graphtrack.evaluation.reproduce.chen_fitted import (
     shared_values,
     with_shared,
 )
-from graphtrack.evaluation.reproduce.chen_tables import ANGLES, errors_of
-from graphtrack.evaluation.reproduce.experiment import ISAM2
+from graphtrack.experiments.harness import ISAM2
 from graphtrack.inference import smooth_track
 from graphtrack.model import Model
 from graphtrack.simulation.sampling import simulate
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def test_shared_parameters_are_set_and_no_others_change() -> None:

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graphtrack.evaluation.reproduce import gaits
-from graphtrack.experiments import Settings
+from graphtrack.experiments import Settings, gaits
 from graphtrack.simulation.sampling import simulate
 
 

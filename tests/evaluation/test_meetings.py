@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphtrack.evaluation.reproduce.meetings import (
+from graphtrack.experiments.meetings import (
     CLOSEST,
     TRACKERS,
     detected,
@@ -17,7 +17,7 @@ from graphtrack.evaluation.reproduce.meetings import (
     turns,
 )
 from graphtrack.geometry.angles import wrap
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 SPEED, STEP = 1.2, 0.1
 

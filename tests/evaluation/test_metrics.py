@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from graphtrack import Track
-from graphtrack.evaluation.calibration import chi_square_band
 from graphtrack.evaluation.metrics import (
     angle_nees,
     angular_error,
+    chi_square_band,
     position_nees,
     position_rmse,
     true_velocity,

@@ -15,26 +15,25 @@ from graphtrack.baselines.intentional import IntentionalParameters, intentional_
 from graphtrack.baselines.kalman import filter_states, kalman_filter
 from graphtrack.cli.commands import app
 from graphtrack.errors import InputError
-from graphtrack.evaluation.reproduce.baxter_occlusion import Case, WindowErrors, trajectories
-from graphtrack.evaluation.reproduce.chen_joint import concentration_of
-from graphtrack.evaluation.reproduce.chen_tables import PAPER
-from graphtrack.evaluation.reproduce.experiment import evenly, thinned
-from graphtrack.evaluation.reproduce.fitting import (
+from graphtrack.evaluation.metrics import bootstrap, deviation, mean_difference, reduction
+from graphtrack.experiments import Settings, Table, all_experiments
+from graphtrack.experiments.baxter_occlusion import ONLINE, Case, WindowErrors, error_of, trajectories
+from graphtrack.experiments.chen_joint import PAPER, concentration_of
+from graphtrack.experiments.harness import (
+    evenly,
     fit,
     from_the_past,
     one_step_ahead,
     squared_error,
+    thinned,
     with_coupling,
     with_density,
     with_head_rate,
 )
-from graphtrack.evaluation.reproduce.occlusion_methods import ONLINE, error_of
-from graphtrack.evaluation.resampling import bootstrap, deviation, mean_difference, reduction
-from graphtrack.experiments import Settings, Table, all_experiments
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
-from graphtrack.smoothing.recording import track_online
-from graphtrack.tracks import TrackSet
+from graphtrack.smoothing import track_online
+from graphtrack.tracks.track import TrackSet
 
 
 @pytest.mark.parametrize("behaviour", range(7))

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import graphtrack as gt
 from graphtrack.cli.commands import app
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 SPREAD = np.array([0.1, 0.2, 0.3, 0.3, np.radians(10.0), np.radians(20.0)])
 

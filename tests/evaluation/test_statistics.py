@@ -10,7 +10,7 @@ from walks import walk, without
 
 from graphtrack import io
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.evaluation.statistics import (
+from graphtrack.experiments.baxter_statistics import (
     HISTOGRAM_EDGES,
     deviation_statistics,
     future_share,
@@ -19,7 +19,7 @@ from graphtrack.evaluation.statistics import (
 )
 from graphtrack.geometry.angles import direction, unit, wrap
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def straight(head: np.ndarray, course: float = 1.0, speed: float = 1.2) -> Track:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.behaviour.learned import DEFAULT
-from graphtrack.evaluation.reproduce.strangers import (
+from graphtrack.experiments.strangers import (
     BEFORE,
     EVIDENCE,
     at_random_times,
@@ -18,7 +17,8 @@ from graphtrack.evaluation.reproduce.strangers import (
     shares,
 )
 from graphtrack.geometry.angles import direction
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.interaction.parameters import DEFAULT
+from graphtrack.tracks.track import Track, TrackSet
 
 
 @pytest.mark.parametrize("online", [False, True], ids=["offline", "online"])

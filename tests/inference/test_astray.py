@@ -10,7 +10,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.simulation.degrade import add_noise
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 STD, FPS, BEGINS, ENDS = 0.05, 30.0, 45, 55
 

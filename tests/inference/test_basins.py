@@ -10,9 +10,9 @@ from selection import others_slow
 from walks import walk
 
 from graphtrack.geometry.angles import difference
-from graphtrack.simulation.classes import add_class_likelihoods
+from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.smoothing import smooth, track_online
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 EVERY_ENGINE = pytest.mark.parametrize(
     ("engine", "lag"),

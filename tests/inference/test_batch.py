@@ -13,10 +13,9 @@ from walks import rotation, turned, walk, without
 from graphtrack.baselines.kalman import rauch_tung_striebel
 from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import UNIFORM_STD, difference, wrap
-from graphtrack.geometry.camera import GroundCamera
-from graphtrack.geometry.homography import jacobian
+from graphtrack.geometry.camera import GroundCamera, jacobian
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
-from graphtrack.inference.solution import OfflineEngine
+from graphtrack.inference.result import OfflineEngine
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,
@@ -29,7 +28,7 @@ from graphtrack.model import (
 )
 from graphtrack.model.parameters import steady
 from graphtrack.smoothing import smooth, solve
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
 PRESETS = sorted(name for name in presets if not Model(name).has_modes)  # those that GTSAM solves

@@ -16,16 +16,16 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
+from graphtrack.inference.chain.initialisation import pack
 from graphtrack.inference.engines import engine_of
 from graphtrack.inference.graph.batch import smooth_graph
-from graphtrack.inference.initial import pack
 from graphtrack.model import LikelihoodParameters, Model, Parameters, States, Term, presets
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.motion import Motion
 from graphtrack.model.terms.pose import BodyLikelihood
 from graphtrack.smoothing import solve
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
 PRESETS = ("position", "separate", "joint", "intentional", "joint-intentional")

@@ -11,21 +11,17 @@ from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import OnlineSmoother
-from graphtrack.inference.chain.advance import carry_over
 from graphtrack.inference.chain.basin_search import greatest_gain
-from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
-from graphtrack.inference.chain.elimination import COST, FIRST_COST, Workspace, workspace
-from graphtrack.inference.chain.newton import minimise
-from graphtrack.inference.chain.start import fill
+from graphtrack.inference.chain.initialisation import fill, pack, problem_of
+from graphtrack.inference.chain.newton import COST, FIRST_COST, Workspace, minimise, workspace
 from graphtrack.inference.chain.window_arrays import memory_in, window_problem
-from graphtrack.inference.chain.window_kernels import predict_newest
-from graphtrack.inference.initial import pack, problem_of
+from graphtrack.inference.chain.window_kernels import carry_over, predict_newest
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import BODY, HEAD, Problem
 from graphtrack.model import LikelihoodParameters, Model, Parameters
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.layout import BODY, HEAD
-from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import add_frame
+from graphtrack.model.coupling_modes import mode_memory, renew_couplings
 from graphtrack.model.observation import observations
+from graphtrack.model.program import add_frame
 from graphtrack.model.terms.gait import gait_of
 
 

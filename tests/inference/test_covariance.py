@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from walks import walk
 
-from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.chain.covariance import pull_apart, sweep_pulls
-from graphtrack.inference.chain.elimination import eliminate, invert_cholesky, take_step, workspace
+from graphtrack.inference.chain.newton import eliminate, invert_cholesky, take_step, workspace
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
-from graphtrack.smoothing.recording import track_online
+from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE
+from graphtrack.smoothing import track_online
 
 
 def test_the_sweeps_solve_the_chain() -> None:

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from walks import walk, without
 
-from graphtrack.baselines.intentional_continuous import intentional_tracker
-from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
+from graphtrack.baselines.intentional import GrowingRate, intentional_tracker, mean_deviation
+from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
 from graphtrack.inference import smooth_track
-from graphtrack.inference.deviation import GrowingRate, mean_deviation
 from graphtrack.model import Model
 from graphtrack.smoothing import track_online
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def straight(head: np.ndarray, dt: float = 0.1) -> Track:

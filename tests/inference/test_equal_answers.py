@@ -17,7 +17,7 @@ import pytest
 from graphtrack import OnlineSmoother, TrackSet, smooth
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.model.observation import observations
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 FAR = 1e9
 """Seconds by which time is shifted: such times are rounded to 10⁻⁷ s."""

@@ -11,6 +11,7 @@ from mode_recursions import both_ways
 from scipy import special
 
 import graphtrack as gt
+from graphtrack.baselines.particle_model import transition
 from graphtrack.geometry.angles import (
     class_centres,
     class_kappa,
@@ -21,18 +22,17 @@ from graphtrack.geometry.angles import (
     wrap,
 )
 from graphtrack.inference import smooth_track
-from graphtrack.inference.chain.coupling_modes import (
+from graphtrack.inference.chain.initialisation import pack, problem_of
+from graphtrack.kernels.compilation import compiled
+from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
+from graphtrack.model.coupling_modes import (
     AHEAD_BODY,
     AHEAD_VX,
     AHEAD_VY,
     look_ahead,
     loosened,
 )
-from graphtrack.inference.chain.mode_tables import transition
-from graphtrack.inference.initial import pack, problem_of
-from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.program import add_frame
+from graphtrack.model.program import add_frame
 from graphtrack.model.terms.gait import (
     BASE,
     BINS,
@@ -44,9 +44,8 @@ from graphtrack.model.terms.gait import (
 )
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
-from graphtrack.smoothing import solve
-from graphtrack.smoothing.recording import track_online
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.smoothing import solve, track_online
+from graphtrack.tracks.track import Track, TrackSet
 
 GAIT = gait_of(Parameters().gait)
 

@@ -15,18 +15,18 @@ from walks import walk, without
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.geometry.angles import unit
 from graphtrack.inference import SolverOptions, smooth_track
-from graphtrack.inference.chain.elimination import workspace
+from graphtrack.inference.chain.initialisation import pack, problem_of
+from graphtrack.inference.chain.newton import workspace
 from graphtrack.inference.chain.window_kernels import condense
 from graphtrack.inference.graph.batch import smooth_graph
-from graphtrack.inference.initial import pack, problem_of
 from graphtrack.io import read
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.simulation.degrade import add_noise, occlude, withhold
 from graphtrack.simulation.sampling import simulate
-from graphtrack.smoothing.recording import track_online
-from graphtrack.tracks import Track
+from graphtrack.smoothing import track_online
+from graphtrack.tracks.track import Track
 
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
 STEERED = pytest.mark.parametrize("preset", ["intentional", "joint-intentional"])

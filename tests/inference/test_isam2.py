@@ -14,11 +14,11 @@ from walks import walk
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.inference import OnlineSmoother, SolverOptions, smooth_track
-from graphtrack.inference.graph.guided import Guided
-from graphtrack.inference.graph.isam import Isam2
+from graphtrack.inference.graph.coupling_modes import Guided
+from graphtrack.inference.graph.isam2 import Isam2
 from graphtrack.model import LikelihoodParameters, Model, Parameters, presets
 from graphtrack.model.observation import observations
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
 CONVERGED: dict[str, Any] = {"relinearize_threshold": 1e-4, "step_tolerance": 1e-7, "max_iterations": 200}

@@ -14,13 +14,23 @@ from walks import walk
 import graphtrack as gt
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import Solution
-from graphtrack.inference.chain import engine
-from graphtrack.inference.chain.calibration import calibration_of
-from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
-from graphtrack.inference.chain.engine import LARGE, LONGEST, fit_lanes, has_lanes, solve_packed
-from graphtrack.inference.chain.solver import LaneArrays, gather, lane_arrays, lane_group
-from graphtrack.inference.initial import pack, pack_to_solve, problem_of
-from graphtrack.inference.solution import seconds_to_ends
+from graphtrack.inference.chain import batch
+from graphtrack.inference.chain.batch import (
+    LARGE,
+    LONGEST,
+    LaneArrays,
+    fit_lanes,
+    gather,
+    has_lanes,
+    lane_arrays,
+    lane_group,
+    solve_packed,
+)
+from graphtrack.inference.chain.covariance import calibration_of
+from graphtrack.inference.chain.initialisation import pack, pack_to_solve, problem_of
+from graphtrack.inference.result import seconds_to_ends
+from graphtrack.kernels.compilation import allocating
+from graphtrack.kernels.layout import LANES, Problem, number_rows
 from graphtrack.model import (
     GaitParameters,
     LikelihoodParameters,
@@ -28,13 +38,11 @@ from graphtrack.model import (
     MotionParameters,
     Parameters,
 )
-from graphtrack.model.kernels.compiled import allocating
-from graphtrack.model.kernels.layout import LANES, number_rows
-from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.coupling_modes import mode_memory, renew_couplings
 from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.smoothing import solve
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def scene(seed: int) -> list[Track]:
@@ -85,7 +93,7 @@ def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
 def test_a_track_is_solved_to_the_last_bit_as_if_it_were_alone(
     preset: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "LARGE", 0)
+    monkeypatch.setattr(batch, "LARGE", 0)
     model, tracks = Model(preset), scene(1)
     together = solve(TrackSet(tuple(replace(track, track_id=k) for k, track in enumerate(tracks))), model)
     for k in (0, 3, len(tracks) - 1):
@@ -117,7 +125,7 @@ def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int)
 def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks = tuple(walk(5 + k, seed=k, track_id=k, classes=k % 3 == 1) for k in range(2 * LANES))
     one_by_one, done = gt.smooth(TrackSet(tracks), "joint"), []
-    monkeypatch.setattr(engine, "LARGE", 1)
+    monkeypatch.setattr(batch, "LARGE", 1)
     beside = solve(TrackSet(tracks), "joint", progress=done.append)
     assert sum(done) == sum(map(len, tracks))
     for k, (found, expected) in enumerate(zip(beside, one_by_one, strict=True)):

@@ -10,7 +10,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.geometry.angles import difference
-from graphtrack.inference.chain import engine
+from graphtrack.inference.chain import batch
 from graphtrack.simulation.degrade import add_noise
 
 
@@ -38,7 +38,7 @@ def test_the_last_frame_is_the_same_online(preset: str) -> None:
 
 def test_the_last_frame_is_nearly_the_same_online_with_modes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where offline turns between modes and states are taken until nothing changes; online has one."""
-    monkeypatch.setattr(engine, "PASSES", 8)
+    monkeypatch.setattr(batch, "PASSES", 8)
     assert differences("full").max() < 0.25
 
 
@@ -62,7 +62,7 @@ def test_the_last_frame_on_motion_capture(
         ("full", 2, 0.4, 0.8),
         ("full", 8, 0.15, 0.35),
     ):
-        monkeypatch.setattr(engine, "PASSES", passes)
+        monkeypatch.setattr(batch, "PASSES", passes)
         found = mean_differences(gt.smooth(scene, preset), gt.track_online(scene, preset))
         print(every, preset, passes, found.round(4))
         assert (found < (body, head)).all()

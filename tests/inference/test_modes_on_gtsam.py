@@ -13,15 +13,14 @@ from walks import walk
 
 from graphtrack.geometry.angles import difference
 from graphtrack.inference import OnlineSmoother, smooth_track
+from graphtrack.inference.chain.initialisation import pack
 from graphtrack.inference.graph.chain_view import couplings_of
-from graphtrack.inference.graph.guided import Guided
-from graphtrack.inference.initial import pack
+from graphtrack.inference.graph.coupling_modes import Guided
 from graphtrack.model import Model, Step, Term
-from graphtrack.model.factors.derived import COUPLED
-from graphtrack.model.factors.native import von_mises_prior
+from graphtrack.model.factors import COUPLED, von_mises_prior
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.intentional_motion import steered_step
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 GTSAM_ENGINES = pytest.mark.parametrize(
     ("engine", "lag"), [("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)], ids=["fixed", "isam2", "full"]

@@ -18,12 +18,12 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track
-from graphtrack.inference.prior import marginal_prior, variable_keys
+from graphtrack.inference.state import marginal_prior, variable_keys
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
 from graphtrack.smoothing import track_online
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
 CONVERGED: dict[str, Any] = {"step_tolerance": 1e-7, "max_iterations": 200}

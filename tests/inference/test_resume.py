@@ -18,7 +18,7 @@ from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
 from graphtrack.saved import from_text, to_text
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 CAMERA = GroundCamera.from_homography([[0.02, 0.001, -6.0], [0.0, -0.03, 14.0], [0.0, 0.0012, 1.0]])
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.behaviour.evidence import pair_evidence
-from graphtrack.behaviour.learned import DEFAULT
-from graphtrack.behaviour.people import people_of
 from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import mean_absolute_error, unit, wrap
 from graphtrack.interaction.coupled import LEAST, counts, neighbours
+from graphtrack.interaction.evidence import pair_evidence
+from graphtrack.interaction.parameters import DEFAULT
+from graphtrack.interaction.people import people_of
 from graphtrack.io.groups import read_groups
-from graphtrack.simulation.party import party
+from graphtrack.simulation.scenario import party
 
 
 def test_bodies_of_a_party_are_found_from_positions() -> None:

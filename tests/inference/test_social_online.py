@@ -12,14 +12,14 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.association.tracker import PersonEstimate
-from graphtrack.cli.stream import People
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error, unit, wrap
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.model import Model, Observation
-from graphtrack.simulation.party import Party, party
-from graphtrack.smoothing.tracker import OnlineTracker
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.simulation.scenario import Party, party
+from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming.answers import TrackAnswers
+from graphtrack.tracks.track import Track, TrackSet
 
 SOCIAL = Model("social")
 
@@ -109,11 +109,11 @@ def rows(seen: TrackSet, order: np.random.Generator | None = None) -> Iterator[d
             yield {"track_id": one.track_id, "frame": k, "t": float(one.t[k]), "x": x, "y": y}
 
 
-def stream() -> People:
-    return People(lambda: OnlineSmoother(SOCIAL), None, conversations=Conversations(SOCIAL))
+def stream() -> TrackAnswers:
+    return TrackAnswers(lambda: OnlineSmoother(SOCIAL), None, conversations=Conversations(SOCIAL))
 
 
-def answers(people: People, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def answers(people: TrackAnswers, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [people.answer(number, json.dumps(row).encode()) for number, row in enumerate(given, 1)]
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from walks import walk
 
-from graphtrack.cli.stream import People, StreamBounds
 from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.chain.window_arrays import SLOTS, pool_of
 from graphtrack.inference.state import Estimate
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
+from graphtrack.streaming.answers import StreamBounds, TrackAnswers
 
 
 def courses(people: int, frames: int) -> list[list[Observation | None]]:
@@ -98,8 +98,10 @@ def test_rows_together_are_answered_as_one_by_one() -> None:
     assert (together.rows, together.line) == (by_one.rows, by_one.line) == (len(lines), len(lines))
 
 
-def people() -> People:
-    return People(lambda: OnlineSmoother("joint"), None, lambda text: None, bounds=StreamBounds(5, 10.0))
+def people() -> TrackAnswers:
+    return TrackAnswers(
+        lambda: OnlineSmoother("joint"), None, lambda text: None, bounds=StreamBounds(5, 10.0)
+    )
 
 
 def test_slots_are_used_again_and_blocks_let_go() -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from graphtrack.geometry.angles import difference
-from graphtrack.inference.chain.engine import solve_packed
-from graphtrack.inference.chain.result import CONVERGED
-from graphtrack.inference.initial import pack
+from graphtrack.inference.chain.batch import solve_packed
+from graphtrack.inference.chain.initialisation import pack
+from graphtrack.inference.chain.newton import CONVERGED
 from graphtrack.model import Model
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def rounds(frames: int) -> Track:

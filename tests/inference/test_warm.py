@@ -10,19 +10,19 @@ import pytest
 from random_tracks import lens_camera, random_track
 from walks import walk
 
-from graphtrack.baselines.particle import filter as particle
-from graphtrack.behaviour.forecast.recorded import forecast
-from graphtrack.behaviour.online_attention import OnlineAttention
-from graphtrack.behaviour.online_groups import OnlineGroups
-from graphtrack.behaviour.told import people_at
+from graphtrack.baselines import particle_filter as particle
 from graphtrack.errors import InputError
+from graphtrack.forecasting.recorded import forecast
 from graphtrack.inference import OnlineSmoother, SolverOptions, smooth_track, warm
 from graphtrack.inference.warm import make_solver_ready
-from graphtrack.learning import solving
+from graphtrack.interaction.attention import OnlineAttention
+from graphtrack.interaction.groups import OnlineGroups
+from graphtrack.interaction.people import people_at
+from graphtrack.learning import optimise
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
-from graphtrack.simulation.party import party
+from graphtrack.simulation.scenario import party
 from graphtrack.smoothing import smooth, track_online, warm_up
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks.track import TrackSet
 
 ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_probability=0.1))
 
@@ -115,7 +115,7 @@ def test_whoever_calls_compiled_code_makes_it_ready_first(rehearsed) -> None:
         lambda: smooth(TrackSet((track,)), "joint"),
         lambda: smooth_track(track, model, engine="gtsam"),
         lambda: OnlineSmoother("joint"),
-        lambda: solving.Solver([track], model, None),
+        lambda: optimise.Solver([track], model, None),
         lambda: particle.particle_filter(track, "joint"),
         lambda: particle.particle_smoother(track, "joint"),
     ):

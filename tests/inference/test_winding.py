@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import difference
-from graphtrack.inference.chain.elimination import workspace
-from graphtrack.inference.chain.winding import unwind
-from graphtrack.inference.initial import pack, problem_of
+from graphtrack.inference.chain.basin_search import unwind
+from graphtrack.inference.chain.initialisation import pack, problem_of
+from graphtrack.inference.chain.newton import workspace
 from graphtrack.model import Model
-from graphtrack.simulation.strollers import StrollerParameters, full_turns_too_many, strollers
+from graphtrack.simulation.crowd import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.smoothing import solve
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 HABITS = StrollerParameters(stops_per_minute=8.0, turns_per_minute=0.0, fastest_turn=1.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from graphtrack.table.arrow import arrow_array
+from graphtrack.tracks.table import arrow_array
 
 
 @pytest.mark.parametrize(

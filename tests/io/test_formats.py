@@ -12,7 +12,7 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.readers.caviar import lobby_camera
+from graphtrack.io.formats.caviar import lobby_camera
 
 
 def sample_of(format: str, name: str = "") -> Sample:

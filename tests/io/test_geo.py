@@ -10,8 +10,8 @@ import pytest
 from command import run
 
 import graphtrack as gt
-from graphtrack.behaviour.forecast.table import read_forecasts
-from graphtrack.behaviour.tables import read_group_table
+from graphtrack.forecasting.recorded import read_forecasts
+from graphtrack.interaction.tables import read_group_table
 
 COLUMNS = {"id": "agent", "t": "timestamp", "lat": "lat", "lon": "lon"}
 

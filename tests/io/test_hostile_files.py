@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.behaviour.files import load_parameters
 from graphtrack.errors import InputError
+from graphtrack.interaction.tables import load_parameters
 
 HEADER = "track_id,frame,t,x,y"
 ROWS = [HEADER, *(f"1,{k},{k / 10},{k / 20},0" for k in range(20))]

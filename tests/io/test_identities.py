@@ -12,8 +12,8 @@ from format_samples import SAMPLES, made_tracks
 
 import graphtrack as gt
 from graphtrack import io
-from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
+from graphtrack.tracks.validation import LARGEST_ID
 
 TOO_LARGE = [2**53, 2**53 + 1, -(2**53), -(2**53) - 1, 2**62, 2**63 + 2**53]
 

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 import graphtrack as gt
 from graphtrack import io
 from graphtrack.errors import InputError
-from graphtrack.inference.observed import checked
-from graphtrack.io.readers.ndjson import parse_line, read_cells
+from graphtrack.inference.state import checked
+from graphtrack.io.formats.ndjson import parse_line, read_cells
 from graphtrack.scale.dataset import open_dataset
 from graphtrack.scale.job import smooth_dataset
 from graphtrack.streaming.protocol import observation_of
-from graphtrack.table.schema import input_columns, is_input_name, numeric
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.schema import input_columns, is_input_name, numeric
+from graphtrack.tracks.track import Track, TrackSet
 
 GOAL = np.array([[1.0, 2.0], [np.nan, np.nan], [3.0, 4.0]])
 

@@ -13,7 +13,7 @@ from same_tracks import assert_same
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 xarray = pytest.importorskip("xarray", reason="the extra movement has it")
 for name in ("h5netcdf", "h5py"):

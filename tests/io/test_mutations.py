@@ -13,7 +13,7 @@ from format_samples import SAMPLES, Sample, name_of
 
 from graphtrack import io
 from graphtrack.errors import GraphtrackError, InputWarning
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 MUTANTS, MUTANTS_MORE = 50, 1500
 MUTANTS_BESIDE = 60

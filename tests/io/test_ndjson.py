@@ -8,7 +8,7 @@ from format_samples import made_tracks
 
 from graphtrack import io
 from graphtrack.errors import InputError
-from graphtrack.table.schema import COLUMNS, INTEGERS, TOGETHER
+from graphtrack.tracks.schema import COLUMNS, INTEGERS, TOGETHER
 
 ROW = {"track_id": 1, "frame": 0, "t": 0.0, "x": 1.0, "y": 2.0}
 

@@ -16,7 +16,7 @@ from same_tracks import assert_same
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 SIMULATED = Path(__file__).parent / "made_elsewhere" / "jupedsim.sqlite.gz"
 """What JuPedSim 1.4 wrote: three agents in a room of 6 m × 4 m, 200 steps of 10 ms, each tenth."""

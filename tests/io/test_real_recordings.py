@@ -9,9 +9,9 @@ import pytest
 
 from graphtrack import io
 from graphtrack.geometry.angles import difference, direction
-from graphtrack.io.readers.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
+from graphtrack.io.formats.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
 from graphtrack.io.source import Source
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks.track import TrackSet
 
 CORRIDOR = {"point_pairs_unit": "cm", "point_pairs_rows": "5-8"}
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from graphtrack import io
-from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.readers.native_csv import _header, _read_fast, _read_slowly
+from graphtrack.io.formats.native import _header, _read_fast, _read_slowly
 from graphtrack.io.source import Source
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import LARGEST_ID
 
 METRES = st.floats(-1e6, 1e6, allow_subnormal=False)
 ANGLES = st.floats(-np.pi, np.pi, exclude_min=True)

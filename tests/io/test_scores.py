@@ -14,8 +14,8 @@ from scipy.special import expit
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.reading import rows_of_file
-from graphtrack.table.rows import Rows
+from graphtrack.io.read_write import rows_of_file
+from graphtrack.tracks.table import Rows
 
 NEGATIVE = "some confidences are negative"
 

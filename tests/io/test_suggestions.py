@@ -16,8 +16,8 @@ import pytest
 from graphtrack import io
 from graphtrack.cli.options import Reading
 from graphtrack.errors import InputError
-from graphtrack.io.tables.suggestion import suggest
-from graphtrack.tracks import TrackSet
+from graphtrack.io.suggestion import suggest
+from graphtrack.tracks.track import TrackSet
 
 STEPS = 12
 T = np.arange(STEPS) / 10

@@ -8,8 +8,8 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.tables.synonyms import with_synonyms
 
 PEOPLE = (7, 8, 9)
 

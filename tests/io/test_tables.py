@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 import graphtrack as gt
 from graphtrack import io
 from graphtrack.errors import InputError
-from graphtrack.io.given import tracks_of
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.reading import rows_of_file
-from graphtrack.table.moments import from_dates, from_numbers, from_text
+from graphtrack.io.read_write import rows_of_file, tracks_of
+from graphtrack.tracks.time import from_dates, from_numbers, from_text
 
 STEPS = np.arange(4)
 X = {"anna": 1.5 + STEPS / 8, "bob": 4.0 - STEPS / 16}

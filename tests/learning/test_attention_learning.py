@@ -10,13 +10,12 @@ import pytest
 from command import run as run_program
 
 import graphtrack as gt
-from graphtrack.behaviour.attention import AttentionParameters, attention
-from graphtrack.behaviour.files import load_attention, save_parameters
-from graphtrack.behaviour.tables import NOBODY, LookLabels, read_looks
 from graphtrack.errors import InputError
+from graphtrack.interaction.attention import AttentionParameters, attention
 from graphtrack.interaction.scores import score_looks
-from graphtrack.learning.attention import fit_attention
-from graphtrack.simulation.party import Party, party
+from graphtrack.interaction.tables import NOBODY, LookLabels, load_attention, read_looks, save_parameters
+from graphtrack.learning.interaction import fit_attention
+from graphtrack.simulation.scenario import Party, party
 
 
 def labels_of(made: Party) -> LookLabels:

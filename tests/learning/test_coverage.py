@@ -13,7 +13,7 @@ from scipy import stats
 from simulated import BRISK, EVEN_SLOW, TRUE, inside, unknown
 
 from graphtrack.learning import fit
-from graphtrack.learning.objective import Criterion
+from graphtrack.learning.optimise import Criterion
 from graphtrack.model import Model, Parameters
 
 SIMULATIONS = 40

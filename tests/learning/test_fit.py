@@ -14,7 +14,7 @@ from walks import walk
 from graphtrack.baselines.kalman import filter_states
 from graphtrack.errors import InputError
 from graphtrack.learning import fit
-from graphtrack.learning.objective import Objective
+from graphtrack.learning.optimise import Objective
 from graphtrack.model import (
     LikelihoodParameters,
     Model,
@@ -25,7 +25,7 @@ from graphtrack.model import (
 from graphtrack.model.parameters import steady
 from graphtrack.model.terms.pose import HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def kalman_log_likelihood(track: Track, parameters: Parameters) -> float:

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.behaviour.forecast.expected import lead, mean_turn
-from graphtrack.behaviour.forecast.forecaster import Forecaster
-from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.errors import InputError
-from graphtrack.learning import forecast as learning
-from graphtrack.learning.forecast_rows import errors_at_once, forecasts, recording, rows_of
+from graphtrack.forecasting.forecaster import Forecaster, lead, mean_turn
+from graphtrack.forecasting.motion import ForecastParameters
+from graphtrack.learning import forecasts as learning
+from graphtrack.learning.forecasts import errors_at_once, forecasts, recording, rows_of
 
 STEP = 0.4
 

@@ -13,15 +13,13 @@ from walks import walk
 from graphtrack.baselines.kalman import smooth_states
 from graphtrack.geometry.angles import unit, von_mises_log_density, wrap
 from graphtrack.learning import fit
-from graphtrack.learning.free import free_parameters, with_values
-from graphtrack.learning.hidden import FOLDS, log_blurred, told
-from graphtrack.learning.objective import Objective
-from graphtrack.learning.solving import Solver
+from graphtrack.learning.fit import free_parameters, with_values
+from graphtrack.learning.optimise import FOLDS, Objective, Solver, log_blurred, told
 from graphtrack.model import CouplingParameters, GaitParameters, Model
 from graphtrack.model.parameters import scale_of, steady
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.smoothing import solve
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def people_of_both_kinds(count: int, n: int, seed: int) -> TrackSet:

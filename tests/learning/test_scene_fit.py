@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.association.learning import scene_log_density
-from graphtrack.io.reading import rows_of_file
+from graphtrack.association.scene import scene_log_density
+from graphtrack.io.read_write import rows_of_file
 from graphtrack.learning import SceneFit, fit_scene
 from graphtrack.learning.scene import _Explained as Explained
 from graphtrack.learning.scene import _recording as recording_of

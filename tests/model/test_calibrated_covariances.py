@@ -10,15 +10,14 @@ from calibrated import calibrated
 from scipy import integrate
 
 from graphtrack.geometry.angles import von_mises_log_density, wrap
-from graphtrack.inference.chain.calibration import calibration_of, lag_variances, seconds_behind
-from graphtrack.inference.chain.engine import solve_packed
-from graphtrack.inference.initial import pack
-from graphtrack.inference.solution import seconds_to_ends
+from graphtrack.inference.chain.batch import solve_packed
+from graphtrack.inference.chain.covariance import calibration_of, lag_variances, seconds_behind
+from graphtrack.inference.chain.initialisation import pack
+from graphtrack.inference.result import seconds_to_ends
 from graphtrack.model import Model, Parameters
-from graphtrack.model.parameters import MotionParameters, OrientationParameters, steady
-from graphtrack.model.sway import kept_shares, swaying
+from graphtrack.model.parameters import MotionParameters, OrientationParameters, kept_shares, steady, swaying
 from graphtrack.model.terms.motion import process_noise, transition_matrix
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 STILL, RESTING = steady(Parameters()), np.zeros(2)
 

@@ -8,15 +8,15 @@ from calibration_formulas import calibrated
 from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.calibration import (
+from graphtrack.inference.chain.covariance import (
     add_lags,
     calibrate,
     calibrate_frame,
     calibrate_tracks,
     calibration_of,
 )
-from graphtrack.inference.initial import pack
-from graphtrack.inference.solution import seconds_to_ends
+from graphtrack.inference.chain.initialisation import pack
+from graphtrack.inference.result import seconds_to_ends
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import MotionParameters, OrientationParameters, steady
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from graphtrack.model.kernels.compiled import allocating, compiled, machine_code_folder
+from graphtrack.kernels.compilation import allocating, compiled, machine_code_folder
 
-module = sys.modules["graphtrack.model.kernels.compiled"]  # the package has the function under that name
+module = sys.modules["graphtrack.kernels.compilation"]  # the package has the function under that name
 PACKAGES = [Path(__file__).parents[2] / name for name in ("graphtrack", "perception")]
 
 
@@ -73,7 +73,7 @@ def test_a_numba_that_does_not_compile_is_an_error(monkeypatch) -> None:
 
 
 PROMPT = """
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.kernels.compilation import compiled
 @compiled
 def twice(x):
     return 2.0 * x

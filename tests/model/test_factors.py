@@ -15,7 +15,7 @@ from walks import walk
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
 from graphtrack.model import FactorShapeError, Model, States, Step, Term, custom_factor
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def values_of(states: States) -> gtsam.Values:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import allocating, compiled
-from graphtrack.model.kernels.elementary import cos_sin, direction_of, exp, expm1, log
-from graphtrack.model.kernels.lanes import (
+from graphtrack.kernels.arithmetic import cos_sin, direction_of, exp, expm1, log
+from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.kernels.lanes import (
     any_of,
     choose,
     lane_array,
@@ -23,7 +23,7 @@ from graphtrack.model.kernels.lanes import (
     negate,
     only_lane,
 )
-from graphtrack.model.kernels.layout import LANES
+from graphtrack.kernels.layout import LANES
 
 
 @compiled

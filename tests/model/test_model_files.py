@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from walks import walk
 
 import graphtrack as gt
-from graphtrack.cli.saving import settings_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
@@ -25,6 +24,7 @@ from graphtrack.model import (
 )
 from graphtrack.model.parameters import range_of
 from graphtrack.model.terms.turning import BodyDynamics
+from graphtrack.streaming.saved_state import settings_of
 
 TABLES = {table.name: getattr(Parameters(), table.name) for table in dataclasses.fields(Parameters)}
 NUMBERS = {

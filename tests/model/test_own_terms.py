@@ -19,21 +19,19 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
-from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.initialisation import initial_states, pack
 from graphtrack.inference.chain.window_arrays import FrameRows
-from graphtrack.inference.initial import initial_states, pack
 from graphtrack.kernels import HEAD, Field, Kernel, compiled
+from graphtrack.kernels.layout import N
 from graphtrack.learning.fit import fit
 from graphtrack.model import Model, States, Term
-from graphtrack.model.kernels.frame_program import OF_PRESETS
-from graphtrack.model.kernels.generator import Program
-from graphtrack.model.kernels.layout import N
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.generator import OF_PRESETS, Program, program_of
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain, observations
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.terms.motion import Motion
 from graphtrack.smoothing import track_online
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 @compiled

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import graphtrack as gt
-from graphtrack.cli.saving import settings_of
+from graphtrack.streaming.saved_state import settings_of
 
 RANGES = {one.name: one.metadata["range"] for one in fields(gt.SceneParameters)}
 KNOWN = st.fixed_dictionaries({}, optional={name: st.floats(*limits) for name, limits in RANGES.items()})

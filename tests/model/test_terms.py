@@ -22,8 +22,9 @@ from walks import scores
 from graphtrack.geometry.angles import class_centres, class_kappa, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import add_grid_costs
+from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import note_turns
-from graphtrack.inference.initial import pack, problem_of
+from graphtrack.kernels.layout import BODY, HEAD, PLACES
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,
@@ -33,14 +34,12 @@ from graphtrack.model import (
     States,
     Term,
     presets,
+    program,
 )
-from graphtrack.model.kernels import program
-from graphtrack.model.kernels.frame_program import OF_PRESETS
-from graphtrack.model.kernels.generator import Program
-from graphtrack.model.kernels.layout import BODY, HEAD, PLACES
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.generator import OF_PRESETS, Program
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import PlaceParameters, SocialParameters
 from graphtrack.model.terms.anchor import Anchor
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
@@ -58,7 +57,7 @@ from graphtrack.model.terms.pose import (
 )
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 PI = float(np.pi)
 CAMERA = GroundCamera(np.array([[0.02, 0.001, -9.0], [0.0005, -0.03, 14.0], [0.0, 0.0008, 1.0]]))

@@ -15,16 +15,23 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
-from perception.adaptation.labels import walking_labels
+from perception.adaptation.directions import CLASSES, calibrated, folds_of, seen_directions, taught
+from perception.adaptation.labels import (
+    COLUMNS,
+    ROWS,
+    TALL,
+    check_camera,
+    in_patch,
+    of_patch,
+    patch_of,
+    walking_labels,
+)
 from perception.adaptation.learning import AdaptationParameters, thinned
 from perception.adaptation.models import CameraModels
-from perception.adaptation.patches import COLUMNS, ROWS, TALL, in_patch, of_patch, patch_of
-from perception.adaptation.recording import check_camera
-from perception.adaptation.teaching import CLASSES, calibrated, folds_of, seen_directions, taught
 from perception.detection.boxes import write_boxes
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models, observe_frame
-from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
+from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 
 
 def write_street(street: PastedStreet, folder: Path) -> list[object]:

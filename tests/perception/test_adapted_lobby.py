@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from graphtrack.errors import InputError
-from perception.evaluation.adapted_lobby import sequences_of
+from perception.evaluation.adapted_cameras import sequences_of
 
 
 def test_one_sequence_is_too_few(tmp_path: Path) -> None:

@@ -11,17 +11,20 @@ from command import run
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
-from perception.adaptation.adapting import joined
-from perception.adaptation.labels import walking_labels
-from perception.adaptation.learning import AdaptationParameters, thinned
-from perception.adaptation.patches import ABOVE, COLUMNS, ROWS, TALL, as_patch, surroundings
-from perception.adaptation.rendered import Scenery, rendered_people
-from perception.adaptation.teaching import CLASSES, Sums, folds_of, taught
-from perception.adaptation.tracks import class_outlier_probability, with_outliers
+from perception.adaptation.directions import (
+    CLASSES,
+    Sums,
+    class_outlier_probability,
+    folds_of,
+    taught,
+    with_outliers,
+)
+from perception.adaptation.labels import ABOVE, COLUMNS, ROWS, TALL, as_patch, surroundings, walking_labels
+from perception.adaptation.learning import AdaptationParameters, Scenery, joined, rendered_people, thinned
 from perception.detection.boxes import PersonBox, write_boxes
 from perception.images.frames import Frame
+from perception.synthetic.clips import FPS, pasted_street
 from perception.synthetic.inserted import Insertion, Place, with_person
-from perception.synthetic.pasted_street import FPS, pasted_street
 
 
 def _said(rng: np.random.Generator, *, again: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

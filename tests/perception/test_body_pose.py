@@ -10,8 +10,8 @@ from sklearn.decomposition import sparse_encode
 
 from perception.pose.body import BodyPose
 from perception.pose.classes import PoseClasses
-from perception.pose.features.linear import fisher_projection, sparse_weights
-from perception.pose.scores import evaluate
+from perception.pose.classifier import evaluate
+from perception.pose.features import fisher_projection, sparse_weights
 from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
 
 EASY = PedestrianVariation(size=(64, 80), occluded=0.0, elevation=(0.0, 0.1), offset=0.01, scale=0.02)

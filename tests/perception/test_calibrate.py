@@ -13,9 +13,8 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import read_calibration
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
-from perception.ground.calibrating import CalibrationParameters, FoundView, found_view
-from perception.ground.sample import people_of, thinned
-from perception.ground.view import RADIUS, RADIUS_STD, View, box_heights
+from perception.ground.calibration import CalibrationParameters, FoundView, found_view, people_of, thinned
+from perception.ground.fitting import RADIUS, RADIUS_STD, View, box_heights
 from perception.synthetic.cameras import Camera
 
 SIZE = (1280, 720)

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perception.synthetic.appearance import random_appearance
+from perception.synthetic.cameras import Sensor
 from perception.synthetic.ceiling import ALL_KINDS, KINDS, SIZE, CeilingSequence, ceiling_sequence
-from perception.synthetic.person import Posture, person_solids
-from perception.synthetic.scene import Furniture, Person, render_frame
-from perception.synthetic.sensor import Sensor
-from perception.synthetic.still import StillScene
+from perception.synthetic.people import Posture, person_solids, random_appearance
+from perception.synthetic.scene import Furniture, Person, StillScene, render_frame
 
 FRAMES = 100
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from graphtrack.tracks import Track, TrackSet
-from perception.detection.certainty import Certainty, judged_by_other_frames
+from graphtrack.tracks.track import Track, TrackSet
+from perception.detection.rescoring import Certainty, judged_by_other_frames
 
 JUDGED = {"radius": 0.5, "least_boxes": 5, "least_way": 1.5}
 

@@ -12,20 +12,22 @@ import pytest
 from selection import others_slow
 
 from graphtrack.errors import InputError
-from perception.evaluation.recognition import recognition_table
+from perception.evaluation.classifiers import recognition_table
 from perception.models import load_classifier
-from perception.pose.calibration import (
+from perception.pose.classes import PoseClasses
+from perception.pose.classifier import (
+    FeatureClassifier,
+    evaluate,
     fit_temperature,
     fit_temperature_and_share,
     reliability,
+    split,
     with_neighbours,
 )
-from perception.pose.classes import PoseClasses
-from perception.pose.classifier import FeatureClassifier, split
-from perception.pose.features.skin import SkinColours
-from perception.pose.head_pose import DeepBelief, Exemplars, Templates
-from perception.pose.head_pose.exemplars import CENTRE_STEP, DEVIATION_STEP
-from perception.pose.scores import evaluate
+from perception.pose.deep_belief import DeepBelief
+from perception.pose.exemplars import CENTRE_STEP, DEVIATION_STEP, Exemplars
+from perception.pose.features import SkinColours
+from perception.pose.templates import Templates
 from perception.storage import ModelCard, load_model, save_model
 from perception.synthetic import HeadSet, HeadVariation, make_heads
 
@@ -255,7 +257,7 @@ def test_numpy_runs_the_network_as_pytorch_does(network: DeepBelief, heads: Head
 
 def test_pretraining_makes_a_boltzmann_machine_that_remembers(heads: Heads) -> None:
     torch = pytest.importorskip("torch")
-    from perception.training.deep_belief import boltzmann_machine
+    from perception.pose.deep_belief_training import boltzmann_machine
 
     pixels = DeepBelief().features(heads[0].images)
     seen = torch.from_numpy(((pixels - pixels.mean(axis=0)) / pixels.std()).astype(np.float32))
@@ -272,7 +274,7 @@ def test_pretraining_makes_a_boltzmann_machine_that_remembers(heads: Heads) -> N
 def test_without_pytorch_training_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, heads: Heads
 ) -> None:
-    monkeypatch.setitem(sys.modules, "perception.training.deep_belief", None)
+    monkeypatch.setitem(sys.modules, "perception.pose.deep_belief_training", None)
     with pytest.raises(InputError, match=r"PyTorch"):
         DeepBelief().fit(heads[0].images, EIGHT.index(heads[0].pan))
 

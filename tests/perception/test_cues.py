@@ -9,10 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.images.pixels import enlarged
-from perception.trackers import colours
-from perception.trackers.sigma_pi import shape
-from perception.trackers.sigma_pi.cues import foreground, running_average
-from perception.trackers.sigma_pi.windows import activation, integral, overlap, sums
+from perception.trackers import color, sigma_pi_cues
+from perception.trackers.sigma_pi_cues import activation, foreground, integral, overlap, running_average, sums
 
 
 def test_sums_over_windows_are_direct_sums() -> None:
@@ -67,10 +65,10 @@ def test_what_stays_still_is_absorbed_after_the_time_that_its_contrast_takes() -
 def test_every_pixel_is_in_the_bin_of_its_hue_saturation_and_value() -> None:
     image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(float)
-    hues, saturations, values = colours.BINS
+    hues, saturations, values = color.BINS
     expected = np.floor(hsv[..., 0] / 180 * hues) * saturations * values
     expected += np.floor(hsv[..., 1] / 256 * saturations) * values + np.floor(hsv[..., 2] / 256 * values)
-    np.testing.assert_array_equal(colours.pixel_bins(image), expected)
+    np.testing.assert_array_equal(color.pixel_bins(image), expected)
 
 
 def test_back_projection_finds_the_colour_of_the_target() -> None:
@@ -78,19 +76,19 @@ def test_back_projection_finds_the_colour_of_the_target() -> None:
     image[20:40, 30:50] = (40, 40, 200)
     inside = np.zeros((60, 80), np.float32)
     inside[20:40, 30:50] = 1.0
-    numbers = colours.pixel_bins(image)
+    numbers = color.pixel_bins(image)
     target, background = (
-        colours.weighed_histogram(numbers, inside),
-        colours.weighed_histogram(numbers, 1.0 - inside),
+        color.weighed_histogram(numbers, inside),
+        color.weighed_histogram(numbers, 1.0 - inside),
     )
     assert target.sum() == pytest.approx(1.0) and background.sum() == pytest.approx(1.0)
-    share = colours.target_share(target, background, 3.0)[numbers]
+    share = color.target_share(target, background, 3.0)[numbers]
     assert share[inside > 0.0].min() > 0.95 and share[inside == 0.0].max() < 0.05
-    assert colours.weighed_histogram(numbers, 0.0 * inside).sum() == 0.0
+    assert color.weighed_histogram(numbers, 0.0 * inside).sum() == 0.0
 
 
 def descriptors(count: int, seed: int) -> np.ndarray:
-    values = np.random.default_rng(seed).exponential(1.0, (count, shape.DIMENSION)) ** 2
+    values = np.random.default_rng(seed).exponential(1.0, (count, sigma_pi_cues.DIMENSION)) ** 2
     return np.sqrt(values / values.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
@@ -98,14 +96,17 @@ def test_features_match_themselves_after_a_shift_of_the_image() -> None:
     picture = cv2.GaussianBlur(np.random.default_rng(0).normal(128, 90, (120, 160)), (0, 0), 2.0)
     grey = np.clip(128 + 6 * (picture - 128), 0, 255).astype(np.uint8)
     sift = cv2.SIFT_create()  # type: ignore[attr-defined]
-    still, moved = shape.detect(sift, grey[:100, :140]), shape.detect(sift, grey[8:108, 12:152])
+    still, moved = (
+        sigma_pi_cues.detect(sift, grey[:100, :140]),
+        sigma_pi_cues.detect(sift, grey[8:108, 12:152]),
+    )
     assert len(still.points) > 20
     np.testing.assert_allclose(np.linalg.norm(still.descriptors, axis=1), 1.0, atol=1e-5)
     match = (moved.descriptors @ still.descriptors.T).argmax(axis=1)
     shift = still.points[match] - moved.points
     assert np.mean(np.abs(shift - [12, 8]).max(axis=1) < 1.5) > 0.6
-    assert shape.matching_rate(moved.descriptors, still.descriptors, 0.9) > 0.6
-    assert len(shape.detect(sift, np.zeros((50, 50), np.uint8)).points) == 0
+    assert sigma_pi_cues.matching_rate(moved.descriptors, still.descriptors, 0.9) > 0.6
+    assert len(sigma_pi_cues.detect(sift, np.zeros((50, 50), np.uint8)).points) == 0
 
 
 def test_similarity_to_a_memory_is_the_greatest_weighted_one() -> None:
@@ -114,20 +115,20 @@ def test_similarity_to_a_memory_is_the_greatest_weighted_one() -> None:
         max(w * float(one @ known) for frame, w in zip(frames, weights, strict=True) for known in frame)
         for one in new
     ]
-    np.testing.assert_allclose(shape.memory_similarity(new, frames, weights), expected, rtol=1e-5)
-    assert (shape.memory_similarity(new, [], np.zeros(0)) == 0.0).all()
+    np.testing.assert_allclose(sigma_pi_cues.memory_similarity(new, frames, weights), expected, rtol=1e-5)
+    assert (sigma_pi_cues.memory_similarity(new, [], np.zeros(0)) == 0.0).all()
 
 
 def test_features_of_the_background_speak_against_the_target() -> None:
     target, background = np.array([0.95, 0.95, 0.7, 0.5]), np.array([0.6, 0.93, 0.97, 0.6])
-    scores = shape.point_scores(target, background, 0.85, 0.1)
+    scores = sigma_pi_cues.point_scores(target, background, 0.85, 0.1)
     np.testing.assert_allclose(scores, [1.0, -0.3, -1.0, 0.0], atol=1e-9)
 
 
 def test_points_in_windows_are_counted_one_by_one() -> None:
     rng = np.random.default_rng(0)
     points, windows = rng.uniform(0, 100, (40, 2)), rng.uniform(5, 60, (25, 4))
-    found = shape.inside(points, windows)
+    found = sigma_pi_cues.inside(points, windows)
     for i, (left, top, width, height) in enumerate(windows):
         for j, (x, y) in enumerate(points):
             assert found[i, j] == (left <= x < left + width and top <= y < top + height)

@@ -12,14 +12,13 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import to_columns
-from perception.observe.detections import to_detections
-from perception.observe.identified import SeenTracks, to_tracks
+from graphtrack.tracks.track import to_columns
 from perception.observe.journal import FrameJournal
-from perception.observe.seen import SeenFrame, SeenPerson
+from perception.observe.pipeline import SeenFrame, SeenPerson
+from perception.observe.tables import SeenTracks, to_detections, to_tracks
 from perception.pose.classes import PoseClasses
-from perception.pose.features.appearance import LENGTH
-from perception.pose.heads import HeadCandidates
+from perception.pose.features import LENGTH
+from perception.pose.head_detection import HeadCandidates
 
 PANS = PoseClasses.circle(8)
 CAMERA = GroundCamera.from_homography(np.array([[0.02, 0.0, -1.0], [0.0, -0.02, 9.0], [0.0, 0.001, 0.2]]))
@@ -48,7 +47,7 @@ def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> 
 def test_rows_made_some_at_a_time_are_those_of_tracks(
     camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("perception.observe.detections._AT_ONCE", 10)
+    monkeypatch.setattr("perception.observe.tables._AT_ONCE", 10)
     frames = seen_frames(30, np.random.default_rng(1), known=known)
     tracks = to_tracks(frames, PANS, camera, 5.0, causal=causal).tracks
     expected = to_columns(tracks)
@@ -76,7 +75,7 @@ def test_tracks_made_piece_by_piece_are_the_same(
     expected = to_tracks(frames, PANS, camera, 5.0, causal=causal).tracks
     assert all((np.diff(track.frame) > 0).all() for track in expected)
     assert sum(expected.summary.refused.values()) == (camera is not None)
-    monkeypatch.setattr("perception.observe.identified._ROWS_AT_ONCE", 7)
+    monkeypatch.setattr("perception.observe.tables._ROWS_AT_ONCE", 7)
     found = to_tracks(frames, PANS, camera, 5.0, causal=causal).tracks
     assert found.summary == expected.summary
     assert found.camera is not None and expected.camera is not None

@@ -11,8 +11,8 @@ import pytest
 from blob_tracker import SIZE, BlobTracker, blob_image
 
 from graphtrack.errors import InputError
-from perception.images.drawing.estimates import draw
-from perception.images.drawing.output import check_render, pictures
+from perception.drawing.people import draw
+from perception.images.pixels import check_render, pictures
 from perception.trackers.tracker import BoxEstimate
 
 CENTRE = (80.0, 60.0)

@@ -9,8 +9,8 @@ import pytest
 
 from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from perception.images.drawing.marks import LIGHT, likely, peak, person_colour
-from perception.images.drawing.people import DrawnPerson, draw_people
+from perception.drawing.marks import LIGHT, likely, peak, person_colour
+from perception.drawing.people import DrawnPerson, draw_people
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 

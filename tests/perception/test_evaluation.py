@@ -14,12 +14,12 @@ from command import run
 from graphtrack.experiments import Settings
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.model import Model
+from perception.drawing.marks import Cues, draw_cues
+from perception.evaluation.classifiers import class_rates
 from perception.evaluation.joint_effect import LEAST_FRAMES, METHODS, ObservedPerson, joint_effect, people_of
-from perception.evaluation.measures import class_rates
-from perception.images.drawing.cues import Cues, draw_cues
+from perception.experiments.chen_pixels import EXPERIMENT
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models
-from perception.reproduce.chen_pixels import EXPERIMENT
 from perception.synthetic.clips import Clip, walking_clip
 
 

@@ -7,9 +7,16 @@ import pytest
 
 from graphtrack.errors import InputError
 from perception.images.pixels import as_uint8, crop, grey_stack, intersection_over_union
-from perception.pose.features.gabor import SIDE, filter_bank, gabor_features, grid, rotation_invariant_gabor
-from perception.pose.features.hog import cell_histograms, multi_level_hog
-from perception.pose.features.skin import SkinColours
+from perception.pose.features import (
+    SIDE,
+    SkinColours,
+    cell_histograms,
+    filter_bank,
+    gabor_features,
+    grid,
+    multi_level_hog,
+    rotation_invariant_gabor,
+)
 
 
 def stripes(angle: float) -> np.ndarray:

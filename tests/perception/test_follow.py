@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import PERSON_HEIGHT
 from perception.follow.following import parse_box
-from perception.follow.world import BoxCamera
+from perception.follow.ground import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 from perception.trackers.registry import TRACKERS, make_tracker

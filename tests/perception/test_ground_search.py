@@ -17,23 +17,28 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import write_calibration
 from perception.detection.background import Background, Backgrounds, background_samples, reduced
-from perception.detection.bands import GroundBands
-from perception.detection.blocks import TALL, foot_boxes
 from perception.detection.boxes import foot_point
-from perception.detection.certainty import Certainty
-from perception.detection.ground_detector import GroundDetector
-from perception.detection.ground_search import Candidates, GroundSearch, joined, strongest
+from perception.detection.ground_search import (
+    Candidates,
+    GroundBands,
+    GroundSearch,
+    PersonSizes,
+    joined,
+    strongest,
+)
+from perception.detection.hog import TALL, foot_boxes
 from perception.detection.rescoring import (
     FEATURES,
+    Certainty,
+    GroundDetector,
     PersonProbability,
     TeachingParameters,
     learning_frames,
     taught,
 )
-from perception.detection.sizes import PersonSizes
 from perception.images.frames import Frame
 from perception.synthetic import Camera
-from perception.synthetic.pasted_street import CAMERA, FPS, SIZE, PastedStreet, pasted_street
+from perception.synthetic.clips import CAMERA, FPS, SIZE, PastedStreet, pasted_street
 
 SEARCHED = TeachingParameters(least_boxes=4, least_people=4)
 

@@ -11,12 +11,12 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
 from graphtrack.model import Observation
+from perception.experiments.head_trackers import Truth, graph_on_top, survives
 from perception.follow.following import Followed, follow, to_track
+from perception.follow.ground import PERSON_IN_HEADS, BoxCamera
 from perception.follow.guidance import GUIDE_MODEL, Doubt, DoubtParameters, GraphGuide
-from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame
 from perception.pose.classes import PoseClasses
-from perception.reproduce.graph_on_top import Truth, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.trackers.color import ColourTracker
 from perception.trackers.tracker import BoxEstimate

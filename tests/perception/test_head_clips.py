@@ -9,8 +9,8 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
-from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
+from perception.synthetic.people import Appearance, random_appearance
 
 QUIET = HeadClipParameters(frames=40, clutter=0.0, jitter=0.0)
 

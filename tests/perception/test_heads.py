@@ -11,15 +11,15 @@ import pytest
 from graphtrack.errors import InputError
 from perception.images.pixels import intersection_over_union
 from perception.models import load_head_localiser
-from perception.pose.boosting import Quantised, reweighted
-from perception.pose.features.blocks import block_corners, block_histograms, corner_sums, integral_histogram
-from perception.pose.head_detector import BoostedBlocks, Weak
-from perception.pose.head_path import select_along_track, select_so_far
-from perception.pose.heads import (
+from perception.pose.boosting import BoostedBlocks, Quantised, Weak, reweighted
+from perception.pose.features import block_corners, block_histograms, corner_sums, integral_histogram
+from perception.pose.head_detection import (
     HeadCandidates,
     HeadLocaliser,
     candidate_windows,
     non_maximum_suppression,
+    select_along_track,
+    select_so_far,
 )
 from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from perception.observe.journal import FrameJournal
-from perception.observe.seen import SeenFrame, SeenPerson
-from perception.pose.heads import HeadCandidates
+from perception.observe.pipeline import SeenFrame, SeenPerson
+from perception.pose.head_detection import HeadCandidates
 
 
 def seen(frame: int, left: float) -> SeenPerson:

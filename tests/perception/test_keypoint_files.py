@@ -15,15 +15,20 @@ from command import run
 from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
-from perception.detection.boxes import Detections, PersonBox, write_boxes
-from perception.detection.pointed import box_of, boxes_of, found_by_frame, with_keypoints
+from perception.detection.boxes import (
+    Detections,
+    PersonBox,
+    box_of,
+    boxes_of,
+    found_by_frame,
+    with_keypoints,
+    write_boxes,
+)
 from perception.pose.classes import PoseClasses
-from perception.pose.keypoints.files import PersonPoints, read_keypoints
-from perception.pose.keypoints.skeleton import BY_NUMBER, N_POINTS, NAMES, USED
+from perception.pose.keypoints import BY_NUMBER, N_POINTS, NAMES, USED, PersonPoints, read_keypoints
 from perception.synthetic import Camera, Person
-from perception.synthetic.appearance import random_appearance
-from perception.synthetic.joints import joints_of, seen_joints
-from perception.synthetic.person import Posture
+from perception.synthetic.people import Posture, random_appearance
+from perception.synthetic.skeletons import joints_of, seen_joints
 
 STREET = Camera((0.0, -6.0, 2.5), np.pi / 2, -0.2, 500.0, (320, 320))
 BODY, HEAD = np.deg2rad([-60.0, -20.0])

@@ -10,24 +10,31 @@ import pytest
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, wrap
 from perception.models import load_keypoint_pose, model_path
-from perception.pose.calibration import reliability
-from perception.pose.keypoints.model import BODY, HEAD, features
-from perception.pose.keypoints.skeleton import (
+from perception.pose.classifier import reliability
+from perception.pose.keypoints import (
+    BODY,
     BY_NUMBER,
+    HEAD,
     N_POINTS,
     NAMES,
     USED,
+    features,
     in_coco_order,
     mirrored,
     places_of,
 )
-from perception.synthetic.appearance import random_appearance
 from perception.synthetic.cameras import Camera
-from perception.synthetic.joints import joints_of, make_rendered_skeletons, seen_joints
-from perception.synthetic.person import Posture
+from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.scene import Person
-from perception.synthetic.skeletons import NetworkErrors, make_skeletons, perceived
-from perception.training.keypoints import train_keypoints
+from perception.synthetic.skeletons import (
+    NetworkErrors,
+    joints_of,
+    make_rendered_skeletons,
+    make_skeletons,
+    perceived,
+    seen_joints,
+)
+from perception.training import train_keypoints
 
 CERTAIN = NetworkErrors(0.3, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 

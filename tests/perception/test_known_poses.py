@@ -6,8 +6,8 @@ import numpy as np
 
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.simulation.sampling import simulate
+from perception.experiments.chen_pixels import LEVELS, Answers, classified, confusions
 from perception.pose.classes import PoseClasses
-from perception.reproduce.known_poses import LEVELS, Answers, classified, confusions
 
 
 class Sure:

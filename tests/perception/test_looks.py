@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.pose.features.appearance import (
+from perception.pose.features import (
     HEIGHT,
     LENGTH,
     LEVELS,

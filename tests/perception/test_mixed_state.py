@@ -13,21 +13,27 @@ from hypothesis import strategies as st
 from scipy.special import softmax
 
 from graphtrack.errors import InputError
+from perception.experiments.ba_mixed_state import failures
+from perception.experiments.head_trackers import (
+    CONFUSION,
+    METHODS,
+    PANS,
+    Run,
+    followed,
+    scored,
+    tracking_error,
+)
 from perception.images.pixels import enlarged, grey_stack
 from perception.models import model_path
 from perception.pose.classes import PoseClasses
-from perception.pose.features.gabor import gabor_features
-from perception.pose.head_pose.exemplars import filter_log_densities
-from perception.reproduce.head_figure import failures
-from perception.reproduce.head_runs import METHODS, Run, followed, scored, tracking_error
-from perception.reproduce.still_heads import CONFUSION, PANS
+from perception.pose.exemplars import filter_log_densities
+from perception.pose.features import gabor_features
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.synthetic.heads import HeadVariation, make_heads
-from perception.trackers.dynamics import BoxDynamics
-from perception.trackers.mixed_state.exemplars import LOOKING_UP, HeadExemplars, load_head_exemplars
-from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
-from perception.trackers.patches import PATCH_MARGIN, cut, equalised
-from perception.training.head_exemplars import train_head_exemplars
+from perception.trackers.head_exemplars import LOOKING_UP, HeadExemplars, load_head_exemplars
+from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
+from perception.trackers.tracker import PATCH_MARGIN, BoxDynamics, cut, equalised
+from perception.training import train_head_exemplars
 
 FACING = load_head_exemplars().within(np.pi / 2.0)
 STILL = BoxDynamics(centre_std=0.0, size_std=0.0)

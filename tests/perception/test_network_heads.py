@@ -9,15 +9,18 @@ import pytest
 from sklearn.linear_model import LogisticRegression
 
 from graphtrack.experiments import Settings
-from graphtrack.io.readers.caviar import LOBBY_HEIGHT, lobby_camera
-from graphtrack.tracks import Track
-from perception.evaluation.last_layer import softmax_layer, split_scores
-from perception.evaluation.measures import class_rates
-from perception.models import load_classifier
-from perception.pose.head_pose import DeepBelief
-from perception.reproduce.baxter_network import EXPERIMENT, network_heads
-from perception.reproduce.caviar_heads import PersonWithHeads, head_size, people_with_heads, upright_head
-from perception.reproduce.street_heads import (
+from graphtrack.io.formats.caviar import LOBBY_HEIGHT, lobby_camera
+from graphtrack.tracks.track import Track
+from perception.evaluation.classifiers import class_rates, softmax_layer, split_scores
+from perception.experiments.baxter_network import (
+    EXPERIMENT,
+    PersonWithHeads,
+    head_size,
+    network_heads,
+    people_with_heads,
+    upright_head,
+)
+from perception.experiments.street_heads import (
     APART,
     BEFORE,
     FEWEST,
@@ -26,6 +29,8 @@ from perception.reproduce.street_heads import (
     street_people,
     windows,
 )
+from perception.models import load_classifier
+from perception.pose.deep_belief import DeepBelief
 from perception.synthetic import make_heads
 
 

@@ -14,18 +14,16 @@ from command import run
 from graphtrack import io
 from graphtrack.errors import InputError
 from perception.detection.boxes import Detections, PersonBox, read_boxes, write_boxes
-from perception.detection.people import PeopleDetector
+from perception.detection.hog import PeopleDetector
 from perception.images.frames import FrameSource
-from perception.observe.identified import to_tracks
-from perception.observe.pipeline import observe_frame
-from perception.observe.seen import SeenPerson, by_frame
+from perception.observe.pipeline import SeenPerson, by_frame, observe_frame
+from perception.observe.tables import to_tracks
 from perception.pose.classes import PoseClasses
-from perception.pose.heads import HeadCandidates
+from perception.pose.head_detection import HeadCandidates
 from perception.synthetic import Camera, Person, Scene, render_frame
-from perception.synthetic.appearance import random_appearance
-from perception.synthetic.person import Posture
+from perception.synthetic.cameras import Sensor
+from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.raycast import Ground, Light
-from perception.synthetic.sensor import Sensor
 
 STREET = Camera((0.0, -9.0, 3.0), np.pi / 2, -0.2, 500.0, (320, 240))
 EIGHT = PoseClasses.circle(8)

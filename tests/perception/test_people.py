@@ -6,18 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from perception.detection.blocks import (
+from perception.detection.boxes import Detections, boxes_of, read_boxes, write_boxes
+from perception.detection.hog import (
     CELL,
     ORIENTATIONS,
     WINDOW,
+    PeopleDetector,
     WindowFilter,
     gradient_blocks,
     mean_blocks,
     resized,
 )
-from perception.detection.boxes import Detections, read_boxes, write_boxes
-from perception.detection.people import PeopleDetector
-from perception.detection.pointed import boxes_of
 from perception.synthetic import PedestrianVariation, make_pedestrians
 
 WHOLE = PedestrianVariation(

@@ -14,15 +14,15 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from perception.detection.boxes import PersonBox
 from perception.models import NAMES, load_classifier, load_head_localiser, model_path
-from perception.observe.identified import to_tracks
 from perception.observe.pipeline import (
     Models,
+    SeenPerson,
+    by_frame,
     observe_frame,
 )
-from perception.observe.seen import SeenPerson, by_frame
-from perception.observe.turned import interpolated, world_likelihood
-from perception.pose.classes import PoseClasses
-from perception.pose.heads import HeadCandidates
+from perception.observe.tables import to_tracks
+from perception.pose.classes import PoseClasses, interpolated, world_likelihood
+from perception.pose.head_detection import HeadCandidates
 from perception.storage import load_model
 from perception.synthetic import Camera
 

@@ -8,12 +8,18 @@ import numpy as np
 import pytest
 
 from perception.pose.classes import PoseClasses
-from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
-from perception.pose.features.gabor import gabor_features
-from perception.pose.features.hog import cell_histograms
-from perception.pose.features.skin import RGB_BINS, SkinColours
-from perception.pose.head_pose import Exemplars, Templates
-from perception.pose.heads import HeadLocaliser
+from perception.pose.exemplars import Exemplars
+from perception.pose.features import (
+    RGB_BINS,
+    SkinColours,
+    block_histograms,
+    cell_histograms,
+    corner_sums,
+    gabor_features,
+    integral_histogram,
+)
+from perception.pose.head_detection import HeadLocaliser
+from perception.pose.templates import Templates
 from perception.synthetic import make_pedestrians
 
 # -- Ba & Odobez 2003

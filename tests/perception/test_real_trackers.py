@@ -10,14 +10,13 @@ import pytest
 from command import run
 
 from graphtrack.errors import InputError
-from perception.evaluation.real_heads import heads_of, slower
-from perception.evaluation.real_trackers import people_of, sigma_pi_table
-from perception.reproduce.sigma_pi_runs import FROM_BOXES
-from perception.trackers.dynamics import BoxDynamics, predict
-from perception.trackers.sigma_pi.parameters import CueParameters, SigmaPiParameters
-from perception.trackers.sigma_pi.tracker import SigmaPiTracker
-from perception.trackers.sigma_pi.views import ViewCue, descriptors
-from perception.trackers.tracker import Box, Cloud
+from perception.experiments.head_trackers import heads_of, slower
+from perception.experiments.sigma_pi_runs import FROM_BOXES
+from perception.experiments.yan_sigma_pi import people_of, sigma_pi_table
+from perception.trackers.sigma_pi import SigmaPiTracker
+from perception.trackers.sigma_pi_cues import ViewCue, descriptors
+from perception.trackers.sigma_pi_network import CueParameters, SigmaPiParameters
+from perception.trackers.tracker import Box, BoxDynamics, Cloud, predict
 
 SIZE = (160, 120)
 

@@ -19,18 +19,17 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
-from graphtrack.tracks import TrackSet
-from perception.adaptation import adapting
+from graphtrack.tracks.track import TrackSet
+from perception.adaptation import learning
 from perception.adaptation.learning import AdaptationParameters, learn
 from perception.adaptation.models import CameraModels
 from perception.cli import report as command
 from perception.detection.boxes import PersonBox, write_boxes
-from perception.images.drawing.tracked import ShownPerson, draw_tracked
+from perception.drawing.people import ShownPerson, draw_tracked
 from perception.observe import pipeline
-from perception.observe.estimates import METHODS, associated, estimated, numbered
-from perception.report.people import shown_by_frame
-from perception.report.showing import what_they_do
-from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
+from perception.observe.tables import METHODS, associated, estimated, numbered
+from perception.report import shown_by_frame, what_they_do
+from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 
 EVERYTHING = {
     "observations.csv",
@@ -343,9 +342,9 @@ def test_what_is_learned_is_learned_once(
         learned.append(len(patches))
         return learn(patches, *rest[:5], quick)
 
-    monkeypatch.setattr(adapting, "learn", learn_quickly)
-    monkeypatch.setattr(adapting, "thinned", lambda labels, _: labels)
-    monkeypatch.setattr(adapting, "AdaptationParameters", lambda: quick)
+    monkeypatch.setattr(learning, "learn", learn_quickly)
+    monkeypatch.setattr(learning, "thinned", lambda labels, _: labels)
+    monkeypatch.setattr(learning, "AdaptationParameters", lambda: quick)
     assert run("adapt", *arguments, "-o", tmp_path / "camera.npz").returncode == 0
     done = run("observe", *arguments, "--models", tmp_path / "camera.npz", "-o", tmp_path / "apart.csv")
     assert done.returncode == 0, done.stderr

@@ -14,15 +14,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
+from perception.experiments.sigma_pi_runs import Tally, recordings
 from perception.images.pixels import Image
-from perception.reproduce.sigma_pi_runs import Tally, recordings
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
-from perception.trackers.dynamics import BoxDynamics
-from perception.trackers.sigma_pi.cues import ColourCue, ShapeCue
-from perception.trackers.sigma_pi.network import CUES, TERM_NAMES, adapted, output, products
-from perception.trackers.sigma_pi.parameters import CueParameters, SigmaPiParameters
-from perception.trackers.sigma_pi.tracker import SigmaPiTracker
-from perception.trackers.tracker import Box, BoxEstimate, Proposal, states_of
+from perception.trackers.sigma_pi import SigmaPiTracker
+from perception.trackers.sigma_pi_cues import ColourCue, ShapeCue
+from perception.trackers.sigma_pi_network import (
+    CUES,
+    TERM_NAMES,
+    CueParameters,
+    SigmaPiParameters,
+    adapted,
+    output,
+    products,
+)
+from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal, states_of
 
 SIZE = (200, 150)
 TARGET = (32, 36)

@@ -17,7 +17,7 @@ from graphtrack.io.cameras import read_calibration, read_homography
 from perception.detection.boxes import read_boxes
 from perception.images.frames import FrameSource
 from perception.pose.classes import PoseClasses
-from perception.pose.keypoints.files import read_keypoints
+from perception.pose.keypoints import read_keypoints
 
 QUICK = {"street": "--people 2 --frames 4", "ceiling": "--frames 30", "head": "--frames 6"}
 
@@ -158,7 +158,7 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
 def test_training_that_needs_pytorch_says_so_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("perception.pose.head_pose.deep_belief.find_spec", lambda name: None)
-    monkeypatch.setattr("perception.training.models.make_heads", pytest.fail)
+    monkeypatch.setattr("perception.pose.deep_belief.find_spec", lambda name: None)
+    monkeypatch.setattr("perception.training.make_heads", pytest.fail)
     done = run("train", "deep_belief", "-o", tmp_path / "mine.npz")
     assert done.returncode == 2 and done.stderr.strip().endswith("pip install -e '.[train]'")

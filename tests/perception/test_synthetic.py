@@ -21,11 +21,9 @@ from perception.synthetic import (
     make_pedestrians,
     render_frame,
 )
-from perception.synthetic.appearance import Appearance, random_appearance
-from perception.synthetic.head import head_solids
-from perception.synthetic.person import Posture
+from perception.synthetic.cameras import Sensor
+from perception.synthetic.people import Appearance, Posture, head_solids, random_appearance
 from perception.synthetic.raycast import Ground, Light, cast
-from perception.synthetic.sensor import Sensor
 from perception.synthetic.solids import Builder, rotation_up, rotation_z
 
 OVERHEAD = Light((0.0, 0.0, 1.0), (0.6, 0.6, 0.6), (0.4, 0.4, 0.4))

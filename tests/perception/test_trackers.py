@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
+from perception.experiments.head_trackers import followed, tracking_error
+from perception.experiments.sigma_pi_runs import run_all
 from perception.images.pixels import enlarged
-from perception.reproduce.head_runs import followed, tracking_error
-from perception.reproduce.side_by_side import run_all
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
-from perception.trackers.color import ColourParameters, ColourTracker
-from perception.trackers.colours import BoxColours, bhattacharyya
-from perception.trackers.dynamics import BoxDynamics, predict
-from perception.trackers.mixed_state.exemplars import load_head_exemplars
-from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
+from perception.trackers.color import BoxColours, ColourParameters, ColourTracker, bhattacharyya
+from perception.trackers.head_exemplars import load_head_exemplars
+from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
 from perception.trackers.registry import TRACKERS, make_tracker, parameters_of
-from perception.trackers.tracker import Cloud, Proposal, Tracker, boxes_of, states_of
+from perception.trackers.tracker import BoxDynamics, Cloud, Proposal, Tracker, boxes_of, predict, states_of
 
 FACING = load_head_exemplars().within(np.pi / 2.0)
 MAKE: dict[str, Callable[..., Tracker]] = {

@@ -11,13 +11,12 @@ import pytest
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.readers.caviar import LOBBY_HEIGHT, lobby_camera
+from graphtrack.io.formats.caviar import LOBBY_HEIGHT, lobby_camera
 from perception.adaptation.labels import LabelParameters, walking_labels
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, Standing, upright_picture
 from perception.models import load_classifier, load_head_localiser
-from perception.observe.pipeline import Models, head_in_image, observe_frame
-from perception.observe.seen import SeenPerson
+from perception.observe.pipeline import Models, SeenPerson, head_in_image, observe_frame
 
 SIZE = (384, 288)
 PLACES = [(-3.0, 0.5), (-1.5, -1.0), (-2.0, 2.5)]

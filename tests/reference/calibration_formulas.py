@@ -1,6 +1,6 @@
 """Calibrated covariances once more, in NumPy and from their documentation alone.
 
-`graphtrack.inference.chain.calibration` is compiled and looks the spread of angles up in a table; here it is
+`graphtrack.inference.chain.covariance` is compiled and looks the spread of angles up in a table; here it is
 found by quadrature.
 """
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.evaluation.tracking.detections import Detections
+from graphtrack.evaluation.matching import Detections
 
 STORED = Path(__file__).with_suffix(".json")
 SEEDS = range(12)

@@ -13,20 +13,17 @@ from made_up_behaviour import AHEAD, BAR, SCREEN, forecast, grouped, looking, st
 from page_scripts import delta_decode, in_browser, in_node
 
 import graphtrack as gt
-from graphtrack.behaviour.looks import attention_columns
-from graphtrack.behaviour.tables import read_attention, read_group_table
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
+from graphtrack.interaction.attention import attention_columns
+from graphtrack.interaction.tables import read_attention, read_group_table
 from graphtrack.io.groups import write_columns
-from graphtrack.report.behaviour.codes import FAN_STEPS, MAX_FANS
-from graphtrack.report.behaviour.given import behaviour_of
-from graphtrack.report.behaviour.spans import by_main_group, group_spans
-from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import COARSE_STEP, SURE_STEP
 from graphtrack.report.content import DataTable
 from graphtrack.report.html import packed, render_report
-from graphtrack.report.replay import MAX_DOING
-from graphtrack.tracks import TrackSet
+from graphtrack.report.interaction import behaviour_of, by_main_group, group_spans
+from graphtrack.report.page import tracking_report
+from graphtrack.report.replay import COARSE_STEP, FAN_STEPS, MAX_DOING, MAX_FANS, SURE_STEP
+from graphtrack.tracks.track import TrackSet
 
 SCRIPTS = ("replay_data.js", "lives.js", "replay_draw.js", "behaviour.js")
 
@@ -330,7 +327,7 @@ def test_a_page_of_300_people_with_everything_stays_below_8_megabytes():
 
 
 def test_of_many_forecasts_some_are_shown_and_the_page_says_so(tracks, monkeypatch):
-    monkeypatch.setattr("graphtrack.report.behaviour.codes.MAX_FANS", 15)
+    monkeypatch.setattr("graphtrack.report.replay.MAX_FANS", 15)
     report = tracking_report(tracks, behaviour=behaviour_of(tracks, forecast=forecast(tracks)))
     assert report.replay["behaviour"]["fans"]["every"] == 3  # 40 of them
     assert sum(len(one["fan_t"]) for one in report.replay["people"]) <= 16

@@ -7,9 +7,9 @@ import pytest
 from made_up import observed, walker
 from page_scripts import in_browser
 
-from graphtrack.report.build import tracking_report
 from graphtrack.report.html import render_report
-from graphtrack.tracks import TrackSet
+from graphtrack.report.page import tracking_report
+from graphtrack.tracks.track import TrackSet
 
 PEOPLE = 60
 

@@ -10,15 +10,15 @@ from made_up import ERRORS, NEES, observed, scene, walker
 from page_scripts import delta_decode
 
 from graphtrack.errors import InputError
-from graphtrack.report import build, pairing
-from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import LENGTH_STEP
+from graphtrack.report import lives
+from graphtrack.report import page as build
 from graphtrack.report.content import Card, DataTable, Note, Report, Section
 from graphtrack.report.html import format_cell, packed, render_report, write_html
-from graphtrack.report.pairing import pair_tracks
-from graphtrack.report.plots import orientation
-from graphtrack.report.replay import replay_data
-from graphtrack.tracks import ReadSummary, TrackSet
+from graphtrack.report.lives import pair_tracks
+from graphtrack.report.page import tracking_report
+from graphtrack.report.plots import comparison
+from graphtrack.report.replay import LENGTH_STEP, replay_data
+from graphtrack.tracks.track import ReadSummary, TrackSet
 
 HOSTILE = "</script><script>alert('x')</script>&\"'"
 
@@ -216,8 +216,8 @@ def test_tracks_are_paired_and_errors_computed_once_a_person(monkeypatch):
 
         return counted
 
-    counted_pairs = counting("pair", pairing.pair_track)
-    for module in (pairing, orientation):
+    counted_pairs = counting("pair", lives.pair_track)
+    for module in (lives, comparison):
         monkeypatch.setattr(module, "pair_track", counted_pairs)
     monkeypatch.setattr(build, "angular_error", counting("error", build.angular_error))
     tracking_report(*scene(people=3))

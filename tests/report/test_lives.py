@@ -11,15 +11,13 @@ import pytest
 from made_up import walker
 from page_scripts import delta_decode, in_node
 
-from graphtrack.evaluation.tracking.events import IdentityEvent
-from graphtrack.report.build import tracking_report
-from graphtrack.report.coding import SURE_STEP
+from graphtrack.evaluation.identity_events import IdentityEvent
 from graphtrack.report.content import MAX_ROWS, Chart, DataTable
 from graphtrack.report.html import render_report
-from graphtrack.report.lives import UNSURE, life_of
-from graphtrack.report.pairing import pair_track
-from graphtrack.report.replay import replay_data
-from graphtrack.tracks import TrackSet
+from graphtrack.report.lives import UNSURE, life_of, pair_track
+from graphtrack.report.page import tracking_report
+from graphtrack.report.replay import SURE_STEP, replay_data
+from graphtrack.tracks.track import TrackSet
 
 SCRIPTS = ("replay_data.js", "lives.js", "people.js")
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphtrack.behaviour.attention import Attention, attention
-from graphtrack.behaviour.groups import groups
+from graphtrack.interaction.attention import Attention, attention
+from graphtrack.interaction.groups import groups
 from graphtrack.report.plots import plot_reliability
-from graphtrack.report.plots.groups import plot_group_timeline
-from graphtrack.report.plots.looks import plot_look_timeline
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.report.plots.interaction import plot_group_timeline, plot_look_timeline
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def pair(seconds: float = 20.0) -> TrackSet:

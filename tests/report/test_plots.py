@@ -10,12 +10,12 @@ from made_up import ERRORS, NEES, observed, walker
 from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 
-from graphtrack.display import BODY_COLOUR, HEAD_COLOUR
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
 from graphtrack.report.plots.scene import CROWD
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def arrows(axes, colour):

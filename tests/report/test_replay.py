@@ -9,11 +9,10 @@ from made_up import observed, scene, walker
 from page_scripts import delta_decode, in_node
 
 from graphtrack.geometry.angles import difference, wrap
-from graphtrack.report.coding import ANGLE_STEP, LENGTH_STEP, TIME_STEP, delta_code
-from graphtrack.report.pairing import pair_tracks
-from graphtrack.report.replay import replay_data, thin
-from graphtrack.report.shapes import probability_ellipse
-from graphtrack.tracks import TrackSet
+from graphtrack.report.lives import pair_tracks
+from graphtrack.report.replay import ANGLE_STEP, LENGTH_STEP, TIME_STEP, delta_code, replay_data, thin
+from graphtrack.report.style import probability_ellipse
+from graphtrack.tracks.track import TrackSet
 
 numbers = st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(float("nan"))), min_size=1, max_size=40)
 

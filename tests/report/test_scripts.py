@@ -9,9 +9,9 @@ from page_scripts import in_node
 
 from graphtrack.geometry.angles import wrap
 from graphtrack.report.html import packed
-from graphtrack.report.pairing import pair_tracks
+from graphtrack.report.lives import pair_tracks
 from graphtrack.report.replay import replay_data
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks.track import TrackSet
 
 
 def data_of(*tracks, **options):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphtrack.geometry.angles import difference, wrap
-from graphtrack.report.shapes import angle_bands, break_at_seam, finite_runs, open_holes, probability_ellipse
+from graphtrack.report.style import angle_bands, break_at_seam, finite_runs, open_holes, probability_ellipse
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.95])

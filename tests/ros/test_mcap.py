@@ -15,12 +15,11 @@ from recordings import STORE, make
 from rosbags.rosbag2 import Reader
 
 import graphtrack as gt
-from graphtrack.ros.definitions import MARKERS, SCENE
-from graphtrack.ros.repeated import Repeated
-from graphtrack.ros.writing import TOPICS, message_for, moments_of
-from graphtrack.table.as_read import AsRead
-from graphtrack.table.moments import TimeScale
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.io.formats.ros_bag import MARKERS, SCENE
+from graphtrack.io.formats.ros_writing import TOPICS, Repeated, message_for, moments_of
+from graphtrack.tracks.table import AsRead
+from graphtrack.tracks.time import TimeScale
+from graphtrack.tracks.track import Track, TrackSet
 
 N = 12
 

@@ -26,7 +26,7 @@ from recordings import (
 )
 
 import graphtrack as gt
-from graphtrack.ros.definitions import (
+from graphtrack.io.formats.ros_bag import (
     DETECTIONS,
     GAZE,
     GROUP,
@@ -38,7 +38,7 @@ from graphtrack.ros.definitions import (
     TRANSFORMS,
 )
 from graphtrack.ros.live import Live
-from graphtrack.smoothing.recording import track_online
+from graphtrack.smoothing import track_online
 
 
 class FakeNode:

@@ -16,8 +16,8 @@ from walks import walk, without
 
 import graphtrack as gt
 from graphtrack.errors import GraphtrackError
-from graphtrack.scale import cluster as scale_cluster
 from graphtrack.scale import smooth_dataset
+from graphtrack.scale import workers as scale_cluster
 
 distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
 dask = pytest.importorskip("dask")

@@ -20,8 +20,9 @@ from walks import walk, without
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.inference.chain import engine
-from graphtrack.scale import open_dataset, smooth_dataset, writer
+from graphtrack.inference.chain import batch
+from graphtrack.scale import dataset as writer
+from graphtrack.scale import open_dataset, smooth_dataset
 from graphtrack.scale.grouping import batches, index_tracks
 
 
@@ -67,7 +68,7 @@ LAYOUTS = {
 @pytest.mark.parametrize("batch_frames", [1, 50, 100_000])
 def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, tmp_path, monkeypatch):
     # Small row groups and blocks, so that tracks span them on both sides.
-    monkeypatch.setattr("graphtrack.io.readers.native_parquet.ROW_GROUP", 64)
+    monkeypatch.setattr("graphtrack.io.formats.native.ROW_GROUP", 64)
     monkeypatch.setattr(writer, "ROW_GROUP", 64)
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 17)
     path = tmp_path / "in.parquet"
@@ -120,12 +121,12 @@ def test_well_known_names_with_another_unit_are_one_error(table, names, told, tm
 def test_a_part_of_large_work_is_solved_as_the_whole_is(table, tmp_path, monkeypatch):
     path = tmp_path / "in.parquet"
     table.to_parquet(path, index=False)
-    monkeypatch.setattr(engine, "LARGE", len(table))
+    monkeypatch.setattr(batch, "LARGE", len(table))
     expected = in_memory(path, tmp_path / "expected.parquet", "joint")
     smooth_dataset(path, tmp_path / "out.parquet", "joint", batch_frames=50)
     assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
     # The rest: not all of them have classes.
-    monkeypatch.setattr(engine, "LARGE", len(table) + 1)
+    monkeypatch.setattr(batch, "LARGE", len(table) + 1)
     other = in_memory(path, tmp_path / "other.parquet", "joint")
     assert other.read_bytes() != expected.read_bytes()
 

@@ -8,8 +8,8 @@ from walks import walk
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import class_centres
-from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
+from graphtrack.simulation.degrade import add_class_likelihoods, confusion_matrix
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
 
 def test_answers_come_as_often_as_the_confusion_says() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import difference
-from graphtrack.simulation.courses import sample_course
+from graphtrack.simulation.motion import sample_course
 
 DRAWS = 20_000
 
@@ -76,10 +76,10 @@ def test_a_narrow_pull_is_resolved() -> None:
 
 
 def test_many_tracks_are_drawn_in_parts_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    from graphtrack.simulation import courses
+    from graphtrack.simulation import motion
 
     t = np.arange(5) * 0.2
     pull = np.full((9, 5), 3.0 + 0.0j)
-    monkeypatch.setattr(courses, "_MEMORY", 4 * 5 * 240 * 2)
+    monkeypatch.setattr(motion, "_MEMORY", 4 * 5 * 240 * 2)
     parts = sample_course(t, 0.2, pull, np.random.default_rng(5))
     assert parts.shape == (9, 5) and len(np.unique(parts[:, 0])) == 9

@@ -179,7 +179,7 @@ def test_the_command_writes_detections_and_the_truth_that_judges_them(tmp_path, 
 )
 def test_every_table_holds_rows_without_identities(name, tmp_path) -> None:
     from graphtrack.io.options import ReadOptions
-    from graphtrack.io.reading import rows_of_file, write_table
+    from graphtrack.io.read_write import rows_of_file, write_table
 
     rng = np.random.default_rng(6)
     table = detect(crowd(5), ALL_FAULTS, rng=rng).anonymous(rng)

@@ -12,11 +12,10 @@ from graphtrack.model import GaitParameters, Model, Parameters
 from graphtrack.model.model import default_parameters
 from graphtrack.model.parameters import steady
 from graphtrack.simulation import sampling
-from graphtrack.simulation.glances import sample_glances
-from graphtrack.simulation.orientations import sample_modes
-from graphtrack.simulation.sampling import sample_states, simulate
+from graphtrack.simulation.motion import sample_modes
+from graphtrack.simulation.sampling import sample_glances, sample_states, simulate
 from graphtrack.smoothing import smooth
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks.track import TrackSet
 
 COUPLED = ("joint-body", "joint", "joint-intentional")
 

@@ -9,7 +9,7 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction, wrap
-from graphtrack.simulation.strollers import (
+from graphtrack.simulation.crowd import (
     StrollerParameters,
     full_turns_too_many,
     standing,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.inference.chain.calibration import calibrate, calibration_of
+from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.model import Parameters
 
 

@@ -22,7 +22,7 @@ def others() -> None:
     """GTSAM's engines, who is who, the particle filter, and what looks at pictures."""
     from documents import run_line
 
-    from graphtrack.baselines.particle.filter import particle_smoother
+    from graphtrack.baselines.particle_filter import particle_smoother
     from graphtrack.inference.warm import TRACK
 
     particle_smoother(TRACK)

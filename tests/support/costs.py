@@ -10,10 +10,10 @@ from calibration_formulas import calibrated
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.graph.batch import window_graph
-from graphtrack.inference.solution import seconds_to_ends
+from graphtrack.inference.result import seconds_to_ends
 from graphtrack.inference.state import Window, values_of
 from graphtrack.model import Model, States, Step
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def build_graph(

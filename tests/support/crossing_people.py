@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.table.detections import Detections
+from graphtrack.tracks.detections import Detections
 
 
 def street(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack import io
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 FRAMES = 6
 

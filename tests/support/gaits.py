@@ -6,7 +6,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import unit, wrap
 from graphtrack.simulation.degrade import add_noise
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 FPS = 30.0
 

@@ -15,7 +15,7 @@ from von_mises import von_mises_product
 
 from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
 from graphtrack.model import CouplingParameters, Parameters
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 @dataclass(frozen=True, eq=False)

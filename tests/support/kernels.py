@@ -8,11 +8,10 @@ import numpy as np
 
 from graphtrack.geometry.angles import class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.kernels.layout import BODY, HEAD, Kernel
 from graphtrack.model import States, Term
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import BODY, HEAD
-from graphtrack.model.kernels.packing import PackedTracks, RecordTypes
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+from graphtrack.model.packing import PackedTracks, RecordTypes
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
 
 def packed_alone(term: Term, track: Track, camera: GroundCamera | None = None) -> PackedTracks:

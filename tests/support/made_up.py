@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import wrap
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def walker(track_id: int = 1, n: int = 60, hz: float = 25.0, **changes: Any) -> Track:

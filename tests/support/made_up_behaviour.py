@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.behaviour.attention import Attention
-from graphtrack.behaviour.forecast.recorded import Forecasts
-from graphtrack.behaviour.groups import Groups
-from graphtrack.behaviour.places import Place
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.forecasting.recorded import Forecasts
+from graphtrack.interaction.attention import Attention
+from graphtrack.interaction.groups import Groups
+from graphtrack.interaction.places import Place
+from graphtrack.tracks.track import Track, TrackSet
 
 BAR = Place("bar", np.array([[4.0, 3.0]]), 0.5)
 SCREEN = Place("screen", np.array([[0.0, 6.0], [2.0, 6.0], [2.0, 6.2], [0.0, 6.2]]))

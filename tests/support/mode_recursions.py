@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.inference.chain.coupling_modes import (
+from graphtrack.model.coupling_modes import (
     Following,
     ModeMemory,
     filter_modes,

@@ -18,7 +18,7 @@ from graphtrack.model import (
     OrientationParameters,
     Parameters,
 )
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def lens_camera() -> GroundCamera:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from graphtrack.ros.definitions import TRANSFORMS, typestore
-from graphtrack.ros.making import Made
+from graphtrack.io.formats.ros_bag import TRANSFORMS, typestore
+from graphtrack.io.formats.ros_writing import Made
 
 STORE = typestore()
 make = Made(STORE)

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 ANGLES = ("body", "head", "true_body", "true_head", "gait_offset")
 

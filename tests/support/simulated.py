@@ -10,7 +10,7 @@ from graph_sampler import COUPLED, sample_graph
 from graphtrack.learning import Fit
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, OrientationParameters, Parameters
 from graphtrack.simulation.sampling import simulate
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks.track import TrackSet
 
 TRUE = Parameters(
     MotionParameters(0.4, 1.2, 1.0),

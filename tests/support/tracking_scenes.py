@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.evaluation.tracking.detections import Detections, known_detections
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.evaluation.matching import Detections, known_detections
+from graphtrack.tracks.track import Track, TrackSet
 
 FRAMES = 40
 

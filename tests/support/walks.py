@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.geometry.angles import class_centres, direction, unit, wrap
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 def scores(angle: np.ndarray, n_classes: int, rng: np.random.Generator) -> np.ndarray:

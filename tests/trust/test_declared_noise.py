@@ -10,14 +10,18 @@ import pytest
 from scipy import stats
 
 import graphtrack as gt
+from graphtrack.diagnostics import (
+    angle_log_density,
+    declared_noise,
+    pieces_of,
+    position_log_density,
+    shared_offset,
+    turned,
+)
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import von_mises_log_density, wrap
 from graphtrack.model.parameters import LikelihoodParameters
-from graphtrack.tracks import Track, TrackSet
-from graphtrack.trust.bias import shared_offset, turned
-from graphtrack.trust.filters import angle_log_density, position_log_density
-from graphtrack.trust.pieces import pieces_of
-from graphtrack.trust.verdict import declared_noise
+from graphtrack.tracks.track import Track, TrackSet
 
 FULL = gt.Model("full")
 NEVER = np.array([1e-12])

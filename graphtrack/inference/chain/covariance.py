@@ -5,20 +5,40 @@ coupling each mode and offset would pull the states another way, and of all of t
 off the mean has a standard deviation γ in each frame (`coupling_modes.couple`), and modes last longer than
 the states remember, so that along a track it is one unknown: the states' deviations by it are u = H⁻¹·γ, and
 their covariance grows by u·uᵀ.
+
+Calibrated covariances: the inverse curvature, and the errors of people that the model does not have.
+
+Of angles, an inverse curvature P is that of a von Mises density with concentration 1/P, whose root mean
+square is reported: the wider it is the more it differs from √P, and it ends at that of the uniform density,
+`UNIFORM_STD`. Added is what estimates do not follow: the oscillation of the hips with each step, and
+accelerations and turns that last (`graphtrack.model.parameters`).
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from functools import lru_cache
+from typing import Any, NamedTuple
 
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
-from graphtrack.inference.chain.elimination import Workspace, marginals, take_step, whiten
-from graphtrack.inference.chain.newton import as_variable, factorise, sweep_forward
-from graphtrack.model.kernels.compiled import compiled, inner, merged
-from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N
-from graphtrack.model.kernels.problem import Problem
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
+from graphtrack.inference.chain.newton import (
+    Workspace,
+    as_variable,
+    factorise,
+    marginals,
+    sweep_forward,
+    take_step,
+    whiten,
+)
+from graphtrack.kernels.arithmetic import exp
+from graphtrack.kernels.compilation import allocating, compiled, inner, merged
+from graphtrack.kernels.lanes import any_of, choose, masked, negate
+from graphtrack.kernels.layout import BODY, HEAD, VX, VY, N, Problem
+from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE
+from graphtrack.model.parameters import Parameters, kept_shares, sway_variances
 from graphtrack.model.terms.body_follows_motion import squared_excess
 
 
@@ -148,3 +168,215 @@ def find_covariances(
         marginals(n, workspace, others)
         if modes is not None:
             add_spread(problem, n, states, modes.spread, workspace, others)
+
+
+SHRINK_WIDEST = 1e3
+"""Inverse curvature in rad² beyond which an angle may be anything."""
+
+
+def _von_mises_shrink(variance: FloatArray) -> FloatArray:
+    """Root mean square of von Mises densities of concentration 1/``variance``, over √``variance``."""
+    # In units of the standard deviation, so that narrow ones are resolved too.
+    reach = np.minimum(np.pi, 12.0 * np.sqrt(variance))
+    angle = reach[:, None] * (np.arange(1000) + 0.5) / 1000.0
+    density = np.exp((np.cos(angle) - 1.0) / variance[:, None])
+    return np.asarray(np.sqrt((density * angle**2).sum(axis=1) / density.sum(axis=1) / variance))
+
+
+_SHARES = np.linspace(0.0, SHRINK_WIDEST / (1.0 + SHRINK_WIDEST), 400)
+"""P/(1 + P) of the table of what √P is multiplied with."""
+_SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
+_LAST = len(_SHRINK) - 1
+_PER_SHARE = 1.0 / float(_SHARES[1])
+
+_CHUNK = 64
+"""Frames whose lags are computed at a time, in vector instructions."""
+
+
+class Lasting(NamedTuple):
+    """A rate that lasts, which estimates lag behind: an Ornstein–Uhlenbeck process."""
+
+    diffusion: float
+    rate: float  # standard deviation
+    lasts: float  # seconds
+
+
+class Calibration(NamedTuple):
+    """The parameters that the calibration depends on."""
+
+    accelerations: Lasting
+    body_turns: Lasting
+    head_turns: Lasting
+    body_factor: float  # of the standard deviations
+    head_factor: float
+    position_sway: float  # variances
+    velocity_sway: float
+
+
+@lru_cache(16)
+def calibration_of(parameters: Parameters) -> Calibration:
+    """The parameters as the kernels take them."""
+    motion, o = parameters.motion, parameters.orientation
+    kept_body, kept_head = kept_shares(o)
+    position_sway, _, velocity_sway, _ = sway_variances(motion)
+    return Calibration(
+        Lasting(float(motion.acceleration_density), float(motion.lasting_std), float(motion.lasting_time)),
+        Lasting(float(o.body_diffusion), float(o.body_turn_rate), float(o.body_turn_time)),
+        Lasting(float(o.head_diffusion), float(o.head_turn_rate), float(o.head_turn_time)),
+        math.sqrt(kept_body),
+        math.sqrt(kept_head),
+        float(position_sway),
+        float(velocity_sway),
+    )
+
+
+@compiled
+def lag_variances(seconds: float, lasting: Lasting, end: float) -> tuple[float, float]:
+    """Variance of the lag behind a rate that lasts: the part from the past alone, and all of it.
+
+    With diffusion D an estimate of variance P is a mean over τ = P/D ``seconds`` of the past, or 2·τ of past
+    and future, with weights that fall off exponentially. A rate with the standard deviation σ that lasts for
+    T leaves the variance σ²·τ²·T/(τ + T), or ½·σ²·τ³·T/(τ + T)² with the τ of both where past and future
+    balance. ``end``: seconds to the nearer end of the track; towards it the one becomes the other.
+    """
+    lasts, square, around = lasting.lasts, lasting.rate * lasting.rate, 2.0 * seconds
+    share = around / (around + lasts)
+    newest = exp(-end / choose(around > 1e-9, around, 1e-9))
+    past = newest * (square * seconds * lasts * (seconds / (seconds + lasts)))
+    return past, past + (1.0 - newest) * 0.5 * square * around * lasts * share * share
+
+
+@compiled
+def known(value: float) -> float:
+    """0 for NaN: what a model does not have turns nothing."""
+    return choose(abs(value) < math.inf, value, 0.0)
+
+
+@compiled
+def seconds_behind(across: float, body: float, head: float, calibration: Calibration) -> float:
+    """Radians by which an angle is behind in a newest frame, for each radian a second.
+
+    Who turns, turns as a whole: body, head, and the velocity with its ‖v‖ m/s² across. Their processes hold
+    that nothing turns, and pull with 1/D for each radian a second, and with 1/q for each m/s². Of a turn that
+    has long lasted that is left where the track ends, and it moves the estimate by P times as much. Where the
+    head steers the motion, some of the turn is predicted, and it is less.
+
+    Parameters
+    ----------
+    across : covariance of the angle with the velocity across, times the speed
+    body, head : its covariances with both angles; NaN where the model has no such state
+    """
+    return abs(
+        known(across * (1.0 / calibration.accelerations.diffusion))
+        + known(body * (1.0 / calibration.body_turns.diffusion))
+        + known(head * (1.0 / calibration.head_turns.diffusion))
+    )
+
+
+@compiled
+def add_lags(
+    covariances: FloatArray,
+    states: FloatArray,
+    k: int,
+    end: float,
+    calibration: Calibration,
+    lags: FloatArray,
+) -> None:
+    """Put into ``lags`` (5,) what lags add to frame k.
+
+    To the variance of the position, its covariance with the velocity and the velocity's variance, of each
+    axis, and to the variances of body and head. The position lags with the velocity as its error goes with
+    that of the velocity: by P_pv/P_vv, exactly so in a Kalman filter that has forgotten its start.
+    """
+    covariance, vx, vy = covariances[k], states[k, VX], states[k, VY]
+    own = 0.5 * (covariance[2, 2] + covariance[3, 3])
+    seconds = 0.5 * (covariance[0, 2] + covariance[1, 3]) / own
+    accelerations, lasts = calibration.accelerations, calibration.accelerations.rate != 0.0
+    past, whole = lag_variances(own / accelerations.diffusion, accelerations, end)
+    lags[0] = choose(lasts, past * seconds * seconds, 0.0)
+    lags[1] = choose(lasts, past * seconds, 0.0)
+    lags[2] = choose(lasts, whole, 0.0)
+    body, head, both = covariance[BODY, BODY], covariance[HEAD, HEAD], covariance[HEAD, BODY]
+    across = covariance[BODY, VY] * vx - covariance[BODY, VX] * vy
+    lags[3] = lag_variances(seconds_behind(across, body, both, calibration), calibration.body_turns, end)[1]
+    across = covariance[HEAD, VY] * vx - covariance[HEAD, VX] * vy
+    lags[4] = lag_variances(seconds_behind(across, both, head, calibration), calibration.head_turns, end)[1]
+
+
+@inner
+def shrink_of(variance: float) -> float:
+    """The factor of the root of an angle's inverse curvature."""
+    place = variance / (1.0 + variance) * _PER_SHARE
+    # NaN stays NaN.
+    found = _SHRINK[_LAST] + 0.0 * variance
+    if place < _LAST:
+        k = int(place)
+        found = _SHRINK[k] + (place - k) * (_SHRINK[k + 1] - _SHRINK[k])
+    return UNIFORM_STD / math.sqrt(variance) if found * found * variance > UNIFORM_STD**2 else found
+
+
+@inner
+def limited(variance: float) -> float:
+    """No angle is less certain than one that may be any; NaN stays NaN."""
+    return UNIFORM_STD**2 if variance > UNIFORM_STD**2 else variance
+
+
+@compiled
+def calibrate_frame(covariance: FloatArray, lags: FloatArray, calibration: Calibration) -> None:
+    """Calibrate the covariance (6, 6) of a frame in place; ``lags`` are from `add_lags`."""
+    for axis in range(2):
+        covariance[axis, axis] += lags[0] + calibration.position_sway
+        covariance[axis, VX + axis] += lags[1]
+        covariance[VX + axis, axis] += lags[1]
+        covariance[VX + axis, VX + axis] += lags[2] + calibration.velocity_sway
+    if math.isnan(covariance[BODY, BODY]) and math.isnan(covariance[HEAD, HEAD]):
+        return
+    body = calibration.body_factor * shrink_of(covariance[BODY, BODY])
+    head = calibration.head_factor * shrink_of(covariance[HEAD, HEAD])
+    for i in range(BODY):
+        covariance[BODY, i] *= body
+        covariance[i, BODY] *= body
+        covariance[HEAD, i] *= head
+        covariance[i, HEAD] *= head
+    covariance[BODY, HEAD] *= body * head
+    covariance[HEAD, BODY] *= body * head
+    covariance[BODY, BODY] = limited(covariance[BODY, BODY] * body * body + lags[3])
+    covariance[HEAD, HEAD] = limited(covariance[HEAD, HEAD] * head * head + lags[4])
+
+
+@allocating
+def calibrate(
+    covariances: FloatArray, states: FloatArray, ends: FloatArray, calibration: Calibration
+) -> None:
+    """Calibrate covariances (n, 6, 6), the inverse curvature of the cost, in place.
+
+    Parameters
+    ----------
+    covariances : NaN where the model has no such state
+    states : (n, 6) estimates; their velocities are read: who turns, turns that too
+    ends : (n,) seconds from each frame to the nearer end of its track, 0 of the newest online
+    """
+    lags = np.empty((_CHUNK, 5))
+    for begin in range(0, len(covariances), _CHUNK):
+        end = min(begin + _CHUNK, len(covariances))
+        for k in range(begin, end):
+            add_lags(covariances, states, k, ends[k], calibration, lags[k - begin])
+        for k in range(begin, end):
+            calibrate_frame(covariances[k], lags[k - begin], calibration)
+
+
+@allocating
+def calibrate_tracks(
+    covariances: FloatArray,
+    states: FloatArray,
+    offsets: NDArray[np.int64],
+    t: FloatArray,
+    calibration: Calibration,
+) -> None:
+    """The same of tracks from ``offsets`` (m + 1,) on, at the times ``t`` (n,)."""
+    ends = np.empty(len(t))
+    for track in range(len(offsets) - 1):
+        first, last = offsets[track], offsets[track + 1] - 1
+        for k in range(first, last + 1):
+            ends[k] = min(t[k] - t[first], t[last] - t[k])
+    calibrate(covariances, states, ends, calibration)

@@ -1,4 +1,11 @@
-"""Newton's method on tracks whose Hessian is block-tridiagonal, one at a time or one in each lane.
+"""Linear algebra of a chain: its block-tridiagonal Hessian, factored frame by frame.
+
+Block Cholesky, the same recursion as a Kalman filter in information form; the sweep back gives the Newton
+step, or the covariances by the recursion of the Rauch–Tung–Striebel smoother.
+
+What the compiled chain engine gives.
+
+Newton's method on tracks whose Hessian is block-tridiagonal, one at a time or one in each lane.
 
 One sweep forward adds the terms up frame by frame and eliminates each frame as soon as it is complete; one
 sweep back gives the step (see `elimination`).
@@ -7,30 +14,357 @@ sweep back gives the step (see `elimination`).
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import (
-    COST,
-    EXACT,
-    FIRST_COST,
-    STATUS,
-    STEPS,
-    Workspace,
-    clear,
-    copy_rows,
-    eliminate,
-    first_open,
-    invert_cholesky,
-    sweep_back,
-    whiten,
-)
-from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled, inner, merged
-from graphtrack.model.kernels.frame_program import add_frame
-from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.model.kernels.layout import BODY, HEAD, N
-from graphtrack.model.kernels.problem import Problem
+from graphtrack.kernels.compilation import allocating, compiled, inner, merged
+from graphtrack.kernels.lanes import any_of, choose, masked, negate
+from graphtrack.kernels.layout import BODY, HEAD, N, Problem
+from graphtrack.model.generator import add_frame
+
+
+class Workspace(NamedTuple):
+    """Memory of a factorisation and a descent, for tracks of up to n frames: of one track, or of lanes.
+
+    A window's frames that have not moved since they were factored are not factored again: what the frames up
+    to one of them say about it, and of which states, is kept.
+    """
+
+    inverse: FloatArray  # (n, 6, 6) inverse Cholesky factors
+    link: FloatArray  # (n, 6, 6) what ties each frame to the next, in the whitened state
+    solution: FloatArray  # (n, 6)
+    step: FloatArray  # (n, 6)
+    candidate: FloatArray  # (n, 6)
+    trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
+    scratch: FloatArray  # (4, 6, 6) gradients of two frames, their Hessians, and the transition
+    start: FloatArray  # (2, 6) the state of the first frame where the descent began, and where another did
+    ended: FloatArray  # (5,) first cost, cost, number of steps, how it ended, whether factored exactly
+    length: FloatArray  # (1,) number of frames, beyond which a lane has no terms
+    message: FloatArray  # (n, 7, 6) Hessian and gradient of each frame, those before eliminated; or (0, 7, 6)
+    factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
+    kept: NDArray[np.int64]  # (2,) the first frames, so many, are as they were factored; whether any may be
+    again: FloatArray  # (n, 6) states in another basin
+    before: FloatArray  # (n, 6) states to go back to
+
+
+FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)
+"""Places in `Workspace.ended`."""
+
+
+@allocating
+def workspace(n: int) -> Workspace:
+    """Memory for tracks of up to n frames."""
+    return Workspace(
+        np.empty((n, N, N)),
+        np.empty((n, N, N)),
+        np.empty((n, N)),
+        np.empty((n, N)),
+        np.empty((n, N)),
+        np.empty((n, 4)),
+        np.empty((4, N, N)),
+        np.empty((2, N)),
+        np.empty(5),
+        np.full(1, float(n)),
+        np.empty((0, N + 1, N)),
+        np.empty((0, N)),
+        np.zeros(2, np.int64),
+        np.empty((n, N)),
+        np.empty((n, N)),
+    )
+
+
+_SMALLEST_PIVOT = 1e-13  # relative to the diagonal
+
+
+@compiled
+def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> Any:
+    """The inverse of the Cholesky factor of a symmetric matrix, of which the lower half is read.
+
+    Returns whether the matrix is positive definite; if not, what is written is of no use. Only the lower half
+    of ``inverse`` is written.
+    """
+    # Written out, so that it stays in registers: loops that run to a changing end take twice as long.
+    pivot = matrix[0, 0]
+    sound0 = pivot > _SMALLEST_PIVOT * abs(matrix[0, 0])
+    m00 = 1.0 / math.sqrt(pivot)
+    l10 = (matrix[1, 0]) * m00
+    l20 = (matrix[2, 0]) * m00
+    l30 = (matrix[3, 0]) * m00
+    l40 = (matrix[4, 0]) * m00
+    l50 = (matrix[5, 0]) * m00
+    pivot = matrix[1, 1] - l10 * l10
+    sound1 = pivot > _SMALLEST_PIVOT * abs(matrix[1, 1])
+    m11 = 1.0 / math.sqrt(pivot)
+    l21 = (matrix[2, 1] - l20 * l10) * m11
+    l31 = (matrix[3, 1] - l30 * l10) * m11
+    l41 = (matrix[4, 1] - l40 * l10) * m11
+    l51 = (matrix[5, 1] - l50 * l10) * m11
+    pivot = matrix[2, 2] - l20 * l20 - l21 * l21
+    sound2 = pivot > _SMALLEST_PIVOT * abs(matrix[2, 2])
+    m22 = 1.0 / math.sqrt(pivot)
+    l32 = (matrix[3, 2] - l30 * l20 - l31 * l21) * m22
+    l42 = (matrix[4, 2] - l40 * l20 - l41 * l21) * m22
+    l52 = (matrix[5, 2] - l50 * l20 - l51 * l21) * m22
+    pivot = matrix[3, 3] - l30 * l30 - l31 * l31 - l32 * l32
+    sound3 = pivot > _SMALLEST_PIVOT * abs(matrix[3, 3])
+    m33 = 1.0 / math.sqrt(pivot)
+    l43 = (matrix[4, 3] - l40 * l30 - l41 * l31 - l42 * l32) * m33
+    l53 = (matrix[5, 3] - l50 * l30 - l51 * l31 - l52 * l32) * m33
+    pivot = matrix[4, 4] - l40 * l40 - l41 * l41 - l42 * l42 - l43 * l43
+    sound4 = pivot > _SMALLEST_PIVOT * abs(matrix[4, 4])
+    m44 = 1.0 / math.sqrt(pivot)
+    l54 = (matrix[5, 4] - l50 * l40 - l51 * l41 - l52 * l42 - l53 * l43) * m44
+    pivot = matrix[5, 5] - l50 * l50 - l51 * l51 - l52 * l52 - l53 * l53 - l54 * l54
+    sound5 = pivot > _SMALLEST_PIVOT * abs(matrix[5, 5])
+    m55 = 1.0 / math.sqrt(pivot)
+    m10 = -m11 * (l10 * m00)
+    m20 = -m22 * (l20 * m00 + l21 * m10)
+    m30 = -m33 * (l30 * m00 + l31 * m10 + l32 * m20)
+    m40 = -m44 * (l40 * m00 + l41 * m10 + l42 * m20 + l43 * m30)
+    m50 = -m55 * (l50 * m00 + l51 * m10 + l52 * m20 + l53 * m30 + l54 * m40)
+    m21 = -m22 * (l21 * m11)
+    m31 = -m33 * (l31 * m11 + l32 * m21)
+    m41 = -m44 * (l41 * m11 + l42 * m21 + l43 * m31)
+    m51 = -m55 * (l51 * m11 + l52 * m21 + l53 * m31 + l54 * m41)
+    m32 = -m33 * (l32 * m22)
+    m42 = -m44 * (l42 * m22 + l43 * m32)
+    m52 = -m55 * (l52 * m22 + l53 * m32 + l54 * m42)
+    m43 = -m44 * (l43 * m33)
+    m53 = -m55 * (l53 * m33 + l54 * m43)
+    m54 = -m55 * (l54 * m44)
+    inverse[0, 0] = m00
+    inverse[1, 0] = m10
+    inverse[1, 1] = m11
+    inverse[2, 0] = m20
+    inverse[2, 1] = m21
+    inverse[2, 2] = m22
+    inverse[3, 0] = m30
+    inverse[3, 1] = m31
+    inverse[3, 2] = m32
+    inverse[3, 3] = m33
+    inverse[4, 0] = m40
+    inverse[4, 1] = m41
+    inverse[4, 2] = m42
+    inverse[4, 3] = m43
+    inverse[4, 4] = m44
+    inverse[5, 0] = m50
+    inverse[5, 1] = m51
+    inverse[5, 2] = m52
+    inverse[5, 3] = m53
+    inverse[5, 4] = m54
+    inverse[5, 5] = m55
+    return sound0 & sound1 & sound2 & sound3 & sound4 & sound5
+
+
+@compiled
+def eliminate(
+    hessian: FloatArray,
+    right: FloatArray,
+    transition: FloatArray,
+    hessian_next: FloatArray,
+    right_next: FloatArray,
+    inverse: FloatArray,
+    link: FloatArray,
+    solution: FloatArray,
+) -> Any:
+    """Eliminate a frame: its Schur complement goes to the next one; keeps what the sweep back needs."""
+    definite = invert_cholesky(hessian, inverse)
+    # Six sums side by side are one vector operation; as an inner loop they are not (three times the time).
+    for i in range(N):
+        a = b = c = d = e = f = total = 0.0
+        for k in range(i + 1):
+            weight, row = inverse[i, k], transition[k]
+            total += weight * right[k]
+            a += weight * row[0]
+            b += weight * row[1]
+            c += weight * row[2]
+            d += weight * row[3]
+            e += weight * row[4]
+            f += weight * row[5]
+        solution[i] = total
+        row = link[i]
+        row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
+    for i in range(N):
+        a = b = c = d = e = f = total = 0.0
+        for k in range(N):
+            row = link[k]
+            weight = row[i]
+            total += weight * solution[k]
+            a += weight * row[0]
+            b += weight * row[1]
+            c += weight * row[2]
+            d += weight * row[3]
+            e += weight * row[4]
+            f += weight * row[5]
+        right_next[i] -= total
+        row = hessian_next[i]
+        row[0] -= a
+        row[1] -= b
+        row[2] -= c
+        row[3] -= d
+        row[4] -= e
+        row[5] -= f
+    return definite
+
+
+@compiled
+def whiten(inverse: FloatArray, right: FloatArray, solution: FloatArray) -> None:
+    """Multiply a right-hand side (6,) with the inverse of a Cholesky factor."""
+    for i in range(N):
+        total = 0.0
+        for j in range(i + 1):
+            total += inverse[i, j] * right[j]
+        solution[i] = total
+
+
+@compiled
+def clear(gradient: FloatArray, hessian: FloatArray, transition: FloatArray) -> None:
+    """Set to 0; assigning to slices would take longer than the terms themselves."""
+    for i in range(N):
+        gradient[i] = 0.0
+        for j in range(N):
+            hessian[i, j] = 0.0
+            transition[i, j] = 0.0
+
+
+@compiled
+def assign(target: FloatArray, source: FloatArray) -> None:
+    """Copy a matrix. Assigning to a slice does the same, but takes most of a second to compile."""
+    for k in range(len(target)):
+        for i in range(target.shape[1]):
+            target[k, i] = source[k, i]
+
+
+@inner
+def copy_rows(first: int, last: int, source: FloatArray, target: FloatArray) -> None:
+    """Copy the frames from ``first`` to before ``last``, (n, 6)."""
+    for k in range(first, last):
+        for i in range(N):
+            target[k, i] = source[k, i]
+
+
+@inner
+def first_open(workspace: Workspace) -> int:
+    """The first frame that may move: the last of those that are kept, or the first of all."""
+    return max(workspace.kept[0] - 1, 0)
+
+
+@inner
+def sweep_back(n: int, workspace: Workspace) -> Any:
+    """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises.
+
+    Frames that are kept have none, but for the last of them.
+    """
+    solution, decrement = workspace.solution, 0.0
+    for k in range(n - 1, first_open(workspace) - 1, -1):
+        for i in range(N):
+            decrement += 0.5 * solution[k, i] * solution[k, i]
+        take_step(k, k < n - 1, workspace)
+    return decrement
+
+
+@compiled
+def take_step(k: int, linked: bool, workspace: Workspace) -> None:
+    """A frame's step from its part of the solution and the step of the frame after it, if ``linked``."""
+    inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
+    if linked:
+        for i in range(N):
+            total = solution[k, i]
+            for j in range(N):
+                total += link[k, i, j] * step[k + 1, j]
+            solution[k, i] = total
+    for i in range(N):
+        total = 0.0
+        for j in range(i, N):
+            total += inverse[k, j, i] * solution[k, j]
+        step[k, i] = -total
+
+
+@inner
+def marginals(n: int, workspace: Workspace, covariance: FloatArray) -> None:
+    """Covariances (n, 6, 6) of every frame's state from a factorisation."""
+    inverse, link = workspace.inverse, workspace.link
+    full, product = workspace.scratch[0], workspace.scratch[1]
+    for k in range(n - 1, -1, -1):
+        after = covariance[min(k + 1, n - 1)]
+        marginal(inverse[k], link[k], k < n - 1, after, full, product, covariance[k])
+
+
+@compiled
+def marginal(
+    inverse: FloatArray,
+    link: FloatArray,
+    linked: bool,
+    after: FloatArray,
+    full: FloatArray,
+    product: FloatArray,
+    covariance: FloatArray,
+) -> None:
+    """Covariance of a frame's state from that of the frame ``after`` it, if ``linked``."""
+    # P = L⁻ᵀ·(I + W·P'·Wᵀ)·L⁻¹, with P' of the frame after: G = L⁻ᵀ·W, then G·P'·Gᵀ + L⁻ᵀ·L⁻¹.
+    if linked:
+        for i in range(N):
+            a = b = c = d = e = f = 0.0
+            for m in range(i, N):
+                weight, row = inverse[m, i], link[m]
+                a += weight * row[0]
+                b += weight * row[1]
+                c += weight * row[2]
+                d += weight * row[3]
+                e += weight * row[4]
+                f += weight * row[5]
+            row = full[i]
+            row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
+        for i in range(N):
+            a = b = c = d = e = f = 0.0
+            for m in range(N):
+                weight, row = full[i, m], after[m]
+                a += weight * row[0]
+                b += weight * row[1]
+                c += weight * row[2]
+                d += weight * row[3]
+                e += weight * row[4]
+                f += weight * row[5]
+            row = product[i]
+            row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
+    for i in range(N):
+        for j in range(i + 1):
+            total = 0.0
+            for m in range(i, N):
+                total += inverse[m, i] * inverse[m, j]
+            if linked:
+                row, other = product[i], full[j]
+                total += (
+                    row[0] * other[0]
+                    + row[1] * other[1]
+                    + row[2] * other[2]
+                    + row[3] * other[3]
+                    + row[4] * other[4]
+                    + row[5] * other[5]
+                )
+            covariance[i, j] = total
+            covariance[j, i] = total
+
+
+class Result(NamedTuple):
+    """What comes out: ``states`` also holds where to start."""
+
+    states: FloatArray  # (N, 6); angles are not wrapped
+    covariance: FloatArray  # (N, 6, 6)
+    first_cost: FloatArray  # (m,)
+    cost: FloatArray  # (m,)
+    iterations: NDArray[np.int64]  # (m,)
+    status: NDArray[np.int64]  # (m,) see CONVERGED
+    modes: (
+        FloatArray  # (N, 3) probability of an aligned body, its offset from the motion, and that of a glance
+    )
+
+
+CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2
+"""How a descent ended."""
 
 
 @inner

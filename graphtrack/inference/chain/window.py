@@ -11,15 +11,31 @@ from types import SimpleNamespace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.advance import AS_SET, NOTHING, PREDICTED, TASK, Advanced, Rules, advance
-from graphtrack.inference.chain.calibration import calibration_of
-from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.window_arrays import FrameRows, Slot, pool_of, window_problem
-from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
-from graphtrack.inference.state import FAILURES, Angles, Newest, Window
+from graphtrack.inference.chain.window_kernels import (
+    AS_SET,
+    NOTHING,
+    PREDICTED,
+    TASK,
+    Advanced,
+    Rules,
+    advance,
+)
+from graphtrack.inference.state import (
+    FAILURES,
+    Angles,
+    MarginalPrior,
+    Newest,
+    StatePrior,
+    Window,
+    on_state,
+    on_variables,
+)
+from graphtrack.kernels.layout import TIME_TOLERANCE, N
 from graphtrack.model import Model, Step
-from graphtrack.model.factors.derived import COUPLED
-from graphtrack.model.kernels.layout import TIME_TOLERANCE, N
+from graphtrack.model.factors import COUPLED
+from graphtrack.model.generator import program_of
 from graphtrack.model.terms.gait import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")

@@ -15,16 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, class_centres, unit
-from graphtrack.inference.chain.elimination import Workspace
-from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.newton import Workspace
+from graphtrack.kernels.compilation import allocating
+from graphtrack.kernels.layout import N, Problem, number_rows, place_in_row
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.kernels.compiled import allocating
-from graphtrack.model.kernels.frame_program import FrameProgram
-from graphtrack.model.kernels.layout import N, number_rows, place_in_row
-from graphtrack.model.kernels.packing import FramePacker, PackedTracks
-from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.generator import FrameProgram, program_of
+from graphtrack.model.packing import FramePacker, PackedTracks
 from graphtrack.model.terms.gait import ROW
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
 SLOTS = 32
 """Windows of a block."""

@@ -12,22 +12,26 @@ from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import AT_END, AT_START
-from graphtrack.inference.chain.calibration import calibrate, calibration_of
-from graphtrack.inference.chain.engine import PASSES
-from graphtrack.inference.extremes import not_finite, with_extreme
+from graphtrack.inference.chain.batch import PASSES
+from graphtrack.inference.chain.covariance import calibrate, calibration_of
+from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.initial import initial_states
-from graphtrack.inference.prior import variable_keys, variables
-from graphtrack.inference.solution import Solution, SolverOptions, estimated_tracks, seconds_to_ends
-from graphtrack.inference.state import Window, states_of, values_of
+from graphtrack.inference.result import (
+    Solution,
+    SolverOptions,
+    estimated_tracks,
+    not_finite,
+    seconds_to_ends,
+    with_extreme,
+)
+from graphtrack.inference.state import Window, states_of, values_of, variable_keys, variables
 from graphtrack.inference.warm import has_own_kernels, make_solver_ready
-from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
-from graphtrack.model.factors.derived import Couplings
-from graphtrack.model.factors.native import von_mises_prior
+from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain
 from graphtrack.model.terms.anchor import ANCHOR_KAPPA
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.track import Track
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:

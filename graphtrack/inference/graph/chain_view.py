@@ -8,29 +8,27 @@ import numpy as np
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.basin_search import find_other_basin
-from graphtrack.inference.chain.coupling_modes import (
+from graphtrack.inference.chain.basin_search import find_other_basin, unwind
+from graphtrack.inference.chain.batch import never_seen
+from graphtrack.inference.chain.covariance import spread_track
+from graphtrack.inference.chain.initialisation import pack, problem_of, seen_in
+from graphtrack.inference.chain.newton import Workspace, workspace
+from graphtrack.inference.chain.window import gait_of_model
+from graphtrack.inference.chain.window_arrays import FrameRows
+from graphtrack.inference.state import MarginalPrior, on_state
+from graphtrack.kernels.layout import N, Problem
+from graphtrack.model import Model, Step
+from graphtrack.model.coupling_modes import (
     add_glance_variance,
     classified_in,
     mode_memory,
     renew_couplings,
     report_modes,
 )
-from graphtrack.inference.chain.covariance import spread_track
-from graphtrack.inference.chain.elimination import Workspace, workspace
-from graphtrack.inference.chain.engine import never_seen
-from graphtrack.inference.chain.programs import program_of
-from graphtrack.inference.chain.winding import unwind
-from graphtrack.inference.chain.window import gait_of_model
-from graphtrack.inference.chain.window_arrays import FrameRows
-from graphtrack.inference.initial import pack, problem_of, seen_in
-from graphtrack.inference.prior import MarginalPrior, on_state
-from graphtrack.model import Model, Step
-from graphtrack.model.factors.derived import couplings_of
-from graphtrack.model.kernels.layout import N
-from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.factors import couplings_of
+from graphtrack.model.generator import program_of
 from graphtrack.model.terms.gait import ROW
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 class _View:

@@ -9,11 +9,20 @@ from typing import Any
 import numpy as np
 
 from graphtrack.inference.graph.batch import beginning, descend, graph_of, joint_covariance, keys_of
-from graphtrack.inference.prior import MarginalPrior, marginal_prior, variable_keys
-from graphtrack.inference.state import Newest, Window, finite, leaving, states_of, values_of
-from graphtrack.later import gtsam
+from graphtrack.inference.state import (
+    MarginalPrior,
+    Newest,
+    Window,
+    finite,
+    leaving,
+    marginal_prior,
+    states_of,
+    values_of,
+    variable_keys,
+)
 from graphtrack.model import Model, Step
-from graphtrack.model.factors.derived import Couplings
+from graphtrack.model.factors import Couplings
+from graphtrack.packages import gtsam
 
 # Metres, m/s or radians. Only larger steps can overshoot; the others are spared two evaluations of the cost.
 _LARGE_CHANGE = 0.5

@@ -8,15 +8,14 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import Field
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import Field, Kernel
 from graphtrack.model.observation import States
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.pose import add_angle
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 ANCHOR_KAPPA = 1e-6
 """Concentration at which a first orientation is held to its initial value: it says next to nothing, but an

@@ -9,14 +9,13 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.lanes import any_of, choose
-from graphtrack.model.kernels.layout import BODY, VX, VY, Field
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.lanes import any_of, choose
+from graphtrack.kernels.layout import BODY, VX, VY, Field, Kernel
 from graphtrack.model.observation import States
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 @compiled

@@ -10,13 +10,12 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import Field
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import Field, Kernel
 from graphtrack.model.observation import Observation, States
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 GROUP = "group"
 """The input: the direction of the o-space, x and y of a vector as long as that counts in the frame, and the

@@ -18,14 +18,14 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.later import gtsam, special
-from graphtrack.model.kernels.bessel import of_alike
-from graphtrack.model.kernels.layout import Field
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.arithmetic import of_alike
+from graphtrack.kernels.layout import Field
 from graphtrack.model.observation import States, Step
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.term import Term, Variable
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam, special
+from graphtrack.tracks.track import Track
 
 BINS, NEAR = 36, 7
 """Offsets of the free mode, all around, and of the aligned mode, about 0."""

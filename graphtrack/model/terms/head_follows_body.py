@@ -9,15 +9,14 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.later import gtsam
-from graphtrack.model.factors.native import von_mises_between
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import BODY, HEAD, Field
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import BODY, HEAD, Field, Kernel
+from graphtrack.model.factors import von_mises_between
 from graphtrack.model.observation import States, Step
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.track import Track
 
 
 @compiled

@@ -9,15 +9,14 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.lanes import choose
-from graphtrack.model.kernels.layout import Field
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.lanes import choose
+from graphtrack.kernels.layout import Field, Kernel
 from graphtrack.model.observation import States
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.faces_group import GROUP
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 SLOW = 0.05
 """rad/s up to which a turn is a drift, which costs by its square."""

@@ -12,18 +12,17 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.later import gtsam
-from graphtrack.model.factors.derived import derived_factors
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.elementary import expm1
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.lanes import choose
-from graphtrack.model.kernels.layout import HEAD, VX, VY, Field, X, Y
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.arithmetic import expm1
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.lanes import choose
+from graphtrack.kernels.layout import HEAD, VX, VY, Field, Kernel, X, Y
+from graphtrack.model.factors import derived_factors
 from graphtrack.model.observation import States, Step
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Variable
 from graphtrack.model.terms.motion import Motion
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.track import Track
 
 SMALL_TURN = 1e-3
 """λΔt below which the closed forms of a steered step cancel; there, their series."""

@@ -9,14 +9,13 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.later import gtsam
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import VX, Field, X
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import VX, Field, Kernel, X
 from graphtrack.model.observation import States, Step
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.track import Track
 
 
 def transition_matrix(dt: float) -> FloatArray:

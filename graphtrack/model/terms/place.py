@@ -8,13 +8,12 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import Field, X, Y
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import Field, Kernel, X, Y
 from graphtrack.model.observation import States
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term
-from graphtrack.tracks import Track
+from graphtrack.tracks.track import Track
 
 
 @compiled

@@ -9,19 +9,17 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.geometry.camera import GroundCamera
-from graphtrack.geometry.homography import apply_homography
-from graphtrack.later import gtsam
-from graphtrack.model.factors.derived import derived_factors
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.lanes import choose
-from graphtrack.model.kernels.layout import Field, X, Y
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.geometry.camera import GroundCamera, apply_homography
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.lanes import choose
+from graphtrack.kernels.layout import Field, Kernel, X, Y
+from graphtrack.model.factors import derived_factors
 from graphtrack.model.observation import Observation, States, Step
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.model.term import Term
-from graphtrack.tracks import Track
+from graphtrack.packages import gtsam
+from graphtrack.tracks.track import Track
 
 HUBER, CAUCHY = 1, 2
 

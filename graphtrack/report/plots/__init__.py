@@ -1,8 +1,6 @@
 """Static figures. Every function returns a `matplotlib.figure.Figure` and touches no pyplot state."""
 
-from graphtrack.report.plots.comparison import plot_errors, plot_nees
-from graphtrack.report.plots.orientation import plot_angles
-from graphtrack.report.plots.reliability import plot_reliability
+from graphtrack.report.plots.comparison import plot_angles, plot_errors, plot_nees, plot_reliability
 from graphtrack.report.plots.scene import plot_tracks
 
 __all__ = ["plot_angles", "plot_errors", "plot_nees", "plot_reliability", "plot_tracks"]

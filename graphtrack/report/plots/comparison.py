@@ -1,4 +1,9 @@
-"""Methods against each other: errors with their spread, and consistency (NEES) with its χ² band."""
+"""Methods against each other: errors with their spread, and consistency (NEES) with its χ² band.
+
+Reliability diagrams: coverage of intervals against their probability.
+
+Body and head over time.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,28 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
 from graphtrack.errors import InputError
-from graphtrack.evaluation.calibration import chi_square_band
-from graphtrack.report.rows import Records, distinct, records
-from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, quantity_colour, tidy
+from graphtrack.evaluation.metrics import chi_square_band
+from graphtrack.report.content import Records, distinct, records
+from graphtrack.report.lives import Pair, has_angle, observed_angle, pair_track
+from graphtrack.report.style import (
+    ANGLE_COLOURS,
+    NEUTRAL_COLOUR,
+    NORMAL_95,
+    TRUTH_COLOUR,
+    angle_bands,
+    break_at_seam,
+    finite_runs,
+    new_figure,
+    open_holes,
+    person_dash,
+    quantity_colour,
+    tidy,
+)
+from graphtrack.tracks.display import person_colour
+from graphtrack.tracks.track import Track
 
 PANELS_A_LINE = 3
 
@@ -160,3 +181,158 @@ def _write_above(axes: Axes, value: float, y: int, align: Literal["left", "cente
 
 def _words(name: Any) -> str:
     return str(name).replace("_", " ").replace("$", r"\$")
+
+
+_COLUMNS = ("method", "quantity", "nees", "confidence", "coverage")
+
+
+def plot_reliability(calibration: Records) -> Figure:
+    """Draw one panel a quantity: the share of the truth inside intervals, by the probability they state.
+
+    On the diagonal uncertainties are right, below it too small, above it too large.
+
+    Parameters
+    ----------
+    calibration : DataFrame or list of dict
+        With ``method``, ``quantity`` (such as ``position``), ``nees`` per degree of freedom, ``confidence``
+        and ``coverage`` (both sequences of as many shares), one row a method and quantity.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    InputError
+        When there are no rows or a column is missing.
+    """
+    rows = records(calibration, _COLUMNS)
+    methods = distinct(row["method"] for row in rows)
+    quantities = distinct(row["quantity"] for row in rows)
+    figure = new_figure(0.9 + 2.7 * len(quantities), 3.4 + 0.17 * len(methods))
+    panels = figure.subplots(1, len(quantities), squeeze=False, sharex=True, sharey=True).ravel()
+    for axes, quantity in zip(panels, quantities, strict=True):
+        axes.plot([0.0, 1.0], [0.0, 1.0], color="#C9CED6", linewidth=4.0, zorder=1)
+        for row in rows:
+            if row["quantity"] == quantity:
+                place = methods.index(str(row["method"]))
+                axes.plot(
+                    (0.0, *row["confidence"], 1.0),
+                    (0.0, *row["coverage"], 1.0),
+                    color=person_colour(place),
+                    dashes=person_dash(place),
+                    linewidth=1.6,
+                    label=f"{row['method']}: {row['nees']:.2f}",
+                )
+        _finish(axes, quantity)
+    panels[0].set_ylabel("truth inside", fontsize=9)
+    words = "stated probability      grey: right; below: uncertainty too small; with each method its NEES"
+    figure.supxlabel(words, fontsize=9, color=NEUTRAL_COLOUR)
+    return figure
+
+
+def _finish(axes: Axes, quantity: str) -> None:
+    axes.set_title(quantity, loc="left", fontsize=10)
+    axes.set_aspect("equal")
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(FixedLocator((0.0, 0.25, 0.5, 0.75, 1.0)))
+        axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    # Below the panel: inside, it would cover curves of methods that state too much.
+    axes.legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(0.0, -0.12), borderaxespad=0.0)
+    tidy(axes)
+
+
+def plot_angles(estimate: Track, observation: Track | None = None) -> Figure:
+    """Draw the body and head orientation of one person over time, in degrees.
+
+    One panel for each angle that is estimated or observed: the estimate with its ±1σ and 95 % bands, the
+    observations as dots and the truth where it is known. Lines and bands that leave at +180° come in at
+    −180°. Times without an observation of the angle are shaded.
+
+    Parameters
+    ----------
+    estimate : with ``body`` and ``head`` where they are known, and ``covariance`` for the bands
+    observation : the track it was estimated from
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    pair = pair_track(estimate, observation)
+    names = [name for name in ANGLE_COLOURS if has_angle(pair, name)]
+    figure = new_figure(9.4, 1.0 + 2.3 * max(len(names), 1))
+    figure.suptitle(pair.name.replace("$", r"\$"), x=0.01, ha="left", fontsize=11)
+    if not names:
+        axes = figure.add_subplot()
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "no angle was estimated or observed", ha="center", color=NEUTRAL_COLOUR)
+        return figure
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(panels, names, strict=True):
+        _draw_angle(axes, pair, name)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9)
+    panels[-1].set_xlabel("time (s)")
+    return figure
+
+
+def _draw_angle(axes: Axes, pair: Pair, name: str) -> None:
+    colour, estimate = ANGLE_COLOURS[name], pair.estimate
+    angle, std = getattr(estimate, name), estimate.std(name)
+    if pair.observation is not None:
+        _draw_observed_angle(axes, pair.observation, name, colour)
+    if angle is not None and std is not None:
+        for scale, alpha, label in ((NORMAL_95, 0.16, "95 %"), (1.0, 0.26, "±1σ")):
+            for i, band in enumerate(angle_bands(*open_holes(estimate.t, angle, scale * std))):
+                axes.fill_between(
+                    band.t,
+                    np.degrees(band.lower),
+                    np.degrees(band.upper),
+                    color=colour,
+                    alpha=alpha,
+                    linewidth=0,
+                    label=label if i == 0 else None,
+                    zorder=1.5,
+                )
+    truth = pair.true_angle(name)
+    if np.isfinite(truth).any():
+        t, cut = break_at_seam(*open_holes(estimate.t, truth))
+        axes.plot(t, np.degrees(cut), color=TRUTH_COLOUR, lw=1.0, dashes=(5, 2.5), label="truth", zorder=4)
+    if angle is not None and np.isfinite(angle).any():
+        t, cut = break_at_seam(*open_holes(estimate.t, angle))
+        # A line needs two points: an angle known at a single frame between unknown ones would be invisible.
+        alone = [run.start for run in finite_runs(np.isfinite(angle)) if run.stop - run.start == 1]
+        axes.plot(t, np.degrees(cut), color=colour, linewidth=1.6, label="estimate", zorder=3)
+        axes.plot(estimate.t[alone], np.degrees(angle[alone]), "D", color=colour, markersize=4, zorder=3)
+    axes.set_ylim(-180.0, 180.0)
+    axes.set_yticks(np.arange(-180, 181, 90))
+    axes.set_ylabel(f"{name} (°)")
+    tidy(axes)
+
+
+def _draw_observed_angle(axes: Axes, observation: Track, name: str, colour: str) -> None:
+    observed = observed_angle(observation, name)
+    if observed is None:
+        return
+    known = np.isfinite(observed)
+    axes.plot(
+        observation.t[known],
+        np.degrees(observed[known]),
+        "o",
+        color=colour,
+        markersize=2.6,
+        alpha=0.5,
+        markeredgewidth=0,
+        linewidth=0,
+        label="observation",
+        zorder=2,
+    )
+    shaded = False
+    for run in finite_runs(~known):
+        # From the last observation before the gap to the first one after it.
+        start, stop = observation.t[max(run.start - 1, 0)], observation.t[min(run.stop, len(observation) - 1)]
+        if run.stop - run.start >= 3:
+            label = None if shaded else "not observed"
+            axes.axvspan(start, stop, color="#EEF0F3", linewidth=0, zorder=0.5, label=label)
+            shaded = True

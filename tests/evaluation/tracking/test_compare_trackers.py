@@ -15,22 +15,24 @@ from command import Done, run
 import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
 from graphtrack.baselines.hungarian import HungarianParameters
-from graphtrack.evaluation.tracking.compare import compare_trackers, read_detections
-from graphtrack.evaluation.tracking.methods import make_tracker
-from graphtrack.evaluation.tracking.peers import (
+from graphtrack.evaluation.trackers import (
     INSTALL,
     TUNED,
     PeerParameters,
+    Scene,
+    compare_trackers,
     corners_of,
     load,
+    make_tracker,
+    read_detections,
     track_boxes,
+    tuned,
 )
-from graphtrack.evaluation.tracking.tuning import Scene, tuned
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
 from graphtrack.simulation.crowd import Place, crowd
 from graphtrack.simulation.detector import Detector, detect
-from graphtrack.table.detections import Detections
+from graphtrack.tracks.detections import Detections
 
 OWN = ("associate", "online", "hungarian")
 NONE = np.empty(0, np.int64)

@@ -7,8 +7,8 @@ import pytest
 from tracking_scenes import as_tracks, random_scene
 
 import graphtrack as gt
-from graphtrack.evaluation.tracking.events import judge_events
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.evaluation.identity_events import judge_events
+from graphtrack.tracks.track import Track, TrackSet
 
 
 def standing(track_id, x, frames):

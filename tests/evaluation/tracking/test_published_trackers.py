@@ -7,8 +7,8 @@ import pytest
 from trackeval_scores import oracle, without_curves
 
 import graphtrack as gt
-from graphtrack.evaluation.tracking.detections import boxes, estimated_detections, true_detections
-from graphtrack.io.reading import read_boxes
+from graphtrack.evaluation.matching import boxes, estimated_detections, true_detections
+from graphtrack.io.read_write import read_boxes
 
 NAMES = (
     "CNNTCM",

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from trackeval_scores import GROUND, IMAGE, SCENES, SEEDS, STORED, oracle, without_curves
 from tracking_scenes import random_scene
 
-from graphtrack.evaluation.tracking.detections import known_detections
-from graphtrack.evaluation.tracking.judge import judge, threshold_of
+from graphtrack.evaluation.identities import judge, threshold_of
+from graphtrack.evaluation.matching import known_detections
 
 REFERENCE = json.loads(STORED.read_text(encoding="utf-8"))
 

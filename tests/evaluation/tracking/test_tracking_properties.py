@@ -10,9 +10,9 @@ from tracking_scenes import random_scene
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.evaluation.tracking.detections import known_detections
-from graphtrack.evaluation.tracking.judge import judge, threshold_of
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.evaluation.identities import judge, threshold_of
+from graphtrack.evaluation.matching import known_detections
+from graphtrack.tracks.track import Track, TrackSet
 
 SEEDS = st.integers(0, 10**6)
 N = 40

@@ -1,0 +1,359 @@
+"""Rows without identities, as readers make them, become rows of tracks.
+
+`associate`: whatever holds detections becomes tracks.
+
+Reading of files, tables and other libraries' detections whose rows may have no identities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.libraries import rows_of_supervision, rows_of_ultralytics
+from graphtrack.io.options import Associate, ReadOptions
+from graphtrack.io.read_write import is_table, rows_of_file, rows_of_frame
+from graphtrack.io.read_write import read as read_identified
+from graphtrack.io.read_write import tracks_of as tracks_given
+from graphtrack.io.read_write import tracks_of_rows as identified_tracks
+from graphtrack.model import Model
+from graphtrack.tracks.detections import Detections, frames_between
+from graphtrack.tracks.gaps import with_rows
+from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
+from graphtrack.tracks.table import Rows, check_identities, rows_of_table
+from graphtrack.tracks.track import Track, TrackSet, to_columns
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from graphtrack.io.read_write import Given
+
+    Detected: TypeAlias = TrackSet | Track | str | Path | pd.DataFrame | Mapping[str, Any] | Sequence[Track]
+
+FALSE = "taken for false detections"
+NOWHERE = "detections without a position"
+REPEATED = "at the place of another of the same frame"
+
+_ALONG = (
+    "position_std",
+    "score",
+    "body",
+    "head",
+    "body_likelihood",
+    "head_likelihood",
+    APPEARANCE,
+)
+"""Channels that the evidence reads beside the position."""
+
+
+def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) -> TrackSet:
+    """The tracks that rows of detections belong to, with a row for each frame from first to last.
+
+    Parameters
+    ----------
+    scene : its parameters that are known; the others are learned
+    repair : the rows are a tracker's, whose identities are kept but where the evidence is against them
+    """
+    known = known_values(scene)
+    found = with_repaired_identities(rows, known) if repair else with_identities(rows, known)
+    return with_every_frame(TrackSet.from_rows(found), SceneParameters(**known).longest_filled)
+
+
+def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
+    """The rows of detections with the identities that are most probable; false ones are left out.
+
+    Parameters
+    ----------
+    rows : on the ground, with times; their own identities do not matter
+    scene : its parameters that are known; the others are learned
+    """
+    rows, detections = detections_of(rows)
+    found = associate_detections(detections, scene)
+    identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
+    identity[detections.row], probability[detections.row] = found.identity, found.probability
+    people, false = int(identity.max()) + 1, int((identity < 0).sum())
+    as_read = None if rows.as_read is None else rows.as_read.without_identities()
+    rows = replace(rows, track_id=identity + 1, has_identity=True, labels={}, as_read=as_read)
+    # Nobody knows better how noisy they are than who saw them follow each other.
+    std = rows.channels.get("position_std", np.full(len(rows), np.nan))
+    std = np.where(np.isnan(std), found.scene.position_std, std)
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)), position_std=std)
+    note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
+    return rows.keep(identity >= 0, FALSE).with_notes(note)
+
+
+def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
+    """The rows of a tracker, parted where it jumped from one person to another, and joined where it lost one.
+
+    Parameters
+    ----------
+    rows : on the ground, with times and identities; those with the identity −1 have none
+    scene : its parameters that are known; the others are learned
+    """
+    # Who is joined of two tracks need not stand in the order of frames.
+    rows, detections = detections_of(rows.taken(np.argsort(rows.frame, kind="stable")))
+    known, place = np.unique(rows.track_id, return_inverse=True)
+    given = np.where(rows.track_id == -1, -1, place)[detections.row]
+    found = repair_detections(detections, given, scene)
+    # New people get the numbers after the highest.
+    names = np.concatenate([known, known.max() + 1 + np.arange(len(rows))])
+    track_id, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
+    track_id[detections.row], probability[detections.row] = names[found.identity], found.probability
+    moved = int((track_id != rows.track_id).sum())
+    before, after = len(known[known != -1]), len(np.unique(track_id))
+    labels = {one: rows.labels[one] for one in np.unique(track_id).tolist() if one in rows.labels}
+    rows = replace(rows, track_id=track_id, has_identity=True, labels=labels)
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    return rows.with_notes(
+        f"repaired {before} tracks: now {after}; {moved} of {len(rows)} rows changed hands"
+    )
+
+
+def usable(rows: Rows) -> Rows:
+    """The rows that have a position; of those that say the same twice only the first.
+
+    Raise InputError with the line, where times do not increase from frame to frame.
+    """
+    rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
+    if not len(rows):
+        return rows
+    _check_times(rows)
+    said = np.column_stack([rows.frame, rows.channels["position"]])
+    _, first = np.unique(said, axis=0, return_index=True)
+    return rows.keep(np.isin(np.arange(len(rows)), first), REPEATED)
+
+
+def _check_times(rows: Rows) -> None:
+    t = rows.channels["t"]
+    frame, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
+    other = np.flatnonzero(t != t[first][place])
+    if len(other):
+        i = int(other[0])
+        raise InputError(
+            f"frame {rows.frame[i]} at t = {t[i]:g}",
+            f"t = {t[first][place[i]]:g}, as in its other rows",
+            path=rows.path,
+            line=rows.line_of(i),
+        )
+    back = np.flatnonzero(np.diff(t[first]) <= 0.0)
+    if len(back):
+        i = int(first[back[0] + 1])
+        raise InputError(
+            f"frame {rows.frame[i]} at t = {t[i]:g}",
+            f"a time after that of frame {frame[back[0]]}, {t[first[back[0]]]:g}",
+            path=rows.path,
+            line=rows.line_of(i),
+        )
+
+
+def detections_of(rows: Rows) -> tuple[Rows, Detections]:
+    """The usable rows, and what the evidence reads of them."""
+    rows = usable(rows)
+    channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
+    return rows, Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
+
+
+def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.longest_filled) -> TrackSet:
+    """Tracks with an empty row for each frame in which somebody was not seen, in gaps that are short.
+
+    Parameters
+    ----------
+    longest_filled : seconds of a gap that is filled
+    """
+    frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
+    t = np.concatenate([track.t for track in tracks])[first]
+    step = frames_between(frames)
+    return tracks.map(lambda track: _filled(track, frames, t, step, longest_filled))
+
+
+def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest: float) -> Track:
+    # Between two detections two steps apart somebody was hidden for one.
+    short = np.diff(track.t) - np.diff(t).min() <= longest * (1.0 + 1e-9)
+    gaps = [pair for pair, fill in zip(pairwise(track.frame.tolist()), short, strict=True) if fill]
+    # Frames in which nobody at all was seen are none of the recording's: they lie a step apart.
+    between = [np.arange(a, b, step) for a, b in gaps]
+    inside = [frames[(frames > a) & (frames < b)] for a, b in gaps if b - a > step]
+    frame = np.unique(np.concatenate([track.frame, *inside, *between]))
+    times = np.interp(frame, frames, t)
+    return with_rows(track, frame, times)
+
+
+def associate(
+    detections: Detected,
+    scene: GivenScene = None,
+    *,
+    model: Model | str | Path | None = None,
+    fps: float | None = None,
+    **options: Any,
+) -> TrackSet:
+    """Find out who is who in a recording: one track a person, with a row for each frame from first to last.
+
+    Parameters
+    ----------
+    detections : a file, a table with or without ``track_id``, or tracks whose identities are forgotten
+    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
+        names. The others are as the model has them, else learned from the detections
+    model : a model, or a model file, whose scene it is
+    fps : frames a second, where there are no times
+    **options : for files, the other fields of `ReadOptions`
+
+    Returns
+    -------
+    TrackSet
+        Observations, to be smoothed. ``identity_p`` says how probable it is that a row is of whom the track
+        had before; ``observed`` is 0 in frames in which nobody was seen. What was taken for false is left
+        out, and counted in the summary.
+
+    Raises
+    ------
+    InputError
+        If the input cannot be read, or has no detection with a position.
+    """
+    of_model = {} if model is None else Model.named(model).scene
+    return associated(rows_of(detections, fps=fps, **options), {**of_model, **known_values(scene)})
+
+
+def rows_of(
+    detections: Detected, *, format: str | None = None, fps: float | None = None, **options: Any
+) -> Rows:
+    """The rows of whatever holds detections, with the identities that they have.
+
+    Raise InputError if the input cannot be read.
+
+    Parameters
+    ----------
+    format : of a file; None: recognised by its content
+    """
+    if isinstance(detections, str | Path):
+        return rows_of_file(detections, format, ReadOptions(fps=fps, **options))
+    if is_table(detections):
+        return rows_of_frame(detections, ReadOptions(fps=fps, **options))
+    return rows_of_table(to_columns(tracks_given(detections)))
+
+
+def has_detections(rows: Rows, options: ReadOptions) -> bool:
+    """Return whether rows of a file have to be associated.
+
+    Raises
+    ------
+    InputError
+        If they have to, and ``options.associate`` forbids it.
+    """
+    if options.associate == "never":
+        check_identities(rows)
+    return not rows.has_identity or options.associate == "always"
+
+
+def tracks_of_rows(rows: Rows, options: ReadOptions, scene: GivenScene = None) -> TrackSet:
+    """Return the tracks of a file's rows, which are associated where they have to be or it is asked for."""
+    associates = has_detections(rows, options)
+    if not associates and options.associate != "repair":
+        return identified_tracks(rows, options)
+
+    return associated(rows, scene, repair=not associates)
+
+
+def read(
+    path: str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any],
+    *,
+    format: str | None = None,
+    scene: GivenScene = None,
+    **options: Any,
+) -> TrackSet:
+    """Read tracks from one file or several, in any known format, or from a table in memory.
+
+    Parameters
+    ----------
+    path : one path, of a file or of a folder that `perception report` wrote or that is a sequence of
+        MOTChallenge, or several whose tracks are merged: ids that clash are renumbered, and tracks without a
+        label get the name of their file. Or a DataFrame (pandas, polars), another table that speaks Arrow, or
+        a mapping name → column
+    format : name of the format; None: recognised by the content
+    scene : parameters of the scene that are known, for rows without identities; the others are learned
+    **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
+
+    Returns
+    -------
+    TrackSet
+        With a summary in which every row of the input is counted as used or refused.
+
+    Raises
+    ------
+    InputError
+        With path, line and column, what was found there and what was expected.
+    """
+    to_tracks = partial(tracks_of_rows, scene=known_values(scene))
+    return read_identified(path, format=format, to_tracks=to_tracks, **options)
+
+
+def tracks_of(
+    given: Given, associate: Associate = "auto", scene: GivenScene = None, **reading: Any
+) -> TrackSet:
+    """Return tracks, a track, several of them, files or a table as a set of tracks.
+
+    Parameters
+    ----------
+    associate, scene : for rows without identities, as in `read`
+    **reading : other options of `read`, for paths and tables
+
+    Raises
+    ------
+    InputError
+        For anything else, and for a file or table that cannot be read.
+    """
+    return tracks_given(given, partial(read, associate=associate, scene=scene), **reading)
+
+
+def from_supervision(
+    detections: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = 0, **options: Any
+) -> TrackSet:
+    """Tracks of what detectors and trackers found in the frames of a video, as ``supervision.Detections``.
+
+    Where there are ids (``tracker_id``, as after ``tracker.update`` of the package trackers), they are the
+    tracks; else detections are associated. A person stands at the middle of the box's lower edge.
+
+    Parameters
+    ----------
+    detections : one for each frame, from 0 on, or frame → one
+    fps : frames a second
+    person : the class of people; None: all are people
+    **options : fields of `ReadOptions`, such as ``homography``, ``calibration`` or ``metres_per_pixel``
+
+    Raises
+    ------
+    InputError
+        If one is no such object, some frames have ids and others none, or nobody was found.
+    """
+    chosen = ReadOptions(fps=fps, **options)
+    return tracks_of_rows(rows_of_supervision(detections, chosen, person), chosen)
+
+
+def from_ultralytics(
+    results: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = None, **options: Any
+) -> TrackSet:
+    """Tracks of Ultralytics' ``Results`` of the frames of a video, as ``model.track`` gives them.
+
+    As `from_supervision`; keypoints are for ``perception observe``.
+
+    Parameters
+    ----------
+    results : one for each frame, from 0 on, or frame → one
+    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
+    fps, **options : as there
+
+    Raises
+    ------
+    InputError
+        As there.
+    """
+    chosen = ReadOptions(fps=fps, **options)
+    return tracks_of_rows(rows_of_ultralytics(results, chosen, person), chosen)

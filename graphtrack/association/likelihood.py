@@ -1,0 +1,714 @@
+"""Detections chained to tracks, and a scene's parameters, as compiled functions read them.
+
+Likelihood of two detections' angles and appearance if they are one person's.
+
+Evidence that detections are one person's, compiled: filters of white-noise acceleration along chains.
+
+A track is a chain: each detection knows the one after it (−1: none). Its evidence is the log density of its
+detections, of how it was missed between them, and of its birth, over that of false detections.
+
+Evidence of observed body and head angles for data association, with parameters learned from tracks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from graphtrack.geometry.angles import FloatArray, class_centres
+from graphtrack.kernels.arithmetic import log_i0e
+from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
+
+IntArray = NDArray[np.int64]
+
+STATE = 11
+"""Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
+and head as vectors (x, y) whose length is their concentration; 0: not known."""
+BODY, HEAD = 7, 9
+"""Places of the last two."""
+
+
+class Scene(NamedTuple):
+    """`SceneParameters.packed`."""
+
+    density: float
+    speed_variance: float
+    jump_probability: float
+    jump_variance: float
+    log_missed: float
+    log_hidden: float
+    hidden_seconds: float
+    log_birth: float
+    log_death: float
+    longest_gap: float
+    frame_seconds: float
+    look_ahead: float
+    body_variance: float
+    body_turn: float  # variance a second
+    body_outliers: float
+    head_variance: float
+    head_turn: float
+    head_outliers: float
+    heading_variance: float
+    gaze_variance: float
+    looks_offset: float = 0.0
+    looks_slope: float = 0.0
+    looks_outliers: float = 1.0
+    trust: float = 0.0  # log odds that two detections of one given identity are one person's
+
+
+DETECTION = np.dtype(
+    [
+        ("t", float),  # seconds
+        ("frame", np.int64),  # in steps of the recording
+        ("x", float),  # metres
+        ("y", float),
+        ("variance", float),  # m² of each axis
+        ("gain", float),  # log of how much more likely as a person's than as a false one, position aside
+        ("birth", float),  # log of how many times the mean rate people come into view there
+        ("death", float),  # the same of those who leave
+        ("body", float),  # radians, observed; NaN: not observed
+        ("head", float),
+        ("given", np.int64),  # identity that somebody gave it and that mostly is right; −1: none
+        ("following", np.int64),  # the next detection of the same person, or −1
+        ("preceding", np.int64),  # the one before, or −1
+        ("evidence", float),  # of the detection given those before
+        ("total", float),  # of the track up to there
+        ("rest", float),  # of the track from there on, to its end: as it was when a sweep began
+    ]
+)
+"""A detection as kernels read it: one record, since each array that they are handed costs some time."""
+
+
+Row: TypeAlias = Any
+"""One record of `DETECTION`, as kernels read it; type checkers know nothing of its fields."""
+
+
+class Chains(NamedTuple):
+    """n detections in the order of time, and the tracks that they are chained to.
+
+    What is asked of all records at once is an attribute, (n,): ``chains.following``; it is a view of them.
+    """
+
+    rows: NDArray[np.void]  # (n,) of DETECTION
+    state: FloatArray  # (n, STATE) filtered there, see `STATE`
+    looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
+
+    @property
+    def t(self) -> FloatArray:
+        """(n,) seconds."""
+        return self.rows["t"]
+
+    @property
+    def frame(self) -> IntArray:
+        """(n,) in steps of the recording."""
+        return self.rows["frame"]
+
+    @property
+    def variance(self) -> FloatArray:
+        """(n,) m² of each axis."""
+        return self.rows["variance"]
+
+    @property
+    def gain(self) -> FloatArray:
+        """(n,) see `DETECTION`."""
+        return self.rows["gain"]
+
+    @property
+    def birth(self) -> FloatArray:
+        """(n,) log of a rate."""
+        return self.rows["birth"]
+
+    @property
+    def death(self) -> FloatArray:
+        """(n,) log of a rate."""
+        return self.rows["death"]
+
+    @property
+    def given(self) -> IntArray:
+        """(n,) identities, or −1."""
+        return self.rows["given"]
+
+    @property
+    def following(self) -> IntArray:
+        """(n,) the next detection, or −1."""
+        return self.rows["following"]
+
+    @property
+    def preceding(self) -> IntArray:
+        """(n,) the one before, or −1."""
+        return self.rows["preceding"]
+
+    @property
+    def position(self) -> FloatArray:
+        """(n, 2) metres, a copy."""
+        return np.column_stack([self.rows["x"], self.rows["y"]])
+
+    @property
+    def facing(self) -> FloatArray:
+        """(n, 2) radians, observed body and head, a copy."""
+        return np.column_stack([self.rows["body"], self.rows["head"]])
+
+
+def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: FloatArray) -> Chains:
+    """Detections that are nobody's yet; their variances, gains and looks are to be set.
+
+    Parameters
+    ----------
+    t, frame, position : (n,) seconds, (n,) steps of the recording, (n, 2) metres
+    facing : (n, 2) radians, observed body and head; NaN: not observed
+    """
+    rows = np.zeros(len(t), DETECTION)
+    rows["t"], rows["frame"] = t, frame
+    rows["x"], rows["y"] = position.T
+    rows["body"], rows["head"] = facing.T
+    for name in ("given", "following", "preceding"):
+        rows[name] = -1
+    return Chains(rows, np.zeros((len(t), STATE)), np.empty((len(t), 0)))
+
+
+def link_by(chains: Chains, identity: IntArray) -> None:
+    """Chain the detections of each identity in the order of time; of two in a frame only one; −1: none."""
+    order = np.lexsort((np.arange(len(identity)), identity))
+    before, after = order[:-1], order[1:]
+    same = (identity[before] == identity[after]) & (identity[after] >= 0)
+    same &= chains.frame[after] > chains.frame[before]
+    chains.following[before[same]] = after[same]
+    chains.preceding[after[same]] = before[same]
+
+
+@compiled
+def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
+    """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
+    if scene.looks_outliers >= 1.0:
+        return 0.0
+    square = 0.0
+    for i in range(looks.shape[1]):
+        square += (looks[k, i] - looks[m, i]) ** 2
+    if math.isnan(square):
+        return 0.0
+    score = scene.looks_offset - scene.looks_slope * math.log(max(square, 1e-12))
+    odds = math.exp(min(max(score, -50.0), 50.0))
+    sure, unsure = 1.0 - scene.looks_outliers, scene.looks_outliers
+    return math.log((sure * odds + unsure) / (sure + unsure * odds))
+
+
+@compiled
+def see_angle(
+    angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
+) -> float:
+    """Take an observed angle into the direction at ``place`` of a state; its log ratio to one by chance.
+
+    Parameters
+    ----------
+    angle : radians; NaN: not observed
+    prior_x, prior_y : the direction that is expected, with its concentration
+    outliers : share of observations that have nothing to do with the direction; 1: none is looked at
+    """
+    if outliers >= 1.0 or math.isnan(angle):
+        return 0.0
+    kappa, share, ratio = math.hypot(prior_x, prior_y), 1.0 - outliers, 0.0
+    if kappa > 1e-6:
+        kappa = 1.0 / (1.0 / kappa + noise)
+        deviation = angle - math.atan2(prior_y, prior_x)
+        density = share * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
+        ratio = math.log(density + outliers)
+        share = density / (density + outliers)
+    state[place] += share * math.cos(angle) / noise
+    state[place + 1] += share * math.sin(angle) / noise
+    return ratio
+
+
+@compiled
+def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+    """Take body and head of a later detection into the state; their log likelihood ratio.
+
+    They turn little since the earlier one, where the state was ``before``, and the body faces where the
+    person goes, who moves as the state says, and is then taken to go more as body and head point.
+    """
+    if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
+        return 0.0
+    dt = later.t - earlier.t
+    for place, turn in ((BODY, scene.body_turn), (HEAD, scene.head_turn)):
+        x, y = before[place], before[place + 1]
+        less = 1.0 / (1.0 + math.hypot(x, y) * turn * dt)
+        state[place], state[place + 1] = less * x, less * y
+    x, y = state[BODY], state[BODY + 1]
+    square = state[2] * state[2] + state[3] * state[3]
+    if square > 1e-4:
+        # Who hardly moves goes nowhere in particular.
+        length = 1.0 / ((scene.heading_variance + state[6] / square) * math.sqrt(square))
+        x, y = x + length * state[2], y + length * state[3]
+    ratio = see_angle(later.body, x, y, scene.body_variance, scene.body_outliers, state, BODY)
+    x, y = state[HEAD], state[HEAD + 1]
+    ratio += see_angle(later.head, x, y, scene.head_variance, scene.head_outliers, state, HEAD)
+    steer(later.body, scene.body_variance + scene.heading_variance, scene.body_outliers, state)
+    steer(later.head, scene.head_variance + scene.gaze_variance, scene.head_outliers, state)
+    return ratio
+
+
+@compiled
+def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> None:
+    """Turn the velocity of a state towards an observed angle, as far as that says where the person goes.
+
+    The update of an extended Kalman filter: the velocity across is speed · sin(deviation), says the angle.
+
+    Parameters
+    ----------
+    angle : radians, of body or head; NaN: not observed
+    variance : of the angle about the direction of travel
+    outliers : share of angles that have nothing to do with it
+    """
+    speed = math.hypot(state[2], state[3])
+    if outliers >= 1.0 or math.isnan(angle) or speed < 1e-2:
+        return
+    across_x, across_y = -state[3] / speed, state[2] / speed
+    deviation = angle - math.atan2(state[3], state[2])
+    kappa = 1.0 / (variance + state[6] / (speed * speed))
+    density = (1.0 - outliers) * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
+    share = density / (density + outliers)
+    gain = share * kappa / (speed * speed)
+    off = speed * math.sin(deviation)
+    p_gain, v_gain = gain * state[5], gain * state[6]
+    state[0] += p_gain * off * across_x
+    state[1] += p_gain * off * across_y
+    state[2] += v_gain * off * across_x
+    state[3] += v_gain * off * across_y
+    # Of the two axes one is known better; the covariance is their mean.
+    state[4] -= 0.5 * p_gain * state[5]
+    state[5] -= 0.5 * p_gain * state[6]
+    state[6] -= 0.5 * v_gain * state[6]
+
+
+IMPOSSIBLE = -1e9
+"""The gain of what cannot be."""
+GATE = 6.0
+"""Standard deviations beyond which a detection is nobody's."""
+
+
+@compiled
+def missed(frames: int, scene: Scene) -> float:
+    """Log probability of so many frames between two detections: chance misses, or one occlusion."""
+    if frames <= 0:
+        return 0.0
+    chance = frames * scene.log_missed
+    hidden = scene.log_hidden - frames * scene.frame_seconds / scene.hidden_seconds
+    return np.logaddexp(chance, hidden)
+
+
+@compiled
+def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+    """The state after a later detection of somebody whose state was ``before`` at an earlier one.
+
+    The place may have jumped, after which nothing is known of the velocity: of the two states after that, the
+    one that has their mean and covariance.
+
+    Returns the log density of the detection's place.
+    """
+    dt, q = later.t - earlier.t, scene.density
+    p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
+    pv = before[5] + dt * before[6] + 0.5 * q * dt * dt
+    v = before[6] + q * dt
+    x, y = before[0] + dt * before[2], before[1] + dt * before[3]
+    spread = p + later.variance
+    off_x, off_y = later.x - x, later.y - y
+    square = 0.5 * (off_x * off_x + off_y * off_y)
+    wide = spread + scene.jump_variance
+    # More than the exponential holds is added to the logarithm.
+    likelier = square / spread - square / wide
+    beyond = max(likelier - 500.0, 0.0) if scene.jump_probability > 0.0 else 0.0
+    stays = 1.0 - scene.jump_probability
+    odds = scene.jump_probability * spread / (stays * wide) * math.exp(min(likelier, 500.0))
+    share = odds / (1.0 + odds)
+    gain, turn = p / spread, pv / spread
+    wide_gain, wide_turn = (p + scene.jump_variance) / wide, pv / wide
+    apart, apart_turn = wide_gain - gain, wide_turn - turn
+    between = share * (1.0 - share) * square
+    gain, turn = gain + share * apart, turn + share * apart_turn
+    state[0], state[1] = x + gain * off_x, y + gain * off_y
+    state[2], state[3] = before[2] + turn * off_x, before[3] + turn * off_y
+    state[4] = p * (1.0 - gain) + share * scene.jump_variance * (1.0 - wide_gain) + between * apart * apart
+    state[5] = pv * (1.0 - gain) + between * apart * apart_turn
+    state[6] = v - turn * pv + share * scene.speed_variance + between * apart_turn * apart_turn
+    return math.log(stays * (1.0 + odds) / (2.0 * math.pi * spread)) + beyond - square / spread
+
+
+@compiled
+def begin(first: Row, scene: Scene, state: FloatArray) -> float:
+    """The state of somebody at the first detection of them; its evidence."""
+    state[0], state[1] = first.x, first.y
+    state[2] = state[3] = state[5] = 0.0
+    state[4], state[6] = first.variance, scene.speed_variance
+    state[BODY:] = 0.0
+    see_angle(first.body, 0.0, 0.0, scene.body_variance, scene.body_outliers, state, BODY)
+    see_angle(first.head, 0.0, 0.0, scene.head_variance, scene.head_outliers, state, HEAD)
+    return scene.log_birth + first.birth + first.gain
+
+
+@compiled
+def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
+    """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
+    earlier, later = chains.rows[k], chains.rows[m]
+    density = move(earlier, before, later, scene, state)
+    skipped = missed(later.frame - earlier.frame - 1, scene)
+    shown = see_facing(earlier, before, later, scene, state) + looks_ratio(chains.looks, k, m, scene)
+    trusted = scene.trust if earlier.given >= 0 and earlier.given == later.given else 0.0
+    return density + later.gain + skipped + shown + trusted
+
+
+@compiled
+def is_within(
+    off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, scene: Scene
+) -> bool:
+    """Return whether a detection is within the gate about a predicted position.
+
+    Parameters
+    ----------
+    off_x, off_y : metres from the predicted place
+    dt : seconds since p, pv and v were the person's covariance on each axis
+    variance : of the detection, m²
+    """
+    spread = p + 2.0 * dt * pv + dt * dt * v + scene.density * dt**3 / 3.0 + variance
+    if scene.jump_probability > 0.0:
+        spread += scene.jump_variance
+    return off_x * off_x + off_y * off_y < GATE * GATE * spread
+
+
+@compiled
+def near_ones(
+    chains: Chains, state: FloatArray, t: float, others: IntArray, scene: Scene, found: IntArray
+) -> int:
+    """Put into ``found`` the places in ``others`` of detections that somebody may be at; how many they are.
+
+    One call for many: what a problem's arrays cost when they are handed on is more than the question.
+    """
+    count = 0
+    for j in range(len(others)):
+        other = chains.rows[others[j]]
+        dt = other.t - t
+        if dt <= 0.0 or dt > scene.longest_gap:
+            continue
+        off_x = other.x - state[0] - dt * state[2]
+        off_y = other.y - state[1] - dt * state[3]
+        if is_within(off_x, off_y, dt, state[4], state[5], state[6], other.variance, scene):
+            found[count] = j
+            count += 1
+    return count
+
+
+@allocating
+def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
+    """Evidence of what follows detection k in its chain, whose state there is given; it is changed.
+
+    After ``look_ahead`` detections what is remembered is taken: nothing is left of where the track came from.
+    """
+    total, seen, here = 0.0, 0, np.empty(STATE)
+    m = chains.rows[k].following
+    while m >= 0 and seen < scene.look_ahead:
+        here[:] = state
+        total += follow(chains, here, k, m, scene, state)
+        k, m, seen = m, chains.rows[m].following, seen + 1
+    return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
+
+
+@compiled
+def remember_rest(chains: Chains, scene: Scene) -> None:
+    """Set ``rest``, which holds for a detection as long as nothing changes but what comes before it."""
+    for m in range(len(chains.rows) - 1, -1, -1):
+        after = chains.rows[m].following
+        rest = chains.rows[after].rest if after >= 0 else ending(chains, m, scene)
+        chains.rows[m].rest = chains.rows[m].evidence + rest
+
+
+@compiled
+def ending(chains: Chains, k: int, scene: Scene) -> float:
+    """Log probability that a track's last detection is k: it left, or is not seen until the very end."""
+    left = chains.rows[-1].frame - chains.rows[k].frame
+    if left <= 0:
+        return 0.0
+    return max(min(scene.log_death + chains.rows[k].death, 0.0), missed(left, scene))
+
+
+@allocating
+def born(chains: Chains, k: int, scene: Scene) -> float:
+    """Evidence of the track from detection k on, as of somebody new; 0 if false ones are more probable."""
+    state = np.empty(STATE)
+    value = begin(chains.rows[k], scene, state)
+    return max(0.0, value + run_on(chains, state, k, scene))
+
+
+@allocating
+def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scene) -> FloatArray:
+    """Return the gain in evidence (heads, tails) of each link of a track's head to a tail over none."""
+    gains, state = np.full((len(heads), len(tails)), IMPOSSIBLE), np.empty(STATE)
+    alone, near = np.empty(len(tails)), np.empty(len(tails), np.int64)
+    for j in range(len(tails)):
+        alone[j] = born(chains, tails[j], scene)
+    for i in range(len(heads)):
+        k = heads[i]
+        count = near_ones(chains, chains.state[k], chains.rows[k].t, tails, scene, near)
+        if not count:
+            continue
+        ended = max(0.0, chains.rows[k].total + ending(chains, k, scene))
+        for j in near[:count]:
+            m = tails[j]
+            linked = chains.rows[k].total + follow(chains, chains.state[k], k, m, scene, state)
+            gains[i, j] = linked + run_on(chains, state, m, scene) - ended - alone[j]
+    return gains
+
+
+@allocating
+def gains_of_detections(
+    chains: Chains, heads: IntArray, tails: IntArray, detections: IntArray, scene: Scene
+) -> FloatArray:
+    """Return the gain in evidence (tracks, detections) of a frame's detection in a track that spans it.
+
+    Parameters
+    ----------
+    heads, tails : (tracks,) the last detection before the frame and the first after it, linked; −1: none
+    """
+    gains, state, here = np.full((len(heads), len(detections)), IMPOSSIBLE), np.empty(STATE), np.empty(STATE)
+    alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)
+    is_next = np.empty(1, np.int64)
+    for j in range(len(detections)):
+        d = detections[j]
+        alone[j] = max(0.0, begin(chains.rows[d], scene, state) + ending(chains, d, scene))
+    for i in range(len(heads)):
+        k, m = heads[i], tails[i]
+        without, is_known = 0.0, False
+        count = len(detections)
+        if k >= 0:
+            count = near_ones(chains, chains.state[k], chains.rows[k].t, detections, scene, near)
+        else:
+            near[:] = np.arange(count)
+        next_one[0] = m
+        for j in near[:count]:
+            d = detections[j]
+            if k >= 0:
+                value = chains.rows[k].total + follow(chains, chains.state[k], k, d, scene, here)
+            else:
+                value = begin(chains.rows[d], scene, here)
+            if m >= 0:
+                if not near_ones(chains, here, chains.rows[d].t, next_one, scene, is_next):
+                    continue
+                value += follow(chains, here, d, m, scene, state)
+                value += run_on(chains, state, m, scene)
+            else:
+                value += ending(chains, d, scene)
+            if not is_known:
+                without = state_after(chains, k, scene) if k >= 0 else born(chains, m, scene)
+                is_known = True
+            gains[i, j] = value - without - alone[j]
+    return gains
+
+
+@allocating
+def state_after(chains: Chains, k: int, scene: Scene) -> float:
+    """Evidence of the whole track that detection k is in, from there on as it is linked; at least 0."""
+    state = chains.state[k].copy()
+    return max(0.0, chains.rows[k].total + run_on(chains, state, k, scene))
+
+
+@compiled
+def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
+    """Filter the detections from ``first`` up to ``end`` along their chains."""
+    for m in range(first, end):
+        k = chains.rows[m].preceding
+        if k < 0:
+            chains.rows[m].evidence = begin(chains.rows[m], scene, chains.state[m])
+            chains.rows[m].total = chains.rows[m].evidence
+        else:
+            chains.rows[m].evidence = follow(chains, chains.state[k], k, m, scene, chains.state[m])
+            chains.rows[m].total = chains.rows[k].total + chains.rows[m].evidence
+
+
+@allocating
+def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
+    """Return the innovation likelihood of all linked detections, which are filtered again.
+
+    Returns the log density of their places, the sum of the log likelihood ratios of their angles, and their
+    number.
+    """
+    places, angles, count = 0.0, 0.0, 0
+    for m in range(len(chains.rows)):
+        k = chains.rows[m].preceding
+        if k < 0:
+            begin(chains.rows[m], scene, chains.state[m])
+            continue
+        here = chains.state[k].copy()
+        places += move(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
+        angles += see_facing(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
+        count += 1
+    return places, angles, count
+
+
+@compiled
+def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: FloatArray) -> None:
+    """Return the probability of each head's link to its tail among all that either could have, or none.
+
+    Parameters
+    ----------
+    gains : (heads, tails) as of `gains_of_links`
+    tail_of : (heads,) the column of each head's tail; −1: it has none
+    probability : (tails,) is set where there is a link
+    """
+    for i in range(len(tail_of)):
+        j = tail_of[i]
+        if j < 0:
+            continue
+        own = gains[i, j]
+        total = 1.0 + math.exp(min(-own, 50.0))
+        for other in range(gains.shape[1]):
+            if other != j and gains[i, other] > own - 50.0:
+                total += math.exp(min(gains[i, other] - own, 50.0))
+        for other in range(gains.shape[0]):
+            if other != i and gains[other, j] > own - 50.0:
+                total += math.exp(min(gains[other, j] - own, 50.0))
+        probability[j] = 1.0 / total
+
+
+@compiled
+def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
+    """Fill the first detection of each detection's track (n,), and at each first one the track's evidence."""
+    for k in range(len(root)):
+        before = chains.rows[k].preceding
+        root[k] = k if before < 0 else root[before]
+        value[k] = -math.inf
+    for k in range(len(root)):
+        if chains.rows[k].following < 0:
+            value[root[k]] = chains.rows[k].total + ending(chains, k, scene)
+
+
+@compiled
+def count_up(chains: Chains, times: IntArray) -> None:
+    """Fill the number of detections that each one's track has up to it (n,); first ones have it."""
+    for k in range(len(times)):
+        before = chains.rows[k].preceding
+        if before >= 0:
+            times[k] = times[before] + 1
+
+
+@allocating
+def only_pairs(gains: FloatArray, rows: IntArray, columns: IntArray) -> int:
+    """Put the rows and columns of gains above 0 that are the only ones of both into the arrays; their number.
+
+    After them the arrays have the other rows and columns with such gains, with −1 behind them.
+    """
+    of_row, of_column = np.zeros(gains.shape[0], np.int64), np.zeros(gains.shape[1], np.int64)
+    for i in range(gains.shape[0]):
+        for j in range(gains.shape[1]):
+            if gains[i, j] > 0.0:
+                of_row[i] += 1
+                of_column[j] += 1
+    count = 0
+    for i in range(gains.shape[0]):
+        if of_row[i] == 1:
+            for j in range(gains.shape[1]):
+                if gains[i, j] > 0.0:
+                    if of_column[j] == 1:
+                        rows[count], columns[count] = i, j
+                        of_row[i] = of_column[j] = 0
+                        count += 1
+                    break
+    rows[count:], columns[count:] = -1, -1
+    place = count
+    for i in range(gains.shape[0]):
+        if of_row[i] > 0:
+            rows[place] = i
+            place += 1
+    place = count
+    for j in range(gains.shape[1]):
+        if of_column[j] > 0:
+            columns[place] = j
+            place += 1
+    return count
+
+
+_LEAST = 20
+"""Neighbours in tracks below which angles say nothing."""
+_OUTLIERS = (0.02, 0.9)
+"""Shares of outliers that can be learned: angles are never thought sure."""
+
+
+def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
+    """Observed body and head of each detection, (n, 2) radians; NaN where there is none.
+
+    Parameters
+    ----------
+    channels : by the names of a track's attributes; where there is no angle, class likelihoods are taken by
+        their circular mean
+    """
+    found = np.full((n, 2), np.nan)
+    for column, name in enumerate(("body", "head")):
+        if name in channels:
+            found[:, column] = channels[name]
+        classes = channels.get(f"{name}_likelihood")
+        if classes is not None:
+            centres = class_centres(classes.shape[1])
+            mean = np.arctan2(classes @ np.sin(centres), classes @ np.cos(centres))
+            found[:, column] = np.where(np.isnan(found[:, column]), mean, found[:, column])
+    return found
+
+
+def learn_orientation(
+    chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
+) -> SceneParameters:
+    """The parameters of angles under which the tracks' are most probable.
+
+    Parameters
+    ----------
+    chains : the tracks; their states are filtered anew
+    """
+    later = np.flatnonzero(chains.preceding >= 0)
+    both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
+    neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}
+    kinds = ("body_std", "body_turn", "heading_std"), ("head_std", "head_turn", "gaze_std")
+    for column, names in enumerate(kinds):
+        outliers = f"{names[0][:4]}_outliers"
+        kept = {name: known[name] for name in (*names, outliers) if name in known}
+        if both[:, column].sum() >= _LEAST and len(kept) <= len(names):
+            others = replace(scene, **neutral)
+            scene = replace(scene, **_fitted(chains, others, names, outliers, seconds, kept))
+    return scene
+
+
+def _fitted(
+    chains: Chains,
+    scene: SceneParameters,
+    names: tuple[str, ...],
+    outliers: str,
+    seconds: float,
+    kept: Known,
+) -> dict[str, Any]:
+    """Spreads and share of outliers of one kind of angle that make it most probable; some may be kept."""
+    ranges = [SceneParameters.__dataclass_fields__[name].metadata["range"] for name in names]
+    low, high = np.array(ranges).T
+
+    def parameters(given: FloatArray) -> dict[str, Any]:
+        spreads = np.clip(np.exp(given[:-1]), low, high).tolist()
+        share = float(np.clip(given[-1], *_OUTLIERS))
+        return dict(zip(names, spreads, strict=True)) | {outliers: share} | dict(kept)
+
+    # Angles turn the velocity too, and so say where somebody is seen next.
+    before, others, _ = innovations(chains, Scene(*scene.packed(seconds)))
+
+    def cost(given: FloatArray) -> float:
+        found = parameters(given)
+        share = found[outliers]
+        # A few angles' worth of doubt.
+        doubt = 0.0 if outliers in kept else 2.0 * np.log(share) + 2.0 * np.log1p(-share)
+        places, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
+        return before + others - places - angles - float(doubt)
+
+    start = [*np.log([getattr(SceneParameters(), name) for name in names]), 0.2]
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1})
+    best = parameters(found.x)
+    # Nothing is gained where the tracks' angles are no more probable than any.
+    return best | ({outliers: 1.0} if found.fun > 0.0 else {}) | dict(kept)

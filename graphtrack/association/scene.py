@@ -1,0 +1,451 @@
+"""Several detections of one person in a frame: the others are not people of their own.
+
+The scene's parameters from the detections alone: expectation and maximisation around the association.
+
+Birth, death and clutter rates, learned as maps over the ground plane.
+
+Each is a rate over the ground, as many times the scene's mean: events are counted on a grid, blurred, and
+compared with as many as there would be if they happened alike wherever they could.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+
+from graphtrack.association.likelihood import Chains, IntArray, Scene, innovations
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.detections import Detections
+from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
+
+_DUPLICATE_REACH = 3.0
+"""Spreads within which a detection may be a duplicate."""
+
+
+Pairs: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
+"""Two detections each, and their squared distances (m²)."""
+
+
+def duplicate_density(
+    frame: NDArray[np.int64],
+    position: FloatArray,
+    identity: NDArray[np.int64],
+    scene: SceneParameters,
+) -> FloatArray:
+    """Return the expected density of duplicates of other people at each detection, (n,) 1/m².
+
+    A person counts for those who were detected less often: of two who walk in each other's place the one with
+    more detections is the person.
+
+    Parameters
+    ----------
+    frame, position : (n,) and (n, 2) of the detections
+    identity : (n,) as they are thought to be; −1: false
+    """
+    times = np.bincount(identity[identity >= 0], minlength=1)
+    return duplicate_density_of(duplicate_pairs(frame, position, scene), identity, scene, times)
+
+
+def duplicate_pairs(frame: NDArray[np.int64], position: FloatArray, scene: SceneParameters) -> Pairs:
+    """Those of which one can be a duplicate of the other, as `pairs_within` has them."""
+    return pairs_within(frame, position, _DUPLICATE_REACH * scene.duplicate_spread)
+
+
+def duplicate_density_of(
+    pairs: Pairs, identity: NDArray[np.int64], scene: SceneParameters, times: NDArray[np.int64]
+) -> FloatArray:
+    """`duplicate_density` where the pairs are known.
+
+    Parameters
+    ----------
+    identity : (n,) as they are thought to be; −1: false
+    times : identity → how often it was detected
+    """
+    first, second, square = pairs
+    strength = np.where(identity >= 0, times[np.maximum(identity, 0)], 0)
+    counts = (identity[second] >= 0) & (identity[first] != identity[second])
+    counts &= (strength[second] > strength[first]) | (
+        (strength[second] == strength[first]) & (identity[second] < identity[first])
+    )
+    first, square = first[counts], square[counts]
+    variance = scene.duplicate_spread**2
+    each = scene.duplicate_rate * np.exp(-0.5 * square / variance) / (2.0 * np.pi * variance)
+    return np.bincount(first, each, minlength=len(identity)).astype(float)
+
+
+def pairs_within(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
+    """Pairs (both ways) of detections of one frame within reach (m), and their squared distances (m²)."""
+    # Frames far apart on a third axis: one tree for all.
+    apart = np.column_stack([position, frame * (10.0 * reach)])
+    pairs = cKDTree(apart).query_pairs(reach, output_type="ndarray").reshape(-1, 2)
+    first = np.concatenate([pairs[:, 0], pairs[:, 1]]).astype(np.int64)
+    second = np.concatenate([pairs[:, 1], pairs[:, 0]]).astype(np.int64)
+    return first, second, np.sum((position[first] - position[second]) ** 2, axis=1)
+
+
+def learn_duplicates(
+    frame: NDArray[np.int64],
+    position: FloatArray,
+    identity: NDArray[np.int64],
+    scene: SceneParameters,
+    known: Known = NOTHING,
+) -> SceneParameters:
+    """The scene with rate and spread of duplicates from the false detections around people.
+
+    Those of the two that are known are kept.
+    """
+    first, second, square = pairs_within(frame, position, 2.0)
+    counts = (identity[first] < 0) & (identity[second] >= 0)
+    first, square = first[counts], square[counts]
+    people = float((identity >= 0).sum())
+    free = [name for name in ("duplicate_rate", "duplicate_spread") if name not in known]
+    rate, variance = scene.duplicate_rate, scene.duplicate_spread**2
+    for _ in range(20 if free else 0):
+        each = rate * np.exp(-0.5 * square / variance) / (2.0 * np.pi * variance)
+        around = np.bincount(first, each, minlength=len(frame))
+        share = each / (around[first] + scene.clutter_density)
+        total = float(share.sum())
+        if "duplicate_rate" in free:
+            rate = (total + 0.02) / (people + 1.0)
+        if "duplicate_spread" in free:
+            variance = float(np.clip((0.5 * (share * square).sum() + 0.25) / (total + 1.0), 0.01, 1.0))
+    found: dict[str, Any] = {
+        "duplicate_rate": float(np.clip(rate, 0.0, 10.0)),
+        "duplicate_spread": float(np.sqrt(variance)),
+    }
+    return replace(scene, **{name: found[name] for name in free})
+
+
+_EDGE = 3
+"""Frames at either end of a recording in which somebody may have been missed who was there."""
+
+_PRIOR_EVENTS = 2.0
+"""Events that the first guess counts for."""
+
+_FIRST_STD = 0.3
+"""Metres of noise at first: more than most detectors have. Too little makes people of false detections, which
+teach it to stay little; too much is unlearned in a round."""
+
+
+def edge_of(frames: int) -> int:
+    """Frames at either end of a recording of so many that do not tell who came or left."""
+    return min(_EDGE, frames // 4)
+
+
+def area(position: FloatArray) -> float:
+    """Square metres in which detections are, (n, 2) metres: of the box around nearly all of them."""
+    low, high = np.quantile(position, [0.005, 0.995], axis=0)
+    return float(max(np.prod(high - low), 1.0))
+
+
+def first_guess(detections: Detections) -> SceneParameters:
+    """Parameters before anything is known but how many detections there are, and where."""
+    start = SceneParameters()
+    frames = detections.step[-1] + 1
+    each = len(detections) / frames
+    square = area(detections.position)
+    seconds = detections.step_seconds
+    # One in ten is false; people stay for ten seconds or so.
+    return replace(
+        start,
+        position_std=_FIRST_STD,
+        clutter_density=float(np.clip(max(0.1 * each, 0.1) / square, 1e-9, 100.0)),
+        birth_density=float(np.clip(max(each / 10.0, 0.01) / square, 1e-9, 100.0)),
+        death_rate=0.1,
+        occlusion_probability=float(np.clip(0.05 * seconds, 1e-6, 0.5)),
+    )
+
+
+def learn_scene(
+    chains: Chains,
+    identity: NDArray[np.int64],
+    scene: SceneParameters,
+    known_std: FloatArray,
+    seconds: float,
+    known: Known = NOTHING,
+) -> SceneParameters:
+    """The parameters that make the tracks found most probable, with a little of those before.
+
+    Parameters
+    ----------
+    identity : (n,) of each detection; −1: false
+    known_std : (n,) metres that detections say themselves; NaN: they do not
+    """
+    if not (identity >= 0).any():
+        return scene
+    events = _Events.of(chains, identity, seconds)
+    some, seen = events.gaps, float(events.seen)
+    for _ in range(20):
+        chance = (1.0 - scene.detection_probability) ** some
+        occluded = scene.occlusion_probability * np.exp(-some * seconds / scene.occlusion_seconds)
+        share = occluded / (chance + occluded)
+        missed = float(((1.0 - share) * some).sum())
+        hidden = ((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0)
+        gap = {
+            "detection_probability": np.clip((seen + 9.0) / (seen + missed + 10.0), 0.02, 0.995),
+            "occlusion_probability": np.clip(
+                (share.sum() + 0.01 * _PRIOR_EVENTS) / (seen + _PRIOR_EVENTS), 1e-6, 0.3
+            ),
+            "occlusion_seconds": np.clip(hidden, 0.2, 20.0),
+        }
+        scene = replace(scene, **{name: float(value) for name, value in gap.items()} | dict(known))
+    false = len(identity) - events.seen
+    rates = {
+        "clutter_density": _per_exposure(false, events.exposure, scene.clutter_density, 1e-9, 100.0),
+        "birth_density": _per_exposure(events.born, events.open_exposure, scene.birth_density, 1e-9, 100.0),
+        "death_rate": _per_exposure(events.left, events.in_view, scene.death_rate, 1e-6, 10.0),
+    }
+    return replace(scene, **_motion(chains, scene, seconds, known_std, known) | rates | dict(known))
+
+
+def scene_log_density(
+    chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, seconds: float
+) -> float:
+    """Return the log density of detections and their tracks, which `learn_scene` maximises with priors.
+
+    Log of a density in 1/m² for each detection, relative to any angle; where people come and go and
+    detections are false is taken to be the same everywhere.
+
+    Parameters
+    ----------
+    chains : the tracks, linked; they are filtered anew
+    identity : (n,) of each detection; −1: false
+    """
+    events = _Events.of(chains, identity, seconds)
+    gaps, hide = events.gaps, scene.occlusion_probability
+    hidden = np.log(hide) - gaps * seconds / scene.occlusion_seconds
+    between = np.logaddexp(gaps * np.log1p(-scene.detection_probability), hidden).sum()
+    between += (events.links - len(gaps)) * np.log1p(-hide)
+    around = duplicate_density(chains.frame, chains.position, identity, scene)[identity < 0]
+    false = np.log(scene.clutter_density + around).sum() - scene.clutter_density * events.exposure
+    false -= scene.duplicate_rate * events.seen
+    came = events.born * np.log(scene.birth_density) - scene.birth_density * events.open_exposure
+    went = events.left * np.log(scene.death_rate) - scene.death_rate * events.in_view
+    places, angles, _ = innovations(chains, Scene(*scene.packed(seconds)))
+    detected = events.seen * np.log(scene.detection_probability)
+    return float(places + angles + detected + between + false + came + went)
+
+
+def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
+    """Frames (links,) between each detection of a person and the one before it."""
+    linked = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
+    return (chains.frame[linked] - chains.frame[chains.preceding[linked]] - 1).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class _Events:
+    """Counts of births, deaths, gaps and exposure in a recording.
+
+    Attributes
+    ----------
+    gaps : frames of each gap within a track
+    seen, links : detections of people, and pairs of them that follow each other
+    born, left : people who came into view and who left
+    in_view : seconds that people were there
+    exposure, open_exposure : m² and frames in which detections can be false, m² s in which people can come
+    """
+
+    gaps: FloatArray
+    seen: int
+    links: int
+    born: int
+    left: int
+    in_view: float
+    exposure: float
+    open_exposure: float
+
+    @classmethod
+    def of(cls, chains: Chains, identity: NDArray[np.int64], seconds: float) -> _Events:
+        """Of the tracks in chains that are linked, with the identities (n,) of them; −1: false."""
+        person = identity >= 0
+        gaps = gaps_of(chains, identity)
+        frames, square = int(chains.frame[-1]) + 1, area(chains.position)
+        people, seen = int(identity.max()) + 1, int(person.sum())
+        first, last = np.full(people, frames), np.zeros(people, np.int64)
+        np.minimum.at(first, identity[person], chains.frame[person])
+        np.maximum.at(last, identity[person], chains.frame[person])
+        # Who is there at the beginning was not born then, and who is there at the end has not left.
+        edge = edge_of(frames)
+        return cls(
+            gaps[gaps > 0],
+            seen,
+            len(gaps),
+            int((first > edge).sum()),
+            int((last < frames - 1 - edge).sum()),
+            (seen + float(gaps.sum())) * seconds,
+            square * frames,
+            square * ((frames - edge) * seconds),
+        )
+
+
+def _per_exposure(events: int, exposure: float, before: float, low: float, high: float) -> float:
+    """Events per exposure, with `_PRIOR_EVENTS` at the rate before: none so far does not mean never."""
+    return float(np.clip((events + _PRIOR_EVENTS) / (exposure + _PRIOR_EVENTS / before), low, high))
+
+
+def _motion(
+    chains: Chains, scene: SceneParameters, seconds: float, known_std: FloatArray, known: Known
+) -> dict[str, Any]:
+    """Acceleration density and noise under which the detections follow each other most probably."""
+    unknown = np.isnan(known_std)
+    names = [name for name in _MOTION if name not in known]
+    if not names:
+        return {}
+    lowest, highest = np.log([_MOTION[name] for name in names]).T
+    start = np.clip(np.log([max(getattr(scene, name), 1e-9) for name in names]), lowest, highest)
+
+    def values(logarithms: FloatArray) -> dict[str, Any]:
+        return dict(zip(names, np.exp(np.clip(logarithms, lowest, highest)).tolist(), strict=True))
+
+    def cost(logarithms: FloatArray) -> float:
+        tried = replace(scene, **values(logarithms))
+        if unknown.any():
+            chains.variance[unknown] = tried.position_std**2
+        total, _, count = innovations(chains, Scene(*tried.packed(seconds)))
+        # Weak priors about the guess, so that a track or two do not decide.
+        off = logarithms - start
+        return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)
+
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 120, "xatol": 0.05, "fatol": 1e-4})
+    best = values(found.x)
+    return best if unknown.any() else best | {"position_std": scene.position_std}
+
+
+_MOTION = {
+    "acceleration_density": (1e-2, 10.0),
+    "position_std": (0.03, 3.0),
+    "jump_probability": (1e-4, 0.2),
+    "jump_std": (0.1, 1.5),
+}
+"""Least and greatest of what is learned of how people move and how they are seen to, in m²/s³, m, 1 and m."""
+
+
+SPREAD = 2.0
+"""Metres, standard deviation of the blur: who comes in at one place may come in so far beside it."""
+
+AHEAD = 2.0
+"""Seconds. Whether somebody has left who is not seen is judged by where they would be by then: of two people
+in one place at the border, one may just have come in."""
+
+_CELL = 0.5 * SPREAD
+_REACH = 4.0 * SPREAD
+_LARGEST = 1000
+"""Corners along an axis: a kilometre; what lies beyond is counted at the edge."""
+_PEAK = 1.0 / (2.0 * np.pi * SPREAD**2)
+_PRIOR = 2.0 * _PEAK
+"""Events per square metre that the mean rate counts for: two on the spot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Rates over the ground, on a grid.
+
+    Attributes
+    ----------
+    origin : (2,) metres, of the grid's first corner
+    births, deaths, clutter : (2, nx, ny) events per square metre, as many as there were, and as there
+        would be if they happened alike wherever they could
+    ways_out : the deaths, where whoever left would have been `AHEAD` seconds later
+    """
+
+    origin: FloatArray
+    births: FloatArray
+    deaths: FloatArray
+    clutter: FloatArray
+    ways_out: FloatArray
+
+    def at(
+        self, position: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return births, deaths and clutter at positions (n, 2), as multiples of their mean rates.
+
+        ``own``: (n,) each, of the events, those per square metre that are not to count
+        """
+        came, left, false = (0.0, 0.0, 0.0) if own is None else own
+        cells = self._in_cells(position)
+        births, deaths = _rate(self.births, came, cells), _rate(self.deaths, left, cells)
+        return births, deaths, _rate(self.clutter, false, cells)
+
+    def leaving_for(self, goal: FloatArray) -> FloatArray:
+        """Return the death rate of those who would be at (n, 2) in `AHEAD` seconds, in mean rates."""
+        return _rate(self.ways_out, 0.0, self._in_cells(goal))
+
+    def _in_cells(self, position: FloatArray) -> FloatArray:
+        """(2, n) of positions (n, 2), as indices of the grids' corners, with fractions."""
+        cells: FloatArray = ((position - self.origin) / _CELL).T
+        return cells
+
+
+def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> FloatArray:
+    """Return the rate as a multiple of its mean, without the events (n,) that are not to count."""
+    events, expected = (map_coordinates(grid, cells, order=1, mode="nearest") for grid in grids)
+    rate: FloatArray = (np.maximum(events - own, 0.0) + _PRIOR) / (expected + _PRIOR)
+    return rate
+
+
+def learn_places(chains: Chains, identity: IntArray) -> Places:
+    """From people found in a recording, their tracks filtered.
+
+    ``identity`` (n,) is of each detection, from 0; −1: false.
+    """
+    return _counted(chains, identity >= 0, *_events(chains, identity))
+
+
+def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> Places:
+    position, goal = chains.position, chains.position + AHEAD * chains.state[:, 2:4]
+    low, high = position.min(axis=0) - _REACH, position.max(axis=0) + _REACH
+    shape = np.minimum(np.ceil((high - low) / _CELL).astype(int) + 1, _LARGEST)
+
+    def blurred(places: FloatArray, weight: float = 1.0) -> FloatArray:
+        counts = np.zeros(shape)
+        cell = np.clip(np.rint((places - low) / _CELL).astype(int), 0, shape - 1)
+        np.add.at(counts, (cell[:, 0], cell[:, 1]), weight)
+        return gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
+
+    square = area(position)
+    # Who is there may leave; to come into view and to be false is possible everywhere.
+    each = len(last) / max(int(person.sum()), 1)
+    return Places(
+        low,
+        np.stack([blurred(position[first]), np.full(shape, len(first) / square)]),
+        np.stack([blurred(position[last]), blurred(position[person], each)]),
+        np.stack([blurred(position[~person]), np.full(shape, (~person).sum() / square)]),
+        np.stack([blurred(goal[last]), blurred(goal[person], each)]),
+    )
+
+
+def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`learn_places` and asked at the detections that it is learned from, (n,) each.
+
+    Of each detection, what its own track has done does not count: it would speak for itself.
+    """
+    position, person = chains.position, identity >= 0
+    first, last = _events(chains, identity)
+    came, left = (_of_own(position, identity, events) for events in (first, last))
+    false = np.where(person, 0.0, _PEAK)
+    return _counted(chains, person, first, last).at(position, (came, left, false))
+
+
+def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
+    """The detections with which somebody came into view, and left, within the recording."""
+    newest = int(chains.frame[-1])
+    edge = edge_of(newest + 1)
+    person = identity >= 0
+    first = np.flatnonzero(person & (chains.preceding < 0) & (chains.frame > edge))
+    last = np.flatnonzero(person & (chains.following < 0) & (chains.frame < newest - edge))
+    return first, last
+
+
+def _of_own(position: FloatArray, identity: IntArray, events: IntArray) -> FloatArray:
+    """(n,) per square metre, what the event of a detection's own track counts for there."""
+    event = np.full(max(int(identity.max()), 0) + 1, -1)
+    event[identity[events]] = events
+    found = np.where(identity >= 0, event[identity], -1)
+    square = np.sum((position - position[found]) ** 2, axis=1)
+    return np.where(found >= 0, _PEAK * np.exp(-0.5 * square / SPREAD**2), 0.0)

@@ -1,1 +1,0 @@
-"""The joint particle filter (Chen et al. 2011) and its smoother."""

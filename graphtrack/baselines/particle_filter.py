@@ -1,0 +1,366 @@
+"""What the particle filter draws from an observation alone: where it begins, and where it is lost.
+
+The joint particle filter of Chen, Heili & Odobez (2011, §3), and its backward-simulation smoother.
+
+A bootstrap filter on the same `Model` object that the factor graph uses: the state is p, v, θ, α; its
+dynamics are the proposal. The angles are drawn from the *normalised* product of the von Mises of their
+dynamics and of their coupling (Chen et al. 2011, eq. 8 and 10), where the graph holds the product without
+that normalisation. Chen et al.'s baseline, κ₂ = 0, is the preset ``joint-body``.
+
+With the preset ``full`` each particle has the modes of its two couplings, too: drawn at the beginning from
+their long run and at each step from their Markov chain, as `graphtrack.model.coupling_modes` has
+it. They say at which offset, and how firmly, the coupling holds, and how far the head steers. There are no
+frames after the newest, so the leads loosen the couplings, as they do in the newest frame of the chain.
+"""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.baselines.particle_kernels import (
+    BODY,
+    FIRST,
+    HEAD,
+    POSITION,
+    RECOVERED,
+    VANISHED,
+    backward,
+    run,
+    summarise,
+)
+from graphtrack.baselines.particle_model import (
+    Job,
+    PackedCamera,
+    PackedPose,
+    PoseModel,
+    add_pose_log_density,
+    add_position_log_density,
+    bearing,
+    prepare,
+)
+from graphtrack.baselines.particle_weights import generator
+from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
+from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.geometry.camera import GroundCamera, apply_homography
+from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
+from graphtrack.model import Model
+from graphtrack.tracks.track import Track
+
+
+def draw_states(
+    job: Job, k: int, count: int, initial_speed_std: float, rng: np.random.Generator
+) -> FloatArray:
+    """Positions about the one observed at frame k and velocities from their prior, (count, 4).
+
+    With a flat prior on the position this is its posterior, so that the observation is used up.
+    """
+    position = job.position
+    found = position.value[k] + position.std[k] * rng.standard_normal((count, 2))
+    if position.kind[k] == 2:
+        found = np.where(_visible(job, found)[:, None], found, position.value[k])
+        found = apply_homography(job.camera.to_ground, found)
+    return np.hstack([found, initial_speed_std * rng.standard_normal((count, 2))])
+
+
+def recover(
+    job: Job, k: int, particles: FloatArray, initial_speed_std: float, rng: np.random.Generator
+) -> int:
+    """Draw anew, in ``particles`` (n, 6), what is out of reach of the observations at frame k.
+
+    Returns
+    -------
+    int
+        The observations that are used up by that: the sum of `POSITION`, `BODY` and `HEAD`.
+    """
+    reach: dict[int, float] = {}
+    found = np.zeros(len(particles))
+    if job.position.kind[k]:
+        add_position_log_density(particles, k, job.position, job.camera, found)
+        reach[POSITION] = float(found.max())
+    for part, place, pose, estimated in (
+        (BODY, 4, job.body, job.motion.has_body),
+        (HEAD, 5, job.head, job.motion.has_head),
+    ):
+        if estimated and pose.components[k]:
+            found[:] = 0.0
+            add_pose_log_density(particles, place, k, pose, job.camera, found)
+            reach[part] = float(found.max())
+    # If each is within reach of some particle, but none of them all, all are drawn anew.
+    lost = [part for part, best in reach.items() if best < VANISHED / 3.0] or list(reach)
+    if POSITION in lost:
+        particles[:, :4] = draw_states(job, k, len(particles), initial_speed_std, rng)
+    if BODY in lost:
+        particles[:, 4] = draw_orientations(job.body, job.camera, k, particles[:, :2], rng)
+    if HEAD in lost:
+        particles[:, 5] = draw_orientations(job.head, job.camera, k, particles[:, :2], rng)
+    return sum(lost)
+
+
+def draw_orientations(
+    pose: PackedPose, camera: PackedCamera, k: int, position: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Orientations (n,) of people at positions (n, 2) from what was observed of them at frame k."""
+    size, n = int(pose.components[k]), len(position)
+    heights = np.exp(pose.log_height[k, :size] - pose.log_height[k, :size].max())
+    chosen = rng.choice(size, n, p=heights / heights.sum())
+    if pose.closest[k]:
+        off = rng.uniform(-np.pi / size, np.pi / size, n)
+    else:
+        off = rng.vonmises(0.0, pose.kappa[k], n)
+    angle = np.arctan2(pose.sin_mean[k, chosen], pose.cos_mean[k, chosen]) + off
+    if camera.judge_pose:
+        towards = np.array([bearing(x, y, camera) for x, y in position.tolist()])
+        angle = camera.sign * angle + towards + np.pi
+    return wrap(angle)
+
+
+def _visible(job: Job, pixel: FloatArray) -> NDArray[np.bool_]:
+    """Which ideal pixels (m, 2) lie on the visible side of the horizon."""
+    to_ground = job.camera.to_ground
+    return np.asarray(pixel @ to_ground[2, :2] + to_ground[2, 2] > 0.0)
+
+
+@dataclass(frozen=True)
+class ParticleOptions:
+    """How the particle filter samples and judges.
+
+    Attributes
+    ----------
+    particles : number of them
+    resample_below : share of the particles; resampling is systematic, when the effective sample size is below
+    pose : class likelihoods as the "smooth" mixture of the model, or the score of the "closest" class (Chen
+        et al. 2011, eq. 13–14)
+    image_pose : orientations were observed in the image frame of the camera, and are judged there at each
+        particle's own position (Chen et al. 2011, §3)
+    paths : paths that the smoother draws backwards
+    """
+
+    particles: int = 1000
+    resample_below: float = 0.5
+    pose: PoseModel = "smooth"
+    image_pose: bool = False
+    paths: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("particles", "paths"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise InputError(f"{name} = {value!r}", "an integer, at least 1")
+        if not 0.0 <= self.resample_below <= 1.0:
+            raise InputError(f"resample_below = {self.resample_below!r}", "a share in [0, 1]")
+        if self.pose not in ("smooth", "closest"):
+            raise InputError(f"pose = {self.pose!r}", "'smooth' or 'closest'")
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleEstimate:
+    """What the particles say of a track; NaN before its first position.
+
+    Attributes
+    ----------
+    track : means, circular for the angles, and covariances
+    log_evidence : (n,) log p(z_k | z before k), given the first position; its sum is the log evidence. With
+        a robust position likelihood it lacks that density's normalisation.
+    effective_sample_size : (n,) after each frame's observations
+    recovered : frames (row numbers) at which all weights vanished and the filter began again
+    """
+
+    track: Track
+    log_evidence: FloatArray
+    effective_sample_size: FloatArray
+    recovered: tuple[int, ...]
+
+
+@dataclass(eq=False)
+class _FilterOutput:
+    """A filter's output as it is written, with its particles if they are kept."""
+
+    job: Job
+    start: int
+    mean: FloatArray
+    covariance: FloatArray
+    log_evidence: FloatArray
+    effective_sample_size: FloatArray
+    mode_means: FloatArray
+    history: FloatArray
+    history_log_weights: FloatArray
+    recovered: list[int]
+
+
+def particle_filter(
+    track: Track,
+    model: Model | str | Path = "joint",
+    *,
+    camera: GroundCamera | None = None,
+    options: ParticleOptions | None = None,
+    seed: int | np.random.Generator = 0,
+) -> ParticleEstimate:
+    """Online estimates: each from what came before and the frame itself.
+
+    Where all weights vanish, because an observation is out of reach of every particle, what was observed
+    (the position, and the velocity with it, the body or the head) is drawn anew about the observation, the
+    rest stays, and an `InputWarning` says so.
+
+    Raises
+    ------
+    SolveError
+        If no position was observed.
+    InputError
+        If the model has a term that the filter does not know, or the camera is missing that ``image_pose``
+        needs.
+    """
+    model, options = Model.named(model), ParticleOptions() if options is None else options
+    make_ready("the particle filter", _REHEARSAL)
+    found = _filter(track, model, camera, options, generator(seed), keep=False)
+    return _estimate(track, model, found, found.mean, found.covariance, found.mode_means)
+
+
+def particle_smoother(
+    track: Track,
+    model: Model | str | Path = "joint",
+    *,
+    camera: GroundCamera | None = None,
+    options: ParticleOptions | None = None,
+    seed: int | np.random.Generator = 0,
+) -> ParticleEstimate:
+    """Offline estimates by forward filtering and backward simulation (Godsill, Doucet & West 2004).
+
+    Mean and covariance are those of ``options.paths`` paths. The finer the frames, the fewer particles lie
+    within reach of a path's next state: at 30 Hz raise ``particles``. Before the first position the estimates
+    are NaN. Errors are those of `particle_filter`; a model with modes is an `InputError`, too.
+    """
+    model, options = Model.named(model), ParticleOptions() if options is None else options
+    if model.has_modes:
+        raise InputError("modes of the couplings, which the particle smoother does not know", "joint")
+    make_ready("the particle smoother", _REHEARSAL)
+    rng = generator(seed)
+    found = _filter(track, model, camera, options, rng, keep=True)
+    return _estimate(track, model, found, *_backwards(found, options.paths, rng))
+
+
+def _rehearse() -> None:
+    """Call everything that is compiled, for somebody made up."""
+    options, rng = ParticleOptions(particles=2), generator(0)
+    found = _filter(TRACK, Model("joint"), None, options, rng, keep=True)
+    _backwards(found, 1, rng)
+
+
+_REHEARSAL = Rehearsal("particles", _rehearse, 10.0)
+
+
+def _backwards(found: _FilterOutput, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Means (n, 6) and covariances (n, 6, 6) of paths that are drawn backwards."""
+    n = len(found.mean)
+    paths = np.empty((n, count, 6))
+    # A step into a frame of recovery has no likely origin; there each part is smoothed by itself.
+    edges = [found.start, *found.recovered, n]
+    for first, last in itertools.pairwise(edges):
+        backward(
+            rng, first, found.history[:last], found.history_log_weights[:last], found.job.motion, paths[:last]
+        )
+    mean, covariance = np.full((n, 6), np.nan), np.full((n, 6, 6), np.nan)
+    even = np.full(count, 1.0 / count)
+    for k in range(found.start, n):
+        summarise(paths[k], even, found.job.motion, mean[k], covariance[k])
+    return mean, covariance
+
+
+def _filter(
+    track: Track,
+    model: Model,
+    camera: GroundCamera | None,
+    options: ParticleOptions,
+    rng: np.random.Generator,
+    *,
+    keep: bool,
+) -> _FilterOutput:
+    job = prepare(track, model, camera, options.pose, options.image_pose)
+    seen = np.flatnonzero(job.position.kind)
+    if not len(seen):
+        raise SolveError(track.track_id, NO_POSITION)
+    n, count, start = len(track), options.particles, int(seen[0])
+    found = _FilterOutput(
+        job,
+        start,
+        np.full((n, 6), np.nan),
+        np.full((n, 6, 6), np.nan),
+        np.full(n, np.nan),
+        np.full(n, np.nan),
+        np.full((n, 2), np.nan),
+        np.full((n if keep else 0, count, 6), np.nan),
+        np.full((n if keep else 0, count), np.nan),
+        [],
+    )
+    particles, held = np.zeros((2, count, 6)), np.zeros((2, count, 2), dtype=np.int64)
+    speed = model.parameters.motion.initial_speed_std
+    particles[0, :, :4] = draw_states(job, start, count, speed, rng)
+    log_weights = np.full(count, -np.log(count))
+    k, mode, used = start, FIRST, POSITION
+    while True:
+        k, half = run(
+            rng,
+            k,
+            mode,
+            used,
+            particles,
+            held,
+            log_weights,
+            job.motion,
+            job.modes,
+            job.position,
+            job.body,
+            job.head,
+            job.camera,
+            options.resample_below,
+            found.mean,
+            found.covariance,
+            found.log_evidence,
+            found.effective_sample_size,
+            found.mode_means,
+            found.history,
+            found.history_log_weights,
+        )
+        if k == n:
+            break
+        particles[0], held[0] = particles[half], held[half]
+        used = recover(job, k, particles[0], speed, rng)
+        log_weights[:] = -np.log(count)
+        found.recovered.append(k)
+        mode = RECOVERED
+    if found.recovered:
+        rows = ", ".join(str(int(track.frame[k])) for k in found.recovered[:5])
+        more = "" if len(found.recovered) <= 5 else f" and {len(found.recovered) - 5} more"
+        warnings.warn(
+            f"track {track.track_id}: no particle was near the observation at frame {rows}{more}; "
+            "the particle filter began again there",
+            InputWarning,
+            stacklevel=3,
+        )
+    return found
+
+
+def _estimate(
+    track: Track,
+    model: Model,
+    found: _FilterOutput,
+    mean: FloatArray,
+    covariance: FloatArray,
+    modes: FloatArray | None = None,
+) -> ParticleEstimate:
+    modes = modes if model.has_modes else None
+    estimate = track.with_estimates(
+        position=mean[:, :2],
+        velocity=mean[:, 2:4],
+        body=mean[:, 4] if model.has_body else None,
+        head=mean[:, 5] if model.has_head else None,
+        covariance=covariance,
+        aligned_p=None if modes is None else modes[:, 0],
+        gait_offset=None if modes is None else modes[:, 1],
+    )
+    return ParticleEstimate(estimate, found.log_evidence, found.effective_sample_size, tuple(found.recovered))

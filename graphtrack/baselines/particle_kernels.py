@@ -1,0 +1,478 @@
+"""The compiled steps of the particle filter: dynamics and estimates.
+
+A particle is x, y, vx, vy (metres, m/s), body, head (radians), and the modes of its two couplings, as places
+in the tables of `PackedModes`.
+
+Compiled backward simulation for the particle smoother.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.baselines.particle_model import (
+    PackedCamera,
+    PackedModes,
+    PackedMotion,
+    PackedPose,
+    PackedPosition,
+    add_pose_log_density,
+    add_position_log_density,
+    sample_von_mises,
+    wrapped,
+)
+from graphtrack.baselines.particle_weights import effective_sample_size, normalise, systematic_ancestors
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.arithmetic import log_i0e
+from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE, loosened
+from graphtrack.model.terms.body_follows_motion import squared_excess
+from graphtrack.model.terms.intentional_motion import STANDSTILL
+
+PROPAGATE, FIRST, RECOVERED = 0, 1, 2
+"""How a run begins: from the frame before; with positions and velocities drawn already, angles from their
+couplings; with everything at hand already."""
+
+POSITION, BODY, HEAD = 1, 2, 4
+"""Observations that were used up when particles were drawn from them."""
+
+VANISHED = -700.0
+"""Below this log-likelihood, even of the best particle, weights are 0 in double precision: it is lost."""
+
+
+@compiled
+def motion_pull(vx: float, vy: float, k: int, motion: PackedMotion) -> float:
+    """κ(v) of Chen et al. 2011, eq. 9 at frame k."""
+    return motion.motion_body_kappa[k] * squared_excess(vx, vy, motion.speed_threshold)
+
+
+@compiled
+def draw_modes(
+    rng: np.random.Generator, k: int, first: bool, before: NDArray[np.int64], modes: PackedModes, after: Any
+) -> None:
+    """Draw the modes (2,) of one particle at frame k, from those before unless it is the ``first``."""
+    count = modes.initial.shape[1]
+    if count == 1:
+        return
+    for side in range(2):
+        reached = modes.initial[side] if first else modes.transitions[side, modes.step[k], before[side]]
+        target, low, high = rng.random() * reached[count - 1], 0, count - 1
+        while low < high:
+            middle = (low + high) // 2
+            if reached[middle] > target:
+                high = middle
+            else:
+                low = middle + 1
+        after[side] = low
+
+
+@compiled
+def steering_share(mode: NDArray[np.int64], is_seen: bool, modes: PackedModes) -> float:
+    """Share of its rate at which the head steers: as far as it points where the motion goes."""
+    body, head = mode[BODY_MODE], mode[HEAD_MODE]
+    forth = modes.table.held_cos[BODY_MODE, body] * modes.table.held_cos[HEAD_MODE, head]
+    forth -= modes.table.held_sin[BODY_MODE, body] * modes.table.held_sin[HEAD_MODE, head]
+    return (modes.seen_share if is_seen else 1.0) * max(forth, 0.0)
+
+
+@compiled
+def coupling(
+    side: int, mode: int, k: int, kappa: float, excess: float, modes: PackedModes
+) -> tuple[float, float, float]:
+    """Concentration, and cosine and sine of the offset, of a coupling; κ is that of the aligned mode."""
+    cos, sin = modes.table.cos[side, mode], modes.table.sin[side, mode]
+    size = math.sqrt(cos * cos + sin * sin)
+    if not size * kappa * excess > 0.0:
+        return 0.0, 1.0, 0.0
+    given = kappa * size
+    remains = loosened(given, excess, modes.lead[side], modes.weight[k], modes.diffusion)
+    return given * excess * remains, cos / size, sin / size
+
+
+@compiled
+def draw_angles(
+    rng: np.random.Generator,
+    k: int,
+    first: bool,
+    before: FloatArray,
+    after: FloatArray,
+    motion: PackedMotion,
+    mode: NDArray[np.int64],
+    modes: PackedModes,
+) -> None:
+    """Angles of one particle, of known velocity and modes (2,), from the normalised products of Chen et al.
+    2011, eq. 8 and 10."""
+    if motion.has_body:
+        vx, vy = after[2], after[3]
+        excess = squared_excess(vx, vy, motion.speed_threshold)
+        pull, cos, sin = coupling(BODY_MODE, mode[BODY_MODE], k, motion.motion_body_kappa[k], excess, modes)
+        kappa = 0.0 if first else motion.body_turn_kappa[k]
+        if pull > 0.0:
+            speed = math.sqrt(vx * vx + vy * vy)
+            east = kappa * math.cos(before[4]) + pull * (vx * cos - vy * sin) / speed
+            north = kappa * math.sin(before[4]) + pull * (vy * cos + vx * sin) / speed
+            after[4] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
+        else:
+            after[4] = sample_von_mises(rng, before[4], kappa)
+    if motion.has_head:
+        pull, cos, sin = coupling(HEAD_MODE, mode[HEAD_MODE], k, motion.head_body_kappa[k], 1.0, modes)
+        kappa = 0.0 if first else motion.head_turn_kappa[k]
+        if pull > 0.0:
+            body_cos, body_sin = math.cos(after[4]), math.sin(after[4])
+            east = kappa * math.cos(before[5]) + pull * (body_cos * cos - body_sin * sin)
+            north = kappa * math.sin(before[5]) + pull * (body_sin * cos + body_cos * sin)
+            after[5] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
+        else:
+            after[5] = sample_von_mises(rng, before[5], kappa)
+
+
+@compiled
+def carry(
+    k: int,
+    motion: PackedMotion,
+    before: FloatArray,
+    ancestors: NDArray[np.int64],
+    shares: NDArray[np.int64],
+    after: FloatArray,
+) -> None:
+    """Mean positions and velocities (n, …) at frame k: straight on, or steered by the head.
+
+    ``shares`` (n,) are the places of the shares of the steering in ``motion``.
+    """
+    for i in range(len(after)):
+        source = ancestors[i]
+        keep, reach = motion.keep[k, shares[i]], motion.reach[k, shares[i]]
+        gain, far = 1.0 - keep, motion.dt[k] - reach
+        x, y, vx, vy = before[source, 0], before[source, 1], before[source, 2], before[source, 3]
+        after[i, 0], after[i, 1] = x + reach * vx, y + reach * vy
+        after[i, 2], after[i, 3] = keep * vx, keep * vy
+        if gain > 0.0:
+            # The speed as `IntentionalMotion` has it.
+            square = vx * vx + vy * vy
+            speed = square / (math.sqrt(square + STANDSTILL * STANDSTILL) + STANDSTILL)
+            head = before[source, 5]
+            aim_x, aim_y = speed * math.cos(head), speed * math.sin(head)
+            after[i, 0] += far * aim_x
+            after[i, 1] += far * aim_y
+            after[i, 2] += gain * aim_x
+            after[i, 3] += gain * aim_y
+
+
+@compiled
+def draw_motion(
+    rng: np.random.Generator,
+    k: int,
+    motion: PackedMotion,
+    before: FloatArray,
+    ancestors: NDArray[np.int64],
+    shares: NDArray[np.int64],
+    after: FloatArray,
+) -> None:
+    """Positions and velocities (n, …) at frame k: where they are carried to, and the noise."""
+    carry(k, motion, before, ancestors, shares, after)
+    for i in range(len(after)):
+        a, b, c = motion.root[k, shares[i]]
+        for axis in range(2):
+            first = rng.standard_normal()
+            after[i, axis] += a * first
+            after[i, 2 + axis] += b * first + c * rng.standard_normal()
+
+
+@compiled
+def summarise_motion(
+    particles: FloatArray, weights: FloatArray, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Weighted mean and covariance of the first four numbers, in one pass about the heaviest particle.
+
+    About one that is far from all of the weight variances are below zero, by rounding.
+    """
+    heaviest = np.argmax(weights)
+    x0, y0 = particles[heaviest, 0], particles[heaviest, 1]
+    u0, v0 = particles[heaviest, 2], particles[heaviest, 3]
+    x1 = y1 = u1 = v1 = xx = xy = xu = xv = yy = yu = yv = uu = uv = vv = 0.0
+    for i in range(len(weights)):
+        w = weights[i]
+        x, y = particles[i, 0] - x0, particles[i, 1] - y0
+        u, v = particles[i, 2] - u0, particles[i, 3] - v0
+        wx, wy, wu, wv = w * x, w * y, w * u, w * v
+        x1 += wx
+        y1 += wy
+        u1 += wu
+        v1 += wv
+        xx += wx * x
+        xy += wx * y
+        xu += wx * u
+        xv += wx * v
+        yy += wy * y
+        yu += wy * u
+        yv += wy * v
+        uu += wu * u
+        uv += wu * v
+        vv += wv * v
+    mean[0], mean[1], mean[2], mean[3] = x0 + x1, y0 + y1, u0 + u1, v0 + v1
+    covariance[0, 0], covariance[1, 1] = xx - x1 * x1, yy - y1 * y1
+    covariance[2, 2], covariance[3, 3] = uu - u1 * u1, vv - v1 * v1
+    covariance[0, 1] = covariance[1, 0] = xy - x1 * y1
+    covariance[0, 2] = covariance[2, 0] = xu - x1 * u1
+    covariance[0, 3] = covariance[3, 0] = xv - x1 * v1
+    covariance[1, 2] = covariance[2, 1] = yu - y1 * u1
+    covariance[1, 3] = covariance[3, 1] = yv - y1 * v1
+    covariance[2, 3] = covariance[3, 2] = uv - u1 * v1
+
+
+@allocating
+def summarise_angle(
+    particles: FloatArray, weights: FloatArray, place: int, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Circular mean of one angle, its variance, and its covariances with what stands before it."""
+    n = len(weights)
+    east = north = 0.0
+    for i in range(n):
+        east += weights[i] * math.cos(particles[i, place])
+        north += weights[i] * math.sin(particles[i, place])
+    mean[place] = math.atan2(north, east)
+    sums = np.zeros(6)
+    for i in range(n):
+        deviation = wrapped(particles[i, place] - mean[place])
+        scaled = weights[i] * deviation
+        for j in range(4):
+            sums[j] += scaled * (particles[i, j] - mean[j])
+        if place == 5:
+            sums[4] += scaled * wrapped(particles[i, 4] - mean[4])
+        sums[place] += scaled * deviation
+    for j in range(place + 1):
+        covariance[place, j] = covariance[j, place] = sums[j]
+
+
+@compiled
+def summarise(
+    particles: FloatArray, weights: FloatArray, motion: PackedMotion, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Write the weighted mean (6,), circular for angles, and covariance (6, 6) of what is estimated."""
+    summarise_motion(particles, weights, mean, covariance)
+    if motion.has_body:
+        summarise_angle(particles, weights, 4, mean, covariance)
+    if motion.has_head:
+        summarise_angle(particles, weights, 5, mean, covariance)
+        if not motion.has_body:
+            covariance[4, 5] = covariance[5, 4] = math.nan
+
+
+@compiled
+def summarise_modes(
+    held: NDArray[np.int64], weights: FloatArray, modes: PackedModes, found: FloatArray
+) -> None:
+    """Write the probability of an aligned body, and its expected offset from the motion in radians."""
+    aligned = cos = sin = 0.0
+    for i in range(len(weights)):
+        mode = held[i, BODY_MODE]
+        aligned += weights[i] * modes.table.aligned[BODY_MODE, mode]
+        cos += weights[i] * modes.table.held_cos[BODY_MODE, mode]
+        sin += weights[i] * modes.table.held_sin[BODY_MODE, mode]
+    found[0], found[1] = aligned, math.atan2(sin, cos)
+
+
+@compiled
+def doubted(log_density: float, doubt: float) -> float:
+    """Log density of an orientation that says nothing with the probability ``doubt``."""
+    if doubt == 0.0:
+        return log_density
+    return math.log((1.0 - doubt) * math.exp(log_density) + doubt / (2.0 * math.pi))
+
+
+@allocating
+def run(
+    rng: np.random.Generator,
+    start: int,
+    mode: int,
+    used: int,
+    particles: FloatArray,
+    held: NDArray[np.int64],
+    log_weights: FloatArray,
+    motion: PackedMotion,
+    modes: PackedModes,
+    position: PackedPosition,
+    body: PackedPose,
+    head: PackedPose,
+    camera: PackedCamera,
+    resample_below: float,
+    mean: FloatArray,
+    covariance: FloatArray,
+    log_evidence: FloatArray,
+    sample_size: FloatArray,
+    mode_means: FloatArray,
+    history: FloatArray,
+    history_log_weights: FloatArray,
+) -> tuple[int, int]:
+    """Filter from frame ``start`` to the end, or to the frame at which all weights vanish.
+
+    Parameters
+    ----------
+    mode : how the first frame begins: `PROPAGATE`, `FIRST` or `RECOVERED`
+    used : observations of the first frame that do not count: the sum of `POSITION`, `BODY` and `HEAD`
+    particles : (2, n, 6): those of the frame before, or of this one, in the first half; both are written
+    held : (2, n, 2) their modes, likewise
+    log_weights : (n,) normalised; written
+    resample_below : share of n below which the effective sample size calls for resampling
+    mean, covariance, log_evidence, sample_size : (frames, …), written
+    mode_means : (frames, 2) probability of an aligned body and its offset in radians, written
+    history, history_log_weights : (frames, n, 6) and (frames, n) to keep the particles, or of length 0
+
+    Returns
+    -------
+    frame, half : the frame at which all weights vanished, or the number of frames; the half of ``particles``
+        that holds the last ones
+    """
+    n, frames = particles.shape[1], len(motion.dt)
+    weights, log_likelihood, ancestors = np.empty(n), np.empty(n), np.arange(n)
+    of_head, shares, finest = np.empty(n), np.zeros(n, np.int64), motion.keep.shape[1] - 1
+    normalise(log_weights, weights)
+    half = 0
+    for k in range(start, frames):
+        fresh, done = (mode, used) if k == start else (PROPAGATE, 0)
+        if fresh == PROPAGATE:
+            if effective_sample_size(weights) < resample_below * n:
+                systematic_ancestors(weights, rng.random(), ancestors)
+                log_weights[:] = -math.log(n)
+            else:
+                for i in range(n):
+                    ancestors[i] = i
+            before, after = particles[half], particles[1 - half]
+            modes_before, modes_after = held[half], held[1 - half]
+            half = 1 - half
+            if finest > 0:
+                for i in range(n):
+                    share = steering_share(modes_before[ancestors[i]], position.kind[k] > 0, modes)
+                    shares[i] = round(share * finest)
+            draw_motion(rng, k, motion, before, ancestors, shares, after)
+            for i in range(n):
+                draw_modes(rng, k, False, modes_before[ancestors[i]], modes, modes_after[i])
+                draw_angles(rng, k, False, before[ancestors[i]], after[i], motion, modes_after[i], modes)
+        elif fresh == FIRST:
+            for i in range(n):
+                draw_modes(rng, k, True, held[half, i], modes, held[half, i])
+                draw_angles(
+                    rng, k, True, particles[half, i], particles[half, i], motion, held[half, i], modes
+                )
+        now, modes_now = particles[half], held[half]
+        log_likelihood[:] = 0.0
+        if not done & POSITION:
+            add_position_log_density(now, k, position, camera, log_likelihood)
+        if motion.has_body and not done & BODY:
+            add_pose_log_density(now, 4, k, body, camera, log_likelihood)
+        if motion.has_head and not done & HEAD and head.components[k] > 0:
+            of_head[:] = 0.0
+            add_pose_log_density(now, 5, k, head, camera, of_head)
+            for i in range(n):
+                # Classifiers are doubted, observed angles are not.
+                doubt = (
+                    modes.table.doubt[HEAD_MODE, modes_now[i, HEAD_MODE]] if head.components[k] > 1 else 0.0
+                )
+                log_likelihood[i] += doubted(of_head[i], doubt)
+        best = log_likelihood.max()
+        for i in range(n):
+            log_weights[i] += log_likelihood[i]
+        log_sum = normalise(log_weights, weights)
+        if fresh != RECOVERED:
+            log_evidence[k] = log_sum
+        if fresh == PROPAGATE and best < VANISHED:
+            return k, half
+        summarise(now, weights, motion, mean[k], covariance[k])
+        sample_size[k] = effective_sample_size(weights)
+        summarise_modes(modes_now, weights, modes, mode_means[k])
+        if len(history):
+            history[k] = now
+            history_log_weights[k] = log_weights
+    return frames, half
+
+
+@allocating
+def backward(
+    rng: np.random.Generator,
+    start: int,
+    history: FloatArray,
+    history_log_weights: FloatArray,
+    motion: PackedMotion,
+    paths: FloatArray,
+) -> None:
+    """Draw paths (frames, m, 6) backwards from the filter's particles (Godsill, Doucet & West 2004).
+
+    At each frame a particle is drawn with its weight times the density of the step to the path's next state.
+    The density of an angle is the normalised product, whose normalisation depends on where it comes from.
+    """
+    frames, n = history_log_weights.shape
+    m = paths.shape[1]
+    weights, scores, motions = np.empty(n), np.empty(n), np.empty(n)
+    themselves, steering, carried = np.arange(n), np.zeros(n, np.int64), np.empty((n, 4))
+    for p in range(m):
+        paths[frames - 1, p] = history[
+            frames - 1, _draw(rng, history_log_weights[frames - 1], scores, weights)
+        ]
+    for k in range(frames - 2, start - 1, -1):
+        now = history[k]
+        a, b, c = motion.root[k + 1, 0]
+        carry(k + 1, motion, now, themselves, steering, carried)
+        for p in range(m):
+            ahead = paths[k + 1, p]
+            leader = 0
+            for i in range(n):
+                score = history_log_weights[k, i]
+                for axis in range(2):
+                    first = (ahead[axis] - carried[i, axis]) / a
+                    second = (ahead[2 + axis] - carried[i, 2 + axis] - b * first) / c
+                    score -= 0.5 * (first * first + second * second)
+                motions[i] = score
+                if score > motions[leader]:
+                    leader = i
+            pull = motion_pull(ahead[2], ahead[3], k + 1, motion)
+            course = math.atan2(ahead[3], ahead[2])
+            # No product of von Mises exceeds the one in which both agree.
+            most = 0.0
+            if motion.has_body:
+                most -= math.log(2.0 * math.pi) + log_i0e(motion.body_turn_kappa[k + 1] + pull)
+            if motion.has_head:
+                kappa = motion.head_turn_kappa[k + 1] + motion.head_body_kappa[k + 1]
+                most -= math.log(2.0 * math.pi) + log_i0e(kappa)
+            best = -math.inf
+            for step in range(-1, n):
+                i = leader if step < 0 else step
+                score = motions[i]
+                if score + most < best - 40.0:
+                    scores[i] = -math.inf
+                    continue
+                if motion.has_body:
+                    kappa = motion.body_turn_kappa[k + 1]
+                    score += _product_log_density(ahead[4], now[i, 4], kappa, course, pull)
+                if motion.has_head:
+                    kappa, follow = motion.head_turn_kappa[k + 1], motion.head_body_kappa[k + 1]
+                    score += _product_log_density(ahead[5], now[i, 5], kappa, ahead[4], follow)
+                scores[i] = score
+                best = max(best, score)
+            paths[k, p] = now[_draw(rng, scores, motions, weights)]
+
+
+@compiled
+def _product_log_density(angle: float, before: float, kappa: float, toward: float, pull: float) -> float:
+    """Log of the normalised product VM(angle; before, kappa)·VM(angle; toward, pull)."""
+    if pull == 0.0:
+        return kappa * (math.cos(angle - before) - 1.0) - math.log(2.0 * math.pi) - log_i0e(kappa)
+    resultant = math.sqrt(kappa * kappa + pull * pull + 2.0 * kappa * pull * math.cos(before - toward))
+    agreement = kappa * math.cos(angle - before) + pull * math.cos(angle - toward)
+    return agreement - resultant - math.log(2.0 * math.pi) - log_i0e(resultant)
+
+
+@allocating
+def _draw(rng: np.random.Generator, log_weights: FloatArray, scratch: FloatArray, weights: FloatArray) -> int:
+    """A number drawn with these log-weights."""
+    scratch[:] = log_weights
+    normalise(scratch, weights)
+    target, reached = rng.random(), 0.0
+    for i in range(len(weights)):
+        reached += weights[i]
+        if reached > target:
+            return i
+    return int(np.argmax(weights))

@@ -1,1 +1,0 @@
-"""Conversational groups, visual attention and forecasts."""

@@ -1,1 +1,0 @@
-"""Forecasts of positions with calibrated covariance (docs/forecast.md)."""

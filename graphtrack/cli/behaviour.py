@@ -1,0 +1,267 @@
+"""`graphtrack groups`, and `score` of its tables.
+
+`graphtrack attention`.
+
+`graphtrack forecast`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, write_json
+from graphtrack.errors import InputError
+from graphtrack.tracks.display import counted
+
+if TYPE_CHECKING:
+    from graphtrack.interaction.parameters import GroupParameters
+    from graphtrack.interaction.scores import GroupScore
+    from graphtrack.io.groups import GroupLabels
+    from graphtrack.tracks.track import TrackSet
+
+
+Table = Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv or .csv.gz.")]
+ParametersFile = Annotated[
+    Path | None,
+    typer.Option("--parameters", help="What 'graphtrack fit --groups' wrote (.toml).", show_default=False),
+]
+Smoothing = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        help="Smooth observations first, with this preset or model file (.toml); by default they are taken "
+        "as they are.",
+        show_default=False,
+    ),
+]
+
+
+def groups(
+    inputs: options.Inputs,
+    output: Table,
+    reading: options.SceneReading,
+    truth: Path | None = None,
+    model: Smoothing = None,
+    parameters: ParametersFile = None,
+    online: bool = False,
+    json_path: options.Json = None,
+) -> None:
+    """Find who stands in conversation with whom, and who walks together, in every frame.
+
+    Parameters
+    ----------
+    truth : Labelled groups to judge by: SALSA's or ETH's file, or a table of groups.
+    online : In each frame the past alone counts, as in a live scene.
+    """
+    from graphtrack.interaction.attention import make_behaviour_ready
+    from graphtrack.interaction.groups import groups as find
+    from graphtrack.interaction.scores import score_groups
+    from graphtrack.io.groups import write_columns
+    from graphtrack.tracks.table import with_names
+
+    options.check_outputs(
+        {"--output": output, "--json": json_path},
+        {**reading.inputs(inputs, model), "--truth": truth, "--parameters": parameters},
+    )
+    check_csv(output)
+    chosen = parameters_of(parameters)
+    labels = None if truth is None else read_quietly(truth)
+    tracks = estimated(reading.tracks(inputs), model)
+    make_behaviour_ready()
+    found = find(tracks, chosen, online=online)
+    true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
+    write_columns(with_names(found.columns(), tracks.as_read), output)
+    count = counted(int(found.group.max(initial=-1)) + 1, "group")
+    most = {frame: len(one) for frame, one in found.members().items()}
+    emit(
+        f"wrote {output}: {counted(len(found), 'row')}, {count}, "
+        f"{sum(most.values()) / max(len(most), 1):.2f} a frame"
+    )
+    if true is not None:
+        show(score_groups(found.frame, found.track_id, found.group, true), json_path)
+
+
+def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
+    """The tracks, smoothed if a model is named."""
+    if model is None:
+        return tracks
+    from graphtrack.inference.engines import engine_of
+    from graphtrack.inference.result import Solution
+    from graphtrack.model import Model
+    from graphtrack.smoothing import solve_tracks
+
+    chosen = Model.named(model)
+    found = solve_tracks(tracks, chosen, engine_of(chosen, "auto"))
+    return tracks.with_tracks(result.track for result in found if isinstance(result, Solution))
+
+
+def check_csv(output: Path) -> None:
+    """Refuse a name of a table that is not CSV."""
+    if not output.name.lower().endswith((".csv", ".csv.gz")):
+        raise InputError(f"the file name {output.name!r}", "one of the endings .csv, .csv.gz", path=output)
+
+
+def read_quietly(path: Path) -> GroupLabels:
+    """Read labelled groups; warnings become notes."""
+    from graphtrack.io.groups import read_groups
+
+    with input_warnings_as_notes():
+        return read_groups(path)
+
+
+def parameters_of(path: Path | None) -> GroupParameters | None:
+    """Parameters from a file; None without one."""
+    if path is None:
+        return None
+    from graphtrack.interaction.tables import load_parameters
+
+    return load_parameters(path)
+
+
+def show(found: GroupScore, json_path: Path | None) -> None:
+    """Print a score of groups, and write it."""
+    print_table(f"Groups beside the truth, {counted(found.frames, 'frame')}", found.shown())
+    write_json(json_path, found.to_dict())
+
+
+def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
+    """`graphtrack score` of a table of groups."""
+    from graphtrack.interaction.scores import score_groups
+    from graphtrack.io.groups import read_group_rows
+
+    if len(inputs) != 1 or len(truth) != 1:
+        raise InputError(f"{len(inputs)} tables of groups, {len(truth)} truths", "one of each")
+    options.check_outputs({"--json": json_path}, {"the input": inputs, "--truth": truth})
+    rows = read_group_rows(inputs[0])
+    labels = read_quietly(truth[0])
+    true = labels.labels(rows["frame"], rows["t"], rows["track_id"])
+    show(score_groups(rows["frame"], rows["track_id"], rows["group"], true), json_path)
+
+
+PICTURES = ("looks.png", "timeline.png", "matrix.png")
+
+
+def attention(
+    inputs: options.Inputs,
+    output: Table,
+    reading: options.SceneReading,
+    places: options.Places = None,
+    model: Smoothing = None,
+    online: bool = False,
+    json_path: Annotated[Path | None, typer.Option("--json")] = None,
+    pictures: Path | None = None,
+    parameters: Path | None = None,
+    truth: Path | None = None,
+) -> None:
+    """Find who looks at whom, and at which places, in every frame, with probabilities.
+
+    Parameters
+    ----------
+    online : In each frame the past alone counts, as in a live scene.
+    json_path : Write who looks at whom, dwell times of places and mutual gaze, in seconds.
+    pictures : Folder for a heat map of looks on the ground, a timeline and the matrix.
+    parameters : What 'graphtrack fit --attention' wrote (.toml).
+    truth : Labelled looks to judge by (.csv): frame, track_id and target.
+    """
+    from graphtrack.interaction.attention import attention as find
+    from graphtrack.interaction.attention import attention_columns, make_behaviour_ready, summary_of
+    from graphtrack.interaction.places import read_places
+    from graphtrack.interaction.scores import score_looks
+    from graphtrack.interaction.tables import load_attention, read_looks
+    from graphtrack.io.groups import write_columns
+    from graphtrack.tracks.table import with_names
+
+    options.check_outputs(
+        {
+            "--output": output,
+            "--json": json_path,
+            "--pictures": [] if pictures is None else [pictures / name for name in PICTURES],
+        },
+        {
+            **reading.inputs(inputs, model),
+            "--places": places,
+            "--parameters": parameters,
+            "--truth": truth,
+        },
+        to_make=[] if pictures is None else [pictures],
+    )
+    check_csv(output)
+    known = [] if places is None else read_places(places)
+    chosen = None if parameters is None else load_attention(parameters)
+    labels = None if truth is None else read_looks(truth)
+    tracks = estimated(reading.tracks(inputs), model)
+    make_behaviour_ready()
+    found = find(tracks, known, chosen, online=online)
+    score = None if labels is None else score_looks(found, labels)
+    columns = attention_columns(found)
+    write_columns(with_names(columns, tracks.as_read), output)
+    emit(
+        f"wrote {output}: {counted(len(columns['frame']), 'row')}; {counted(len(found), 'track')}, "
+        f"{counted(len(known), 'place')}"
+    )
+    if score is not None:
+        print_table(f"Looks beside the truth, {counted(score.frames, 'look')}", score.shown())
+    summary = summary_of(found)
+    write_json(json_path, summary.to_dict())
+    if pictures is not None:
+        from graphtrack.report.plots.interaction import draw_looks
+
+        options.make_folder(pictures)
+        draw_looks(tracks, known, found, summary, [pictures / name for name in PICTURES])
+        emit(f"wrote {pictures}")
+
+
+def forecast(
+    inputs: options.Inputs,
+    reading: options.SceneReading,
+    output: options.OutputPath,
+    horizon: options.Seconds = 4.8,
+    step: options.Seconds = 0.4,
+    every: options.Seconds | None = None,
+    history: options.Seconds | None = None,
+    samples: Annotated[int, typer.Option(metavar="N", min=0, max=1000)] = 0,
+    parameters: Path | None = None,
+    seed: options.Seed = 0,
+) -> None:
+    """Predict where each person will be, with the uncertainty, at every time from observations until then.
+
+    Parameters
+    ----------
+    output : Table to write: .csv, .csv.gz, .parquet or .ndjson.
+    horizon : How far ahead.
+    step : Between the times ahead that are told.
+    every : Between the times at which forecasts are made; by default at each frame.
+    history : How long somebody must have been seen; by default in two frames.
+    samples : Paths to draw, as columns.
+    parameters : What graphtrack fit --forecast learned (.toml); by default, what it learned of streets.
+    """
+    from graphtrack.forecasting.recorded import forecast as forecast_tracks
+    from graphtrack.io.read_write import check_table_name, write_table
+    from graphtrack.tracks.table import with_names
+
+    options.check_outputs(
+        {"--output": output}, {**reading.inputs(inputs), "--parameters": [parameters] if parameters else []}
+    )
+    check_table_name(output)
+    tracks = reading.tracks(inputs)
+    found = forecast_tracks(
+        tracks,
+        horizon=horizon,
+        step=step,
+        every=every,
+        history=history,
+        samples=samples,
+        parameters=parameters,
+        seed=seed,
+    )
+    write_table(with_names(found.columns, tracks.as_read), output)
+    if found.too_short:
+        needed = "two frames" if history is None else f"{history:g} s"
+        who = counted(len(found.too_short), "track")
+        emit(f"  note: no forecast of {who} seen for less than {needed}")
+    of = counted(found.people, "track")
+    emit(f"forecast {of}, {len(found)} rows\nwrote {output}")

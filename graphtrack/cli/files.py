@@ -1,0 +1,156 @@
+"""`graphtrack info` and `graphtrack formats`.
+
+`graphtrack convert`.
+"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, print_table, printable, write_json
+from graphtrack.errors import InputError
+from graphtrack.tracks.display import counted
+
+if TYPE_CHECKING:
+    from graphtrack.tracks.scene import GivenScene
+    from graphtrack.tracks.track import Track
+
+
+def info(
+    inputs: options.Inputs,
+    reading: options.SceneReading,
+    model: str | None = None,
+    json_path: options.Json = None,
+    suggest: bool = False,
+) -> None:
+    """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows.
+
+    Parameters
+    ----------
+    model : Model file (.toml) whose [scene] is known of people without identities.
+    suggest : Print a command line that reads the file, from the columns that it has.
+    """
+    if suggest:
+        _suggest(inputs, reading, json_path)
+        return
+    options.check_outputs({"--json": json_path}, reading.inputs(inputs, model))
+    tracks = reading.tracks(inputs, scene=_scene(model))
+    rows = [describe(track) for track in tracks]
+    optional = [name for name in ("label", "truth") if not any(row[name] for row in rows)]
+    headings = {name: _HEADINGS.get(name, name) for name in rows[0] if name not in optional} if rows else {}
+    shown = [{heading: _shown(row[name]) for name, heading in headings.items()} for row in rows]
+    print_table(f"{counted(len(tracks), 'track')}, {tracks.n_frames} person-frames", shown)
+    write_json(json_path, rows)
+
+
+def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path | None) -> None:
+    """Print the command line with which a file can be read; what was only supposed is said beside it."""
+    from graphtrack.io.suggestion import suggest
+
+    if len(inputs) != 1 or reading.given() or json_path is not None:
+        raise InputError("--suggest with other options, or several files", "one file, and --suggest alone")
+    found = suggest(inputs[0])
+    words = ["graphtrack", "info", str(inputs[0])]
+    for name, value in found.options.items():
+        words += [options.option_name(name), value]
+    for remark in found.remarks:
+        emit(f"  note: {remark}")
+    print(printable(shlex.join(words), one_line=True))
+
+
+def _scene(model: str | None) -> GivenScene:
+    if model is None:
+        return None
+    from graphtrack.model import Model
+
+    return Model.named(model).scene
+
+
+_HEADINGS = {"rate_hz": "Hz", "speed_m_s": "m/s"}
+
+
+def _shown(value: Any) -> Any:
+    return ("yes" if value else "no") if isinstance(value, bool) else value
+
+
+_WINDOW = 0.5
+"""Seconds to either side over which a line is fitted to the positions."""
+
+
+def _speeds(track: Track) -> Any:
+    """Speeds (m/s) of a person along the smoothed path: differences of noisy positions are faster.
+
+    The slopes of straight lines that are fitted by least squares to what was seen around each moment.
+    `evaluation.statistics.travel_velocity` cannot serve: it is the published mean of differences over a
+    number of frames, which is too noisy for a person who stands.
+    """
+    import numpy as np
+
+    seen = np.isfinite(track.position).all(axis=1)
+    t, position = track.t[seen] - track.t[0], track.position[seen]
+    begin = np.searchsorted(t, t - _WINDOW - 1e-6)
+    end = np.searchsorted(t, t + _WINDOW + 1e-6)
+    columns = np.column_stack([np.ones(len(t)), t, t * t, position, t[:, None] * position])
+    sums = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
+    n, first, second, x, y, tx, ty = (sums[end] - sums[begin]).T
+    spread = n * second - first**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slopes = (n * np.array([tx, ty]) - first * np.array([x, y])) / spread
+    return np.linalg.norm(slopes[:, (n > 1) & (spread > 1e-9)], axis=0)
+
+
+def describe(track: Track) -> dict[str, Any]:
+    """One line about a track: extent, rate, gaps, what was observed, median speed of the smoothed path."""
+    import numpy as np
+
+    seen = np.isfinite(track.position).all(axis=1)
+    steps = np.diff(track.t)
+    usual = float(np.median(steps)) if len(steps) else float("nan")
+    step_frames = np.diff(track.frame)
+    frames = int(np.median(step_frames)) if len(step_frames) else 1
+    speeds = _speeds(track)
+
+    def count(name: str) -> int:
+        values = [getattr(track, channel) for channel in (name, f"{name}_likelihood")]
+        known = [np.isfinite(v).reshape(len(track), -1).all(axis=1) for v in values if v is not None]
+        return int(np.any(known, axis=0).sum()) if known else 0
+
+    return {
+        "track": track.track_id,
+        "label": track.label,
+        "rows": len(track),
+        "frames": f"{track.frame[0]}–{track.frame[-1]}",
+        "seconds": float(track.t[-1] - track.t[0]),
+        "rate_hz": 1.0 / usual if usual > 0 else None,
+        "gaps": int(np.sum(step_frames > frames)),
+        "positions": int(seen.sum()),
+        "body": count("body"),
+        "head": count("head"),
+        "speed_m_s": float(np.median(speeds)) if len(speeds) else None,
+        "truth": track.has_truth,
+    }
+
+
+def formats() -> None:
+    """List the file formats that can be read and written."""
+    from graphtrack.io import FORMATS
+
+    rows = [
+        {"format": one.name, "written": ", ".join(one.suffixes) if one.write else "", "what": one.description}
+        for one in FORMATS
+    ]
+    print_table("Formats", rows)
+
+
+def convert(inputs: options.Inputs, output: options.Output, reading: options.CameraReading) -> None:
+    """Write tracks in another format, as they are: the ending of the output names it."""
+    from graphtrack.io import write
+
+    options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
+    tracks = reading.tracks(inputs)
+    write(tracks, output)
+    people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
+    emit(f"wrote {output}: {people}, {rows}")

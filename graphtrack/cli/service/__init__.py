@@ -1,1 +1,0 @@
-"""`graphtrack serve`: streams of rows over WebSocket and HTTP, a process for each."""

@@ -1,0 +1,669 @@
+"""CLEAR MOT: misses, false positives, switches of identity and fragmentations, frame by frame.
+
+Bernardin and Stiefelhagen, *Evaluating multiple object tracking performance: the CLEAR MOT metrics*, EURASIP
+Journal on Image and Video Processing 2008, section 2; mostly tracked, mostly lost and fragmentations as in
+Li, Huang and Nevatia, *Learning to associate*, CVPR 2009. Where those leave something open, it is as in
+TrackEval, so that figures can be compared.
+
+HOTA: detection and association in one figure, over all demands on how close a match has to be.
+
+Luiten, Ošep, Dendorfer, Torr, Geiger, Leal-Taixé and Leibe, *HOTA: a higher order metric for evaluating
+multi-object tracking*, International Journal of Computer Vision 129, 2021, section 5: at one α
+
+    HOTA = √(Σ_c A(c) / (TP + FN + FP)),    A(c) = TPA(c) / (TPA(c) + FNA(c) + FPA(c)),
+
+over the matches c, where TPA(c) counts the frames in which the same two are matched, FNA(c) and FPA(c) the
+other rows of the true person and of the track. With DetA = TP / (TP + FN + FP) and AssA the mean of A(c) it
+is √(DetA·AssA). The figure is the mean over α.
+
+IDF1: how many rows one lasting pairing of true people and tracks gets right.
+
+Ristani, Solera, Zou, Cucchiara and Tomasi, *Performance measures and a data set for multi-target,
+multi-camera tracking*, ECCV workshops 2016, section 3.2: true and computed trajectories are paired once,
+for the whole sequence, and
+IDP = IDTP / (IDTP + IDFP), IDR = IDTP / (IDTP + IDFN), IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
+
+Metrics from counts: of a sequence, and of all sequences together.
+
+`score`: from files or tracks to figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial, reduce
+from operator import add
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from graphtrack.association.associate import tracks_of
+from graphtrack.errors import InputError
+from graphtrack.evaluation.matching import (
+    EPSILON,
+    Detections,
+    IntArray,
+    SharedFrames,
+    Similarity,
+    Summed,
+    box_similarity,
+    boxes,
+    estimated_detections,
+    ground_similarity,
+    missing_in_words,
+    share_frames,
+    true_detections,
+)
+from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.io.read_write import paired_files, read_boxes
+from graphtrack.tracks.display import LONGEST, MOST, counted, html_table
+from graphtrack.tracks.validation import check_positive
+
+if TYPE_CHECKING:
+    from graphtrack.io.read_write import Given
+
+
+MOSTLY_TRACKED, MOSTLY_LOST = 0.8, 0.2
+"""More than this share of somebody's rows is found, or less."""
+
+KEEPING = 1000.0
+"""Worth of a pair that stays together; more than all similarities of a frame."""
+
+NOBODY = -1
+
+
+@dataclass(frozen=True)
+class ClearCounts(Summed):
+    """Counts of CLEAR MOT.
+
+    Attributes
+    ----------
+    matches, misses, false_positives : rows
+    switches : rows of the truth matched to another track than the last time they were matched
+    fragmentations : times that somebody is found again after having been lost
+    mostly_tracked, partly_tracked, mostly_lost : people
+    similarity : sum over the matches
+    """
+
+    matches: int
+    misses: int
+    false_positives: int
+    switches: int
+    fragmentations: int
+    mostly_tracked: int
+    partly_tracked: int
+    mostly_lost: int
+    similarity: float
+
+    @property
+    def mota(self) -> float:
+        """1 − (misses + false positives + switches) / rows of the truth; below zero where many are wrong."""
+        wrong = self.false_positives + self.switches
+        return (self.matches - wrong) / max(1, self.matches + self.misses)
+
+    @property
+    def motp(self) -> float:
+        """The mean similarity of the matches; 0 without any."""
+        return self.similarity / max(1, self.matches)
+
+    @property
+    def recall(self) -> float:
+        """The share of the truth that is matched."""
+        return self.matches / max(1, self.matches + self.misses)
+
+    @property
+    def precision(self) -> float:
+        """The share of the estimates that is matched."""
+        return self.matches / max(1, self.matches + self.false_positives)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMatches:
+    """Matches in a frame that has both truth and estimates, k pairs.
+
+    Attributes
+    ----------
+    frame : its place among the shared frames
+    truth, estimates : (k,) people and tracks, numbered as in `SharedFrames`
+    similarity : (k,)
+    before : (k,) the track that each of these people was matched with last; `NOBODY` at their first match
+    lost : (k,) whether they were without a match in the frame before that had both
+    """
+
+    frame: int
+    truth: IntArray
+    estimates: IntArray
+    similarity: FloatArray
+    before: IntArray
+    lost: BoolArray
+
+    @property
+    def switched(self) -> BoolArray:
+        """(k,) whether another track has them than the last time."""
+        return (self.before != NOBODY) & (self.before != self.estimates)
+
+    @property
+    def found_again(self) -> BoolArray:
+        """(k,) whether they had been lost, which ends a fragmentation."""
+        return (self.before != NOBODY) & self.lost
+
+
+def clear_matches(frames: SharedFrames, threshold: float) -> Iterator[FrameMatches]:
+    """Match truth and estimates frame by frame.
+
+    Parameters
+    ----------
+    threshold : similarity from which on two rows can be matched
+    """
+    last = np.full(len(frames.truth_rows), NOBODY, dtype=np.int64)
+    now = last.copy()
+    every = zip(frames.truth, frames.estimates, frames.similarity, strict=True)
+    for k, (truth, estimates, similarity) in enumerate(every):
+        # As in TrackEval a frame without any truth or any estimates ends no stretch.
+        if not similarity.size:
+            continue
+        rows, columns = _matched(similarity, estimates == now[truth][:, None], threshold)
+        people, tracks = truth[rows], estimates[columns]
+        yield FrameMatches(k, people, tracks, similarity[rows, columns], last[people], now[people] == NOBODY)
+        now[:] = NOBODY
+        last[people] = now[people] = tracks
+
+
+def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
+    """Match truth and estimates frame by frame, and count.
+
+    Parameters
+    ----------
+    threshold : similarity from which on two rows can be matched
+    """
+    found = np.zeros(len(frames.truth_rows), dtype=np.int64)
+    matches, switches, fragmentations, total = 0, 0, 0, 0.0
+    for matched in clear_matches(frames, threshold):
+        matches += len(matched.truth)
+        switches += int(np.count_nonzero(matched.switched))
+        fragmentations += int(np.count_nonzero(matched.found_again))
+        total += float(matched.similarity.sum())
+        found[matched.truth] += 1
+    share = found / frames.truth_rows
+    tracked, lost = (int(np.count_nonzero(some)) for some in (share > MOSTLY_TRACKED, share < MOSTLY_LOST))
+    n_people = len(frames.truth_rows)
+    return ClearCounts(
+        matches=matches,
+        misses=int(frames.truth_rows.sum()) - matches,
+        false_positives=int(frames.estimate_rows.sum()) - matches,
+        switches=switches,
+        fragmentations=fragmentations,
+        mostly_tracked=tracked,
+        partly_tracked=n_people - tracked - lost,
+        mostly_lost=lost,
+        similarity=total,
+    )
+
+
+def _matched(similarity: FloatArray, kept: BoolArray, threshold: float) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the matches: pairs of the frame before are kept, then similarity is highest."""
+    worth = np.where(similarity >= threshold - EPSILON, KEEPING * kept + similarity, 0.0)
+    rows, columns = linear_sum_assignment(worth, maximize=True)
+    matched = worth[rows, columns] > EPSILON
+    return rows[matched], columns[matched]
+
+
+ALPHAS = np.arange(0.05, 0.99, 0.05)
+"""(19,) the similarities from which on two rows can be matched: α = 0.05, 0.1 … 0.95."""
+
+
+@dataclass(frozen=True, eq=False)
+class HotaCounts(Summed):
+    """Sums over the rows, (19,) each, one a value of `ALPHAS`.
+
+    Attributes
+    ----------
+    matches, misses, false_positives : TP, FN, FP
+    association, association_recall, association_precision : sums over the matches of A(c), and of
+        it without FPA(c) or without FNA(c)
+    similarity : sum over the matches
+    """
+
+    matches: FloatArray
+    misses: FloatArray
+    false_positives: FloatArray
+    association: FloatArray
+    association_recall: FloatArray
+    association_precision: FloatArray
+    similarity: FloatArray
+
+    def curves(self) -> dict[str, FloatArray]:
+        """The figures at each α, (19,) each: HOTA, DetA, AssA and what they are made of, and LocA."""
+        matches = np.maximum(1.0, self.matches)
+        rows = self.matches + self.misses
+        detection = self.matches / np.maximum(1.0, rows + self.false_positives)
+        association = self.association / matches
+        return {
+            "HOTA": np.sqrt(detection * association),
+            "DetA": detection,
+            "AssA": association,
+            "DetRe": self.matches / np.maximum(1.0, rows),
+            "DetPr": self.matches / np.maximum(1.0, self.matches + self.false_positives),
+            "AssRe": self.association_recall / matches,
+            "AssPr": self.association_precision / matches,
+            # Where nothing is matched, nothing is off.
+            "LocA": np.where(self.matches > 0.0, self.similarity / matches, 1.0),
+        }
+
+
+def hota_counts(frames: SharedFrames) -> HotaCounts:
+    """Match truth and estimates, so that people stay with their tracks, and sum up for every α."""
+    truth, estimates, similarity = _matches(frames)
+    sums = [_sums(frames, truth, estimates, similarity, alpha) for alpha in ALPHAS]
+    matches, *rest = np.array(sums).T
+    misses, false_positives = frames.truth_rows.sum() - matches, frames.estimate_rows.sum() - matches
+    return HotaCounts(matches, misses, false_positives, *rest)
+
+
+def _matches(frames: SharedFrames) -> tuple[IntArray, IntArray, FloatArray]:
+    """True person, track and similarity of everything that is matched at the lowest α, (k,) each.
+
+    In each frame the sum of similarities is highest, each weighted by how alike the two are over the whole
+    sequence: with the one matching for all α that TrackEval makes of it.
+    """
+    alike = _alike(frames)
+    found = []
+    for truth, estimates, similarity in zip(frames.truth, frames.estimates, frames.similarity, strict=True):
+        rows, columns = linear_sum_assignment(alike[np.ix_(truth, estimates)] * similarity, maximize=True)
+        found.append((truth[rows], estimates[columns], similarity[rows, columns]))
+    true_person, track, close = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return true_person, track, close
+
+
+def _alike(frames: SharedFrames) -> FloatArray:
+    """Similarity of true people and tracks over the whole sequence, (people, tracks), from 0 to 1.
+
+    The rows that they may have in common over the rows of both. In a frame a pair counts by its similarity
+    over all similarities of either of them, so that a crowd gives nobody more than one row.
+    """
+    common = np.zeros((len(frames.truth_rows), len(frames.estimate_rows)))
+    for truth, estimates, similarity in zip(frames.truth, frames.estimates, frames.similarity, strict=True):
+        either = similarity.sum(axis=0) + similarity.sum(axis=1)[:, None] - similarity
+        share = np.divide(similarity, either, out=np.zeros_like(either), where=either > EPSILON)
+        common[np.ix_(truth, estimates)] += share
+    return common / (frames.truth_rows[:, None] + frames.estimate_rows - common)
+
+
+def _sums(
+    frames: SharedFrames, truth: IntArray, estimates: IntArray, similarity: FloatArray, alpha: float
+) -> tuple[float, ...]:
+    """Number of matches at one α, and the sums of `HotaCounts` over them."""
+    close = similarity >= alpha - EPSILON
+    pair, rows = np.unique(truth[close] * len(frames.estimate_rows) + estimates[close], return_counts=True)
+    person, track = np.divmod(pair, max(1, len(frames.estimate_rows)))
+    of_person, of_track = frames.truth_rows[person], frames.estimate_rows[track]
+    return (
+        float(rows.sum()),
+        float(np.sum(rows * rows / (of_person + of_track - rows))),
+        float(np.sum(rows * rows / of_person)),
+        float(np.sum(rows * rows / of_track)),
+        float(similarity[close].sum()),
+    )
+
+
+@dataclass(frozen=True)
+class IdentityCounts(Summed):
+    """Rows of the truth and of the estimates under the best pairing: IDTP, IDFN, IDFP."""
+
+    true_positives: int
+    misses: int
+    false_positives: int
+
+    @property
+    def idp(self) -> float:
+        """The share of the estimates that is paired rightly."""
+        return self.true_positives / max(1, self.true_positives + self.false_positives)
+
+    @property
+    def idr(self) -> float:
+        """The share of the truth that is paired rightly."""
+        return self.true_positives / max(1, self.true_positives + self.misses)
+
+    @property
+    def idf1(self) -> float:
+        """The harmonic mean of both."""
+        wrong = self.misses + self.false_positives
+        return 2 * self.true_positives / max(1, 2 * self.true_positives + wrong)
+
+
+def identity_counts(frames: SharedFrames, threshold: float) -> IdentityCounts:
+    """Pair every true person with one track at most, for the whole sequence, and count.
+
+    Pairs with as few misses and false positives as possible have as many rows in common as
+    possible: each such row is one of either less.
+
+    Parameters
+    ----------
+    threshold : similarity from which on two rows can be the same person's
+    """
+    common = np.zeros((len(frames.truth_rows), len(frames.estimate_rows)), dtype=np.int64)
+    for truth, estimates, similarity in zip(frames.truth, frames.estimates, frames.similarity, strict=True):
+        close = np.nonzero(similarity >= threshold)
+        common[truth[close[0]], estimates[close[1]]] += 1
+    paired = int(common[linear_sum_assignment(common, maximize=True)].sum())
+    return IdentityCounts(
+        paired, int(frames.truth_rows.sum()) - paired, int(frames.estimate_rows.sum()) - paired
+    )
+
+
+TOGETHER = "together"
+
+Measure = Literal["metres", "iou"]
+
+HEADINGS = {
+    "hota": "HOTA",
+    "det_a": "DetA",
+    "ass_a": "AssA",
+    "loc_a": "LocA",
+    "idf1": "IDF1",
+    "idp": "IDP",
+    "idr": "IDR",
+    "mota": "MOTA",
+    "motp": "MOTP",
+    "precision": "precision",
+    "recall": "recall",
+    "switches": "identity switches",
+    "fragmentations": "fragmentations",
+    "false_positives": "false positives",
+    "misses": "misses",
+    "mostly_tracked": "mostly tracked",
+    "partly_tracked": "partly",
+    "mostly_lost": "mostly lost",
+}
+"""Figure → what tables call it."""
+
+SHARES, COUNTS = tuple(HEADINGS)[:11], tuple(HEADINGS)[11:]
+"""The figures of which 1 is best, and those that are numbers of rows, events and people."""
+
+IN_SHORT = ("hota", "det_a", "ass_a", "idf1", "mota", "precision", "recall", "switches", "fragmentations")
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """The largest distance or least overlap of two detections of the same person.
+
+    Attributes
+    ----------
+    measure : "metres", the distance on the ground at most, or "iou", the overlap of boxes at least
+    value : in metres, or from 0 to 1
+    """
+
+    measure: Measure
+    value: float
+
+    @property
+    def similarity(self) -> float:
+        """The similarity from which on two detections can match; on the ground 0 is twice the distance."""
+        return 0.5 if self.measure == "metres" else self.value
+
+    def distance(self, similarity: float) -> float | None:
+        """The distance in metres that a similarity stands for; None in the image."""
+        return 2.0 * self.value * (1.0 - similarity) if self.measure == "metres" else None
+
+    def __str__(self) -> str:
+        return f"within {self.value:g} m" if self.measure == "metres" else f"IoU from {self.value:g}"
+
+
+@dataclass(frozen=True)
+class SequenceScore:
+    """Metrics of tracks and identities in one sequence, or in all together.
+
+    Attributes
+    ----------
+    name : of the sequence
+    frames : those with anybody in the truth or the estimates
+    people, tracks : identities of the truth and of the estimates
+    rows, estimated_rows : detections of each
+    hota, det_a, ass_a, loc_a : HOTA and its parts, means over the 19 demands α of ``curves``
+    idf1, idp, idr : of the best lasting pairing of people and tracks
+    mota : below 0 where errors outnumber people
+    motp : mean similarity of the matches
+    mean_distance : of the matches, in metres; None in the image, and where nothing matches
+    precision, recall : shares of the estimates and of the truth that are matched
+    matches, misses, false_positives : rows
+    switches, fragmentations : how often a person's track changes, and is found again after having been lost
+    mostly_tracked, partly_tracked, mostly_lost : people found in more than 80 % of their frames, in between,
+        and in less than 20 %
+    curves : "alpha", "HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA" → 19 values
+    """
+
+    name: str
+    frames: int
+    people: int
+    tracks: int
+    rows: int
+    estimated_rows: int
+    hota: float
+    det_a: float
+    ass_a: float
+    loc_a: float
+    idf1: float
+    idp: float
+    idr: float
+    mota: float
+    motp: float
+    mean_distance: float | None
+    precision: float
+    recall: float
+    matches: int
+    misses: int
+    false_positives: int
+    switches: int
+    fragmentations: int
+    mostly_tracked: int
+    partly_tracked: int
+    mostly_lost: int
+    curves: Mapping[str, tuple[float, ...]]
+
+    def shown(self, names: tuple[str, ...] = tuple(HEADINGS)) -> dict[str, Any]:
+        """Some of the figures by what tables call them."""
+        return {HEADINGS[name]: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True)
+class TrackingScore:
+    """Metrics of tracks and identities.
+
+    Attributes
+    ----------
+    sequences : each by itself
+    together : of the sums over all sequences
+    threshold : how close two detections have to be
+    notes : what was left out, one sentence each
+    """
+
+    sequences: tuple[SequenceScore, ...]
+    together: SequenceScore
+    threshold: Threshold
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        all_of_it = self.together
+        figures = f"HOTA {all_of_it.hota:.3f}, IDF1 {all_of_it.idf1:.3f}, MOTA {all_of_it.mota:.3f}"
+        return f"TrackingScore({figures}; {counted(len(self.sequences), 'sequence')}, {self.threshold})"
+
+    def _repr_html_(self) -> str:
+        lines = self.sequences if len(self.sequences) == 1 else (self.together, *self.sequences)
+        rows = [
+            (one.name[:LONGEST], *(_cell(value) for value in one.shown(IN_SHORT).values()))
+            for one in lines[: MOST + 1]
+        ]
+        header = ("", *(HEADINGS[name] for name in IN_SHORT))
+        return html_table(repr(self), header, rows, max(0, len(lines) - MOST - 1))
+
+    def lines(self) -> tuple[SequenceScore, ...]:
+        """The lines of a table: the sequences and, of several, all together."""
+        return self.sequences if len(self.sequences) == 1 else (*self.sequences, self.together)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in plain types, ready for JSON."""
+        return {
+            "measure": self.threshold.measure,
+            "threshold": self.threshold.value,
+            "together": _plain(self.together),
+            "sequences": [_plain(one) for one in self.sequences],
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class Counts(Summed):
+    """All that is counted in one sequence, or in several."""
+
+    frames: int
+    people: int
+    tracks: int
+    hota: HotaCounts
+    identity: IdentityCounts
+    clear: ClearCounts
+
+
+def count(frames: SharedFrames, threshold: Threshold) -> Counts:
+    """Count all that figures are made of in one sequence."""
+    return Counts(
+        frames=len(frames),
+        people=len(frames.truth_rows),
+        tracks=len(frames.estimate_rows),
+        hota=hota_counts(frames),
+        identity=identity_counts(frames, threshold.similarity),
+        clear=clear_counts(frames, threshold.similarity),
+    )
+
+
+def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
+    """The figures that follow from what was counted."""
+    clear, identity, curves = counts.clear, counts.identity, counts.hota.curves()
+    means = {"hota": "HOTA", "det_a": "DetA", "ass_a": "AssA", "loc_a": "LocA"}
+    alike: dict[str, Any] = {key: float(curves[curve].mean()) for key, curve in means.items()}
+    alike |= {
+        name: getattr(clear, name) for name in ("mota", "motp", "precision", "recall", "matches", *COUNTS)
+    }
+    return SequenceScore(
+        name=name,
+        frames=counts.frames,
+        people=counts.people,
+        tracks=counts.tracks,
+        rows=clear.matches + clear.misses,
+        estimated_rows=clear.matches + clear.false_positives,
+        idf1=identity.idf1,
+        idp=identity.idp,
+        idr=identity.idr,
+        mean_distance=threshold.distance(clear.motp) if clear.matches else None,
+        **alike,
+        curves={key: tuple(values.tolist()) for key, values in {"alpha": ALPHAS, **curves}.items()},
+    )
+
+
+def _plain(score: SequenceScore) -> dict[str, Any]:
+    return asdict(score) | {"curves": {name: list(values) for name, values in score.curves.items()}}
+
+
+def _cell(value: float) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+METRES = 1.0
+"""Within which positions can be the same person's where nothing else is said, as in MOTChallenge 3D."""
+
+Pair = tuple[str, Detections, Detections]
+"""Name of a sequence, its estimates and its truth."""
+
+
+def score(
+    estimates: Given, truth: Given, *, metres: float | None = None, iou: float | None = None
+) -> TrackingScore:
+    """Score tracks and identities: HOTA, IDF1, MOTA and their parts.
+
+    Parameters
+    ----------
+    estimates, truth : of one sequence, tracks in any form that `smooth` takes; of several, two folders or two
+        lists of files, with files of the same names. With ``iou``, files of a format that holds boxes. Of a
+        truth with true positions (``true_x``, ``true_y``) these are compared, else its positions.
+    metres : how far apart on the ground a match may be; 1 m if ``iou`` is not given either
+    iou : how much boxes must overlap to match, as intersection over union
+
+    Raises
+    ------
+    InputError
+        For both demands at once, or one out of range; files that do not pair up or cannot be read; a truth in
+        which nobody is anywhere, or that has no frame in common with the estimates.
+    """
+    threshold = threshold_of(metres, iou)
+    files, true_files = _paths(estimates), _paths(truth)
+    pairs: Iterable[tuple[str, Given, Given]] = [("", estimates, truth)]
+    if files and true_files:
+        pairs = [(name, *pair) for name, pair in paired_files(files, true_files).items()]
+    detect = _boxes_of if threshold.measure == "iou" else _positions_of
+    return judge((detect(*pair) for pair in pairs), threshold)
+
+
+def threshold_of(metres: float | None = None, iou: float | None = None) -> Threshold:
+    """The demand on a match: a distance on the ground, unless an overlap in the image is asked for.
+
+    Raises
+    ------
+    InputError
+        For both, or one out of range.
+    """
+    if metres is not None and iou is not None:
+        raise InputError("metres and iou", "one of them: matches on the ground or in the image")
+    check_positive("metres", metres, 1e6)
+    check_positive("iou", iou, 1.0)
+    if iou is not None:
+        return Threshold("iou", iou)
+    return Threshold("metres", METRES if metres is None else metres)
+
+
+def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
+    """Compare the sequences one by one, and sum up.
+
+    Raises
+    ------
+    InputError
+        For a sequence without a frame in common.
+    """
+    similarity = similarity_of(threshold)
+    counts, notes = {}, []
+    for name, estimates, truth in pairs:
+        counts[name] = count(share_frames(truth, estimates, similarity, name), threshold)
+        notes += [f"{name}: {note}" if name else note for note in missing_in_words(truth, estimates)]
+    return TrackingScore(
+        sequences=tuple(figures(name, of_sequence, threshold) for name, of_sequence in counts.items()),
+        together=figures(TOGETHER, reduce(add, counts.values()), threshold),
+        threshold=threshold,
+        notes=tuple(notes),
+    )
+
+
+def similarity_of(threshold: Threshold) -> Similarity:
+    """The similarity of two detections for a threshold."""
+    if threshold.measure == "iou":
+        return box_similarity
+    # Zero at twice the distance: then a similarity of one half stands for the distance itself.
+    return partial(ground_similarity, zero_distance=2.0 * threshold.value)
+
+
+def _paths(given: Given) -> list[Path] | None:
+    """The paths, where that is what is given."""
+    several = given if isinstance(given, list | tuple) else [given]
+    found = [Path(one) for one in several if isinstance(one, str | Path)]
+    return found if found and len(found) == len(several) else None
+
+
+def _positions_of(name: str, estimates: Given, truth: Given) -> Pair:
+    return name, estimated_detections(tracks_of(estimates)), true_detections(tracks_of(truth))
+
+
+def _boxes_of(name: str, estimates: Given, truth: Given) -> Pair:
+    for given in (estimates, truth):
+        if not isinstance(given, str | Path):
+            raise InputError(f"a {type(given).__name__}, which has no boxes", "with iou the path of a file")
+    return name, boxes(read_boxes(estimates)), boxes(read_boxes(truth))  # type: ignore[arg-type]

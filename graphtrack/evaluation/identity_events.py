@@ -1,0 +1,110 @@
+"""When and where identities went wrong: the switches and fragmentations that the score counts, one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from graphtrack.association.associate import tracks_of
+from graphtrack.evaluation.identities import clear_matches, similarity_of, threshold_of
+from graphtrack.evaluation.matching import estimated_detections, share_frames, true_detections
+from graphtrack.tracks.track import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.read_write import Given
+
+
+@dataclass(frozen=True)
+class IdentityEvent:
+    """Somebody has another track than before, or is found again after having been lost, or both.
+
+    Attributes
+    ----------
+    frame : in which the track ``after`` has them
+    person : identity in the truth
+    before, after : the track that they were matched with last, and the one that has them now
+    switch : whether these differ
+    found_again : whether nobody had them in the frame before, which is a fragmentation
+    """
+
+    frame: int
+    person: int
+    before: int
+    after: int
+    switch: bool
+    found_again: bool
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedTracks:
+    """Tracks beside the truth.
+
+    Attributes
+    ----------
+    tracks : the estimates; ``true_position`` is that of whom each row is matched with, NaN where nobody is
+    events : in the order of time
+    """
+
+    tracks: TrackSet
+    events: tuple[IdentityEvent, ...]
+
+
+def judge_events(estimates: Given, truth: Given, *, metres: float | None = None) -> JudgedTracks:
+    """The switches and fragmentations that `score` counts, when and between whom.
+
+    Parameters
+    ----------
+    estimates, truth : of one sequence, as in `score`
+    metres : how far apart on the ground a match may be; 1 m by default
+
+    Raises
+    ------
+    InputError
+        As `score`.
+    """
+    tracks, threshold = tracks_of(estimates), threshold_of(metres)
+    found, true = estimated_detections(tracks), true_detections(tracks_of(truth))
+    shared = share_frames(true, found, similarity_of(threshold))
+    frames = np.unique(np.concatenate([true.frame, found.frame]))
+    first = np.searchsorted(true.frame, frames)
+    people, ids = np.unique(true.track_id), np.unique(found.track_id)
+    # Frame, track and place of every match.
+    rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    events: list[IdentityEvent] = []
+    for matched in clear_matches(shared, threshold.similarity):
+        frame = int(frames[matched.frame])
+        within = np.searchsorted(shared.truth[matched.frame], matched.truth)
+        place = true.place[first[matched.frame] + within]
+        rows.append((np.full(len(place), frame), ids[matched.estimates], place))
+        switched, again = matched.switched, matched.found_again
+        events += [
+            IdentityEvent(
+                frame,
+                int(people[matched.truth[i]]),
+                int(ids[matched.before[i]]),
+                int(ids[matched.estimates[i]]),
+                bool(switched[i]),
+                bool(again[i]),
+            )
+            for i in np.flatnonzero(switched | again).tolist()
+        ]
+    return JudgedTracks(_beside_the_truth(tracks, rows), tuple(events))
+
+
+def _beside_the_truth(tracks: TrackSet, rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> TrackSet:
+    """The tracks with the places (k, 2) of those whom their rows are matched with, by frame and track."""
+    if not rows:
+        return tracks
+    frame, identity, place = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    order = np.lexsort((frame, identity))
+    frame, identity, place = frame[order], identity[order], place[order]
+
+    def with_truth(track: Track) -> Track:
+        mine = slice(*np.searchsorted(identity, [track.track_id, track.track_id + 1]).tolist())
+        true_position = np.full((len(track), 2), np.nan)
+        true_position[np.searchsorted(track.frame, frame[mine])] = place[mine]
+        return replace(track, true_position=true_position)
+
+    return tracks.map(with_truth)

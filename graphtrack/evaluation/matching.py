@@ -1,0 +1,240 @@
+"""Detections with an identity: positions on the ground or boxes in the image.
+
+Similarity of two detections, from 0 to 1, and the frames in which truth and estimates are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.cameras import NO_CAMERA
+from graphtrack.tracks.display import counted
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.track import Track, TrackSet
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Rows with an identity, n of them, by frame and within a frame by identity.
+
+    Attributes
+    ----------
+    track_id, frame : (n,)
+    place : (n, 2) metres on the ground, or (n, 4) left, top, width and height of a box in pixels; all finite
+    missing : rows that were left out, because they have no place
+    """
+
+    track_id: IntArray
+    frame: IntArray
+    place: FloatArray
+    missing: int = 0
+
+    def __len__(self) -> int:
+        return len(self.track_id)
+
+
+def known_detections(track_id: IntArray, frame: IntArray, place: FloatArray) -> Detections:
+    """The rows whose place (n, k) is known, in the order of `Detections`."""
+    order = np.lexsort((track_id, frame))
+    order = order[np.isfinite(place[order]).all(axis=1)]
+    return Detections(track_id[order], frame[order], place[order], len(frame) - len(order))
+
+
+def true_detections(tracks: TrackSet) -> Detections:
+    """Detections of the truth: the true positions where any are known, else the positions.
+
+    Raises
+    ------
+    InputError
+            If nobody is anywhere, or positions rest on a guess.
+    """
+    _require_ground(tracks, "the truth")
+    known = any(track.has_truth for track in tracks)
+    found = _detections(tracks, "true_position" if known else "position")
+    if not len(found):
+        raise InputError("no position in the truth", "where people are, in one frame at least")
+    return found
+
+
+def estimated_detections(tracks: TrackSet) -> Detections:
+    """Detections of the estimates: their positions.
+
+    Raises
+    ------
+    InputError
+        If those rest on a guess.
+    """
+    _require_ground(tracks, "the estimates")
+    return _detections(tracks, "position")
+
+
+def boxes(rows: Rows) -> Detections:
+    """The boxes of a file that has any.
+
+    Raises
+    ------
+    InputError
+        If no row has a box.
+    """
+    found = known_detections(rows.track_id, rows.frame, rows.channels["box"])
+    if not len(found):
+        raise InputError("no boxes", "a box in one row at least", path=rows.path)
+    return found
+
+
+def missing_in_words(truth: Detections, estimates: Detections) -> tuple[str, ...]:
+    """Numbers of rows that were left out, in words."""
+    both = (("truth", truth), ("estimates", estimates))
+    return tuple(
+        f"{counted(of.missing, 'row')} of the {name} without a place: left out"
+        for name, of in both
+        if of.missing
+    )
+
+
+def _require_ground(tracks: TrackSet, side: str) -> None:
+    """Refuse positions by a scale that a reader took from the boxes: it is another one for every file."""
+    if any(note.startswith(NO_CAMERA) for note in tracks.summary.notes):
+        raise InputError(
+            f"no camera for {side}, whose positions are pixels",
+            "a calibration or a homography, or iou to compare boxes in the image",
+        )
+
+
+def _detections(tracks: TrackSet, channel: str) -> Detections:
+    if not len(tracks):
+        none = np.empty(0, dtype=np.int64)
+        return Detections(none, none, np.empty((0, 2)))
+    return known_detections(
+        np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]),
+        np.concatenate([track.frame for track in tracks]),
+        np.concatenate([_places(track, channel) for track in tracks]),
+    )
+
+
+def _places(track: Track, channel: str) -> FloatArray:
+    values: FloatArray | None = getattr(track, channel)
+    return np.full((len(track), 2), np.nan) if values is None else values
+
+
+Similarity = Callable[[FloatArray, FloatArray], FloatArray]
+"""Places (n, k) and (m, k) → similarities (n, m)."""
+
+EPSILON = float(np.finfo(float).eps)
+"""Rounding tolerance of similarities and sums."""
+
+
+def ground_similarity(truth: FloatArray, estimates: FloatArray, zero_distance: float) -> FloatArray:
+    """max(0, 1 − d / zero_distance) of positions (n, 2) and (m, 2) in metres: (n, m).
+
+    That of MOTChallenge 3D, where it is zero from 2 m on, so that 0.5 stands for 1 m.
+    """
+    distance = np.linalg.norm(truth[:, None] - estimates[None], axis=2)
+    return np.maximum(0.0, 1.0 - distance / zero_distance)
+
+
+def box_similarity(truth: FloatArray, estimates: FloatArray) -> FloatArray:
+    """Intersection over union of boxes (n, 4) and (m, 4), left, top, width and height in pixels: (n, m)."""
+    first, second = _corners(truth)[:, None], _corners(estimates)[None]
+    low = np.maximum(first[..., :2], second[..., :2])
+    high = np.minimum(first[..., 2:], second[..., 2:])
+    intersection = np.prod(np.maximum(high - low, 0.0), axis=2)
+    union = _area(first) + _area(second) - intersection
+    return np.divide(intersection, union, out=np.zeros_like(union), where=union > EPSILON)
+
+
+def _corners(box: FloatArray) -> FloatArray:
+    """Left, top, right and lower edge (n, 4)."""
+    return np.column_stack([box[:, :2], box[:, :2] + box[:, 2:]])
+
+
+def _area(corners: FloatArray) -> FloatArray:
+    return np.prod(corners[..., 2:] - corners[..., :2], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedFrames:
+    """Truth and estimates side by side in every frame in which one of them has anybody, in order.
+
+    People of either side are numbered from 0, in the order of their ids.
+
+    Attributes
+    ----------
+    truth, estimates : for each frame who is there, (n,) and (m,)
+    similarity : for each frame (n, m)
+    truth_rows, estimate_rows : of each person, the number of frames
+    """
+
+    truth: tuple[IntArray, ...]
+    estimates: tuple[IntArray, ...]
+    similarity: tuple[FloatArray, ...]
+    truth_rows: IntArray
+    estimate_rows: IntArray
+
+    def __len__(self) -> int:
+        return len(self.similarity)
+
+
+class Summed:
+    """Counts that add up over sequences, field by field."""
+
+    def __add__(self, other: Self) -> Self:
+        pairs: Any = self
+        return type(self)(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(pairs)))
+
+
+def share_frames(
+    truth: Detections, estimates: Detections, similarity: Similarity, name: str = ""
+) -> SharedFrames:
+    """Put truth and estimates side by side, by the numbers of the frames.
+
+    Parameters
+    ----------
+    name : of the sequence, for the error
+
+    Raises
+    ------
+    InputError
+        If there are estimates, and none in a frame of the truth.
+    """
+    if len(estimates) and not np.isin(estimates.frame, truth.frame).any():
+        raise InputError(
+            f"no frame in common: estimates in {_span(estimates)}, the truth in {_span(truth)}",
+            "the same numbers for the same frames",
+            path=name or None,
+        )
+    frames = np.unique(np.concatenate([truth.frame, estimates.frame]))
+    (truth_ids, true_person), (estimate_ids, estimated_person) = _numbered(truth), _numbered(estimates)
+    here = list(zip(_slices(truth, frames), _slices(estimates, frames), strict=True))
+    return SharedFrames(
+        truth=tuple(true_person[of_truth] for of_truth, _ in here),
+        estimates=tuple(estimated_person[of_estimates] for _, of_estimates in here),
+        similarity=tuple(similarity(truth.place[one], estimates.place[other]) for one, other in here),
+        truth_rows=np.bincount(true_person, minlength=len(truth_ids)),
+        estimate_rows=np.bincount(estimated_person, minlength=len(estimate_ids)),
+    )
+
+
+def _span(detections: Detections) -> str:
+    return f"frames {detections.frame[0]} to {detections.frame[-1]}"
+
+
+def _numbered(detections: Detections) -> tuple[IntArray, IntArray]:
+    ids, person = np.unique(detections.track_id, return_inverse=True)
+    return ids, person
+
+
+def _slices(detections: Detections, frames: IntArray) -> list[slice]:
+    """The rows of each of the frames."""
+    begin = np.searchsorted(detections.frame, frames, side="left")
+    end = np.searchsorted(detections.frame, frames, side="right")
+    return [slice(*ends) for ends in zip(begin.tolist(), end.tolist(), strict=True)]

@@ -1,0 +1,332 @@
+"""Deviation of the head from the direction of travel (Baxter et al. 2014, §II); heads made of the future.
+
+Baxter et al. 2014, §II, Fig. 2: how far people look from where they go.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.experiments.harness import (
+    CAVIAR,
+    GAITS,
+    MOCAP,
+    SALSA,
+    Cell,
+    Experiment,
+    Progress,
+    Records,
+    Reproduction,
+    Settings,
+    Table,
+    tabulated,
+)
+from graphtrack.geometry.angles import FloatArray, circular_mean, difference, direction
+from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
+from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
+from graphtrack.simulation.degrade import MOVING_SPEED
+from graphtrack.tracks.display import HEAD_COLOUR
+from graphtrack.tracks.track import Track, TrackSet
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+WINDOW_FRAMES = 24
+"""Frames over which Baxter et al. (2014) average the velocity."""
+
+HISTOGRAM_EDGES = np.radians(np.arange(-180.0, 181.0, 10.0))
+"""Edges (37,) of the histogram's bins in radians."""
+
+FUTURE_LAGS = 20
+"""Frames ahead at which `future_share` looks."""
+
+FUTURE_TOLERANCE = float(np.radians(0.25))
+"""Radians within which a head counts as being a direction to a later position."""
+
+SUSPICIOUS_SHARE = 0.1
+"""Beyond this share a head column is taken to be made of the future path; chance gives 1–2 %."""
+
+_LEAST_STEP = 0.05
+"""Metres below which a displacement has no direction to speak of."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeviationStatistics:
+    """The deviation ε = direction of travel − head of many people.
+
+    Attributes
+    ----------
+    name : of the data
+    people, frames : that had a deviation
+    mean : circular mean, radians
+    std : root mean square of what is off the mean, the short way around, radians
+    density : (36,) histogram over `HISTOGRAM_EDGES`, per radian
+    future : share of the heads that are exactly a direction to a later position
+    """
+
+    name: str
+    people: int
+    frames: int
+    mean: float
+    std: float
+    density: FloatArray
+    future: float
+
+    @property
+    def tells_the_future(self) -> bool:
+        """True if the head column looks as if it was made of the future path."""
+        return self.future > SUSPICIOUS_SHARE
+
+
+def travel_velocity(track: Track, window: int = WINDOW_FRAMES) -> FloatArray:
+    """Velocity (n, 2) in m/s, the mean over a window of frames, as Baxter et al. (2014, §II) smooth it.
+
+    Differences of neighbouring frames are averaged over ``window`` frames about each; at the ends over what
+    there is. NaN where none is known.
+    """
+    rates = np.diff(track.position, axis=0) / np.diff(track.t)[:, None]
+    known = np.asarray(np.isfinite(rates).all(axis=1))
+    sums = np.vstack([np.zeros(2), np.cumsum(np.where(known[:, None], rates, 0.0), axis=0)])
+    counts = np.concatenate([[0], np.cumsum(known)])
+    frame = np.arange(len(track))
+    low = np.clip(frame - window // 2, 0, len(rates))
+    high = np.clip(frame - window // 2 + window, 0, len(rates))
+    number = (counts[high] - counts[low])[:, None]
+    return np.where(number > 0, (sums[high] - sums[low]) / np.maximum(number, 1), np.nan)
+
+
+def head_deviation(track: Track, *, window: int = WINDOW_FRAMES) -> FloatArray:
+    """ε_t = θ^v_t − θ^g_t (n,) in radians; NaN where the head is unknown or the person hardly moves.
+
+    Parameters
+    ----------
+    track : positions and head
+    window : frames over which the velocity is averaged
+    """
+    if track.head is None:
+        return np.full(len(track), np.nan)
+    velocity = travel_velocity(track, window)
+    with np.errstate(invalid="ignore"):
+        moves = np.linalg.norm(velocity, axis=1) >= MOVING_SPEED
+    return np.where(moves, difference(direction(velocity), track.head), np.nan)
+
+
+def deviation(track: Track) -> tuple[float, float]:
+    """Circular mean and spread (radians) of the direction of travel minus the head, where people move."""
+    return _mean_and_spread(head_deviation(track))
+
+
+def _mean_and_spread(angles: FloatArray) -> tuple[float, float]:
+    """Circular mean of the finite angles and their root mean square about it; NaN without any."""
+    known = angles[np.isfinite(angles)]
+    if not len(known):
+        return float("nan"), float("nan")
+    mean = circular_mean(known)
+    return mean, float(np.sqrt(np.mean(difference(known, mean) ** 2)))
+
+
+def future_share(tracks: Iterable[Track]) -> float:
+    """The greatest share, over lags of 1 to `FUTURE_LAGS` frames, of heads that equal the direction ahead.
+
+    A head that was annotated or estimated agrees with the exact direction to a later position by chance only.
+    One that was computed from the path agrees nearly always, and would give a tracker the future. 0 without
+    heads.
+    """
+    hits, counts = np.zeros(FUTURE_LAGS), np.zeros(FUTURE_LAGS)
+    for track in tracks:
+        if track.head is None:
+            continue
+        for lag in range(1, min(FUTURE_LAGS, len(track) - 1) + 1):
+            ahead = track.position[lag:] - track.position[:-lag]
+            with np.errstate(invalid="ignore"):
+                use = (np.linalg.norm(ahead, axis=1) > _LEAST_STEP) & np.isfinite(track.head[:-lag])
+            off = np.abs(difference(track.head[:-lag][use], direction(ahead[use])))
+            hits[lag - 1] += np.sum(off < FUTURE_TOLERANCE)
+            counts[lag - 1] += len(off)
+    return float(np.max(hits / np.maximum(counts, 1)))
+
+
+def deviation_statistics(
+    tracks: Iterable[Track],
+    name: str,
+    *,
+    window: int = WINDOW_FRAMES,
+) -> DeviationStatistics:
+    """Mean, spread and histogram of the deviations of many people.
+
+    Warns
+    -----
+    InputWarning
+        If the head column is a function of the future path, as the gaze in UCY is.
+
+    Raises
+    ------
+    InputError
+        If nobody moves with a known head.
+    """
+    tracks = list(tracks)
+    deviations = [head_deviation(track, window=window) for track in tracks]
+    deviations = [found[np.isfinite(found)] for found in deviations]
+    pooled = np.concatenate([np.empty(0), *deviations])
+    if not len(pooled):
+        raise InputError(
+            f"nobody in {name} who moves and whose head is known", "tracks with positions and head"
+        )
+    mean, std = _mean_and_spread(pooled)
+    counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
+    found = DeviationStatistics(
+        name=name,
+        people=sum(bool(len(own)) for own in deviations),
+        frames=len(pooled),
+        mean=mean,
+        std=std,
+        density=counts / (counts.sum() * np.diff(HISTOGRAM_EDGES)),
+        future=future_share(tracks),
+    )
+    if found.tells_the_future:
+        warnings.warn(
+            f"{name}: {found.future:.0%} of the heads are exactly the direction to a later position; "
+            "they were made from the path and tell a tracker its future",
+            InputWarning,
+            stacklevel=2,
+        )
+    return found
+
+
+def run(settings: Settings, progress: Progress) -> Reproduction:
+    """The experiment: on the recordings that are there, and on the corpus."""
+    found: list[DeviationStatistics] = []
+    notes = [
+        f"ε = direction of the {WINDOW_FRAMES}-frame mean velocity − head, where people move at 0.3 m/s or "
+        "more; circular mean, root mean square about it.",
+    ]
+
+    def add(tracks: TrackSet, name: str, window: int = WINDOW_FRAMES) -> None:
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", InputWarning)
+                found.append(deviation_statistics(tracks, name, window=window))
+            notes.extend(str(warning.message) for warning in caught)
+        except InputError as error:
+            notes.append(f"{name} is left out: found {error.found}")
+        progress(1)
+
+    clips = settings.tracks(*MOCAP)
+    if clips is not None:
+        for name, patterns in GAITS.items():
+            add(clips.select(*patterns), name)
+    caviar, salsa = settings.tracks(*CAVIAR), settings.tracks(*SALSA)
+    if caviar is not None:
+        add(caviar, "CAVIAR mws1gt")
+    if salsa is not None:
+        # At one row in three seconds a window of 24 frames would be more than a minute.
+        add(salsa, "SALSA, party", 2)
+        notes.append("SALSA has a frame every 3 s: its velocity is averaged over 2 frames.")
+    behaviours = range(0, len(NUMERALS), 3 if settings.quick else 1)
+    corpus = [
+        track
+        for b in behaviours
+        for track in simulate_behaviour(b, CorpusParameters(tracks=20), rng=settings.rng(b)).tracks()
+    ]
+    add(TrackSet(tuple(corpus)), "simulated corpus")
+    notes.append(
+        "The numbers of Baxter et al.'s Fig. 2 stand in the picture only; its people are counted in the text."
+    )
+    notes.append(
+        "UCY is left out on purpose: most of its gaze is the direction to the next control point, the future."
+    )
+    return Reproduction("baxter-statistics", (_detail(found), _beside(found)), _figure(found), tuple(notes))
+
+
+def _detail(found: list[DeviationStatistics]) -> Table:
+    records: list[dict[str, Cell]] = [
+        {
+            "data": one.name,
+            "people": one.people,
+            "frames": one.frames,
+            "mean (°)": float(np.degrees(one.mean)),
+            "std (°)": float(np.degrees(one.std)),
+            "within 22.5° (%)": 100.0 * _within(one, np.radians(22.5)),
+            "heads equal to a later direction (%)": 100.0 * one.future,
+        }
+        for one in found
+    ]
+    return Table.of("Direction of travel minus head", records)
+
+
+def _within(one: DeviationStatistics, reach: float) -> float:
+    """Share of the deviations within ± reach, from the histogram; bins that straddle it count in part."""
+    low = np.clip(HISTOGRAM_EDGES[:-1], -reach, reach)
+    high = np.clip(HISTOGRAM_EDGES[1:], -reach, reach)
+    return float(one.density @ (high - low))
+
+
+@tabulated("Paper / ours: the same statistic; only CAVIAR is the same source")
+def _beside(found: list[DeviationStatistics]) -> Records:
+    paper: dict[str, tuple[str, int]] = {
+        "CAVIAR mws1gt": ("CAVIAR", 37),
+        "mocap, walking": ("Benfold", 154),
+        "mocap, turning": ("PETS 2007", 34),
+    }
+    for one in found:
+        data, people = paper.get(one.name, ("–", None))
+        yield {
+            "paper: data": data,
+            "paper: people": people,
+            "paper: mean, std": "in the picture only" if people else "–",
+            "ours: data": one.name,
+            "ours: people": one.people,
+            "ours: mean (°)": float(np.degrees(one.mean)),
+            "ours: std (°)": float(np.degrees(one.std)),
+        }
+
+
+def _figure(found: list[DeviationStatistics]) -> Figure:
+    columns = min(len(found), 3)
+    lines = -(-len(found) // columns)
+    figure = new_figure(max(3.6 * columns, 5.4), 2.7 * lines + 0.3)
+    grid = figure.subplots(lines, columns, squeeze=False, sharex=True).ravel()
+    edges = np.degrees(HISTOGRAM_EDGES)
+    x = np.linspace(-180.0, 180.0, 361)
+    for axes, one in zip(grid, found, strict=False):
+        mean, std = float(np.degrees(one.mean)), float(np.degrees(one.std))
+        axes.stairs(np.radians(one.density), edges, fill=True, color="#C9D4E3", label="histogram")
+        # Wrapped, for a wide one reaches around.
+        turns = x[:, None] + 360.0 * np.arange(-3, 4) - mean
+        normal = np.exp(-0.5 * (turns / std) ** 2).sum(axis=1) / (std * np.sqrt(2.0 * np.pi))
+        axes.plot(x, normal, color=HEAD_COLOUR, linewidth=1.4, label="normal density")
+        axes.axvline(0.0, color=NEUTRAL_COLOUR, linewidth=0.8)
+        title = f"{one.name}: {mean:.1f} ± {std:.1f}°".replace(": -", ": −")
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_xticks(range(-180, 181, 90))
+        tidy(axes)
+    for axes in grid[len(found) :]:
+        axes.remove()
+    for axes in grid[max(len(found) - columns, 0) : len(found)]:
+        axes.tick_params(labelbottom=True)
+    grid[0].legend(frameon=False, fontsize=8)
+    figure.supxlabel("direction of travel − head (°)", fontsize=10)
+    figure.supylabel("density (per degree)", fontsize=10)
+    return figure
+
+
+def work(settings: Settings) -> int:
+    """Data sets."""
+    there = [settings.recording(*name) is not None for name in (MOCAP, CAVIAR, SALSA)]
+    return 1 + 3 * there[0] + there[1] + there[2]
+
+
+EXPERIMENT = Experiment(
+    "baxter-statistics",
+    "Baxter et al. 2014, Fig. 2: deviation of the head from the direction of travel",
+    work,
+    run,
+    "60 simulated people; the recordings are whole",
+)

@@ -1,0 +1,465 @@
+"""The parts of a forecast, and how far from its mean people are expected to be.
+
+`Forecaster`: predict people's positions online, from the frames seen so far.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, MotionFilters, standing
+from graphtrack.forecasting.paths import EVERY, LAGS, Places, Seen, kernel_means
+from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.saved import real, whole
+
+_WALKING = 0.3
+"""Speed, m/s, at which people half count as walking."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """The parts of a forecast of n people at A times: for `Forecaster`, and for learning.
+
+    Attributes
+    ----------
+    mean : (n, A) complex
+    direction, speed : (n,) of motion, of unit length and m/s
+    estimate : (n, A) variance on each axis of where people would be if they went straight on, m²
+    weight, square : (n, A) of what was seen in the place, about the mean; m² on each axis
+    """
+
+    mean: ComplexArray
+    direction: ComplexArray
+    speed: FloatArray
+    estimate: FloatArray
+    weight: FloatArray
+    square: FloatArray
+
+
+def together(
+    position: ComplexArray, velocity: ComplexArray, others: NDArray[np.int64], parameters: ForecastParameters
+) -> ComplexArray:
+    """Velocities (n,) of people who keep together with whoever is near and goes as they do.
+
+    Parameters
+    ----------
+    position, velocity : (n,) of people on their own
+    others : (m,) which of them count as others
+    """
+    near, alike = parameters.companion_distance, parameters.companion_velocity
+    points, ways = (np.ascontiguousarray(one).view(float).reshape(-1, 2) for one in (position, velocity))
+    found = kernel_means(points, ways, others, near, alike, parameters.companion_weight)
+    return np.asarray(found.view(complex)[:, 0])
+
+
+def spreads(
+    parameters: ForecastParameters, expected: Expected, ahead: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """1-σ (n, A) along and across the direction of motion, in a scene like others; metres."""
+    speed = expected.speed[:, None]
+    usual = parameters.spread_standing**2 + (parameters.spread_walking * speed) ** 2
+    usual = usual * ahead ** (2.0 * parameters.spread_power)
+    prior = parameters.spread_prior
+    variance = (prior * usual + expected.weight * expected.square) / (prior + expected.weight)
+    variance = variance + expected.estimate
+    ratio = parameters.spread_along ** (2.0 * speed / (speed + _WALKING))
+    return np.sqrt(variance * 2.0 * ratio / (1.0 + ratio)), np.sqrt(variance * 2.0 / (1.0 + ratio))
+
+
+def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
+    """Return the angle (n,) by which the motion will turn to the head, radians.
+
+    Parameters
+    ----------
+    angle : (n,) from the direction of motion to the head
+    sure : (n,) 1 for a head that was seen and holds still, 0 for one that was not
+    """
+    counts = sure * np.exp(-((angle / parameters.head_limit) ** 2))
+    turn: FloatArray = parameters.head_share * counts * angle
+    return turn
+
+
+def mean_turn(ahead: FloatArray, parameters: ForecastParameters) -> FloatArray:
+    """Of a turn that is approached exponentially, the mean up to each time (A,), as a share of it."""
+    x = ahead / parameters.head_seconds
+    mean: FloatArray = 1.0 + np.expm1(-x) / x
+    return mean
+
+
+def between_lags(ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weights (A, G) of `LAGS` for each time, and by what to multiply: 0 now, on and on after the last."""
+    inner = np.clip(ahead, LAGS[0], LAGS[-1])
+    weights = np.stack([np.interp(inner, LAGS, one) for one in np.eye(len(LAGS))], axis=1)
+    return weights, ahead / inner
+
+
+LONGEST_HORIZON = 60.0
+"""Seconds ahead beyond which nothing of a person's motion is left to forecast from."""
+MOST_TIMES = 1000
+"""Times ahead of one forecast."""
+
+_FORGOTTEN = 10.0
+"""Seconds after which people who were not seen again are forgotten."""
+_HEAD_SECONDS = 0.3
+"""Time constant over which directions of the head are averaged."""
+JUDGED = 2.8
+"""Seconds that somebody must have been seen for, for the outcome of a forecast to tell about others."""
+_OF_A_PLACE = (
+    *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
+    *("_moved", "_looked", "_now", "_variance", "_seen"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Predicted positions of n people.
+
+    Attributes
+    ----------
+    t : seconds, when it was made
+    track_id : (n,)
+    ahead : (A,) seconds from t
+    position : (n, A, 2) means, m
+    covariance : (n, A, 2, 2) m²
+    radius_50, radius_90 : (n, A) of circles about the mean that hold 50 and 90 % of the probability, m
+    samples : (n, S, A, 2) of paths, m
+    """
+
+    t: float
+    track_id: NDArray[np.int64]
+    ahead: FloatArray
+    position: FloatArray
+    covariance: FloatArray
+    radius_50: FloatArray
+    radius_90: FloatArray
+    samples: FloatArray
+
+
+def times_ahead(horizon: float, step: float) -> FloatArray:
+    """Every ``step`` seconds up to ``horizon``.
+
+    Raise InputError if there is none, or too many.
+    """
+    if not (math.isfinite(horizon) and 0.0 < horizon <= LONGEST_HORIZON):
+        raise InputError(f"horizon = {horizon:g}", f"seconds above 0, {LONGEST_HORIZON:g} at most")
+    if not (math.isfinite(step) and 0.0 < step <= horizon + 1e-9):
+        raise InputError(f"step = {step:g}", f"seconds above 0, no more than the horizon ({horizon:g})")
+    count = math.floor(horizon / step + 1e-6)
+    if count > MOST_TIMES:
+        raise InputError(f"{count} steps to the horizon", f"a longer step: {MOST_TIMES} at most")
+    times: FloatArray = step * np.arange(1.0, count + 1.0)
+    return times
+
+
+class Forecaster:
+    """Forecasts for the people of a scene, which it sees frame by frame.
+
+    What it knows is bounded: a filter for each person seen in the last seconds, and the scene's places.
+
+    Parameters
+    ----------
+    parameters : by default those learned
+
+    Examples
+    --------
+    >>> forecaster = Forecaster()
+    >>> for k in range(8):
+    ...     forecaster.update(0.4 * k, [7], [(0.5 * k, 0.0)])
+    >>> told = forecaster.forecast([0.4, 0.8])
+    >>> told.track_id.tolist(), told.position[0, :, 0].round(1).tolist()
+    ([7], [4.0, 4.5])
+    """
+
+    def __init__(self, parameters: ForecastParameters | None = None) -> None:
+        self.parameters = ForecastParameters() if parameters is None else parameters
+        self._calibration = Calibration(self.parameters)
+        self._places = Places(self.parameters, self._calibration.see)
+        self._of: dict[int, int] = {}
+        self._free: list[int] = []
+        self._filters = MotionFilters(0)
+        self._numbers = 0
+        self.t = -math.inf
+        # Of each place: whose it is, when the person was first and last seen, where, how often, and the head.
+        self._id, self._number = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        self._first, self._last, self._anchored = np.zeros(0), np.zeros(0), np.zeros(0)
+        self._count = np.zeros(0, np.int64)
+        self._position, self._head = np.zeros(0, complex), np.zeros(0, complex)
+        # What was worked out of each place, and for which time.
+        self._moved, self._looked = np.zeros(0), np.zeros(0)
+        self._now, self._variance = np.zeros((0, 2), complex), np.zeros((0, 3))
+        self._seen = np.zeros((0, 3, len(LAGS)), complex)
+
+    def update(
+        self,
+        t: float,
+        track_id: Sequence[int] | NDArray[np.int64],
+        position: Sequence[Sequence[float]] | FloatArray,
+        std: FloatArray | None = None,
+        head: FloatArray | None = None,
+    ) -> None:
+        """People are seen.
+
+        Parameters
+        ----------
+        t : seconds, after those of the update before
+        track_id : (n,) each once
+        position : (n, 2) metres
+        std : (n,) 1-σ of each axis of the positions, where they say so; NaN: they do not
+        head : (n,) radians; NaN: not seen
+
+        Raises
+        ------
+        InputError
+            If time does not increase, an id comes twice, or a position is not finite.
+        """
+        ids = np.asarray(track_id, np.int64)
+        where = np.asarray(position, float).reshape(-1, 2)
+        if not (math.isfinite(t) and t > self.t):
+            raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
+        if len(np.unique(ids)) != len(ids) or len(ids) != len(where):
+            raise InputError(f"{len(ids)} ids for {len(where)} positions", "each id once, with its position")
+        if not np.isfinite(where).all():
+            raise InputError("a position that is not finite", "metres")
+        points = where[:, 0] + 1j * where[:, 1]
+        spread = np.nan_to_num(np.zeros(len(ids)) if std is None else np.asarray(std, float))
+        self._forget(t)
+        known = np.array([one in self._of for one in ids.tolist()], bool)
+        self._begin(t, ids[~known], points[~known], spread[~known])
+        at = self._at(ids[known])
+        if len(at):
+            before = self._last[at]
+            self._places.see(self._number[at], before, t, self._position[at], points[known])
+            self._filters.update(at, t - before, points[known], spread[known])
+            self._position[at], self._last[at] = points[known], t
+            self._count[at] += 1
+        self.t = t
+        self._see_heads(ids, head)
+        self._anchor(t, at)
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as arrays and numbers in dictionaries; see `from_state`."""
+        return {
+            "t": self.t if math.isfinite(self.t) else None,
+            "numbers": self._numbers,
+            "of": np.array(list(self._of.items()), np.int64).reshape(-1, 2),
+            "free": np.array(self._free, np.int64),
+            "people": {name: getattr(self, name).copy() for name in _OF_A_PLACE},
+            "filters": self._filters.state(),
+            "places": self._places.state(),
+            "calibration": self._calibration.state(),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], parameters: ForecastParameters | None = None) -> Forecaster:
+        """A forecaster that goes on where `state` was taken, given the same parameters.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, IndexError
+            If the state is damaged.
+        """
+        found = cls(parameters)
+        found.t = -math.inf if state["t"] is None else real(state["t"])
+        found._numbers = whole(state["numbers"])
+        found._of = dict(state["of"].tolist())
+        found._free = state["free"].tolist()
+        for name in _OF_A_PLACE:
+            setattr(found, name, state["people"][name])
+        found._filters.restore(state["filters"])
+        found._places.restore(state["places"])
+        found._calibration.restore(state["calibration"])
+        return found
+
+    def people(self, history: float = 0.0) -> NDArray[np.int64]:
+        """Ids of those who are seen now, were seen before, and for so many seconds; in their order.
+
+        Somebody seen in n frames has been seen for n times the time between two of them.
+        """
+        at = np.flatnonzero((self._count >= 2) & (self._last == self.t))
+        span = (self._last - self._first)[at] * (self._count[at] / (self._count[at] - 1))
+        return np.sort(self._id[at[span >= history - 1e-6]])
+
+    def known(self, track_id: Sequence[int]) -> NDArray[np.int64]:
+        """Those of some people who were seen twice, in the last seconds."""
+        known = [one for one in track_id if one in self._of and self._count[self._of[one]] >= 2]
+        return np.array(known, np.int64)
+
+    def forecast(
+        self,
+        ahead: Sequence[float] | FloatArray,
+        track_id: Sequence[int] | NDArray[np.int64] | None = None,
+        *,
+        samples: int = 0,
+        random: np.random.Generator | None = None,
+    ) -> Forecast:
+        """Predict positions.
+
+        Parameters
+        ----------
+        ahead : (A,) seconds after the last update
+        track_id : whose; None: all `people`
+        samples : paths to draw
+        random : for drawing them
+
+        Raises
+        ------
+        InputError
+            For somebody who was not seen in the last seconds.
+        """
+        ids = self.people() if track_id is None else np.asarray(track_id, np.int64)
+        unknown = [one for one in ids.tolist() if one not in self._of]
+        if unknown:
+            raise InputError(f"track {unknown[0]}", "somebody seen in the last seconds")
+        at = self._at(ids)
+        times = np.asarray(ahead, float)
+        expected = self._expected(at, times)
+        interpolate, _ = between_lags(times)
+        stretched = self._calibration.factors @ interpolate.T
+        along, across = spreads(self.parameters, expected, times)
+        scale = np.sqrt(stretched.prod(axis=0))
+        u = expected.direction[:, None]
+        along2, across2 = (along * scale) ** 2, (across * scale) ** 2
+        covariance = np.empty((*along.shape, 2, 2))
+        covariance[..., 0, 0] = along2 * u.real**2 + across2 * u.imag**2
+        covariance[..., 1, 1] = along2 * u.imag**2 + across2 * u.real**2
+        covariance[..., 0, 1] = covariance[..., 1, 0] = (along2 - across2) * u.real * u.imag
+        longer, shorter = np.maximum(along, across), np.minimum(along, across)
+        inner, outer = (
+            radius(level, longer, shorter, self.parameters) * factor
+            for level, factor in zip(LEVELS, stretched, strict=True)
+        )
+        along, across = along * scale, across * scale
+        paths = np.zeros((len(ids), 0, len(times)), complex)
+        if samples:
+            random = np.random.default_rng(0) if random is None else random
+            drawn = offsets(samples, along, across, expected.direction, self.parameters, random)
+            paths = expected.mean[:, None] + drawn
+        return Forecast(self.t, ids, times, _plane(expected.mean), covariance, inner, outer, _plane(paths))
+
+    def expected(self, track_id: NDArray[np.int64], ahead: FloatArray) -> Expected:
+        """The parts of a forecast of people who were seen in the last seconds."""
+        return self._expected(self._at(track_id), ahead)
+
+    def going(self, track_id: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Positions, velocities and mean directions of the head (0: not seen) of such people, (n,)."""
+        at = self._at(track_id)
+        position, velocity, _ = self._going(at)
+        return position, velocity, self._head[at]
+
+    def _at(self, track_id: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.array([self._of[one] for one in track_id.tolist()], np.int64)
+
+    def _begin(self, t: float, ids: NDArray[np.int64], points: ComplexArray, std: FloatArray) -> None:
+        if not len(ids):
+            return
+        lacking = len(ids) - len(self._free)
+        if lacking > 0:
+            size = len(self._id)
+            larger = max(size + lacking, 2 * size, 8)
+            self._filters.grow(larger)
+            for name in _OF_A_PLACE:
+                values = getattr(self, name)
+                more = np.zeros((larger - size, *values.shape[1:]), values.dtype)
+                setattr(self, name, np.concatenate([values, more]))
+            self._free += range(larger - 1, size - 1, -1)
+        at = np.array([self._free.pop() for _ in ids], np.int64)
+        self._of.update(zip(ids.tolist(), at.tolist(), strict=True))
+        self._filters.begin(at, points, std)
+        self._id[at], self._number[at] = ids, self._numbers + np.arange(len(ids))
+        self._numbers += len(ids)
+        self._first[at] = self._last[at] = self._anchored[at] = t
+        self._count[at], self._position[at], self._head[at] = 1, points, 0.0
+        self._moved[at] = self._looked[at] = np.nan
+
+    def _forget(self, t: float) -> None:
+        for one, place in list(self._of.items()):
+            if t - self._last[place] > _FORGOTTEN:
+                del self._of[one]
+                self._count[place] = 0
+                self._free.append(place)
+
+    def _see_heads(self, ids: NDArray[np.int64], head: FloatArray | None) -> None:
+        angles = np.full(len(ids), np.nan) if head is None else np.asarray(head, float)
+        at = self._at(ids)
+        if not len(at):
+            return
+        steps = (self._last - self._first)[at] / np.maximum(self._count[at] - 1, 1)
+        keep = np.where(self._count[at] > 1, np.exp(-steps / _HEAD_SECONDS), 0.0)
+        seen = np.isfinite(angles)
+        now = np.where(seen, np.exp(1j * np.where(seen, angles, 0.0)), 0.0)
+        self._head[at] = keep * self._head[at] + (1.0 - keep) * now
+
+    def _anchor(self, t: float, at: NDArray[np.int64]) -> None:
+        """Make anchors of people whose last one was long enough ago."""
+        at = at[t - self._anchored[at] >= EVERY - 1e-3]
+        if not len(at):
+            return
+        self._anchored[at] = t
+        self._filters.learn(at, 0.1)
+        expected = self._expected(at, LAGS)
+        along, across = spreads(self.parameters, expected, LAGS)
+        position, velocity, _ = self._going(at)
+        deviation = expected.mean - position[:, None] - LAGS * velocity[:, None]
+        spread = np.sqrt((along**2 + across**2) / 2)
+        spread[t - self._first[at] < JUDGED] = np.nan
+        self._places.add(t, self._number[at], position, velocity, deviation, spread)
+
+    def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        if (self._moved[at] != self.t).any():
+            here = np.flatnonzero((self._count >= 2) & (self._last == self.t))
+            old = np.union1d(here, at)
+            motion = self._filters.motion(old, self.t - self._last[old])
+            own = standing(motion.velocity, self.parameters.stop_speed)
+            others = np.searchsorted(old, here)
+            velocity = together(motion.position, own, others, self.parameters)
+            self._now[old] = np.stack([motion.position, velocity], axis=1)
+            self._variance[old], self._moved[old] = motion.variance, self.t
+        return self._now[at, 0], self._now[at, 1], self._variance[at]
+
+    def _near(self, at: NDArray[np.int64], position: ComplexArray, velocity: ComplexArray) -> Seen:
+        old = self._looked[at] != self.t
+        if old.any():
+            seen, places = self._places.near(position[old], velocity[old]), at[old]
+            self._seen[places] = np.stack([seen.weight, seen.deviation, seen.square], axis=1)
+            self._looked[places] = self.t
+        weight, deviation, square = np.moveaxis(self._seen[at], 1, 0)
+        return Seen(weight.real, deviation, square.real)
+
+    def _expected(self, at: NDArray[np.int64], ahead: FloatArray) -> Expected:
+        position, velocity, variance = self._going(at)
+        speed = np.abs(velocity)
+        direction = np.where(speed > 1e-6, velocity / np.maximum(speed, 1e-6), 1.0)
+        turned = np.exp(1j * self._lead(at, velocity)[:, None] * mean_turn(ahead, self.parameters))
+        straight = velocity[:, None] * ahead * turned
+        seen = self._near(at, position, velocity)
+        prior = seen.weight / (seen.weight + self.parameters.place_prior)
+        shift = prior * seen.deviation
+        about = seen.square - 2.0 * (shift.conj() * seen.deviation).real + np.abs(shift) ** 2
+        interpolate, growth = between_lags(ahead)
+        correction = (shift @ interpolate.T) * growth
+        estimate = variance[:, :1] + 2.0 * ahead * variance[:, 1:2] + ahead**2 * variance[:, 2:]
+        return Expected(
+            mean=position[:, None] + straight + correction,
+            direction=direction,
+            speed=speed,
+            estimate=estimate,
+            weight=seen.weight @ interpolate.T,
+            square=(np.maximum(about, 0.0) / 2 / LAGS**2) @ interpolate.T * ahead**2,
+        )
+
+    def _lead(self, at: NDArray[np.int64], velocity: ComplexArray) -> FloatArray:
+        """How far the head leads the motion, as far as that counts (n,), radians."""
+        head = self._head[at]
+        return lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
+
+
+def _plane(points: ComplexArray) -> FloatArray:
+    return np.stack([points.real, points.imag], axis=-1)

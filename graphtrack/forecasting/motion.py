@@ -1,0 +1,236 @@
+"""Parameters of forecasts, with units and ranges, and their file.
+
+Positions and velocities of many people at once, under several beliefs about how noisy positions are.
+
+For each person a Kalman filter (white-noise acceleration, the model's term `Motion`) runs under each of
+`BELIEFS`; how well it predicted the next position says which holds (a static multiple model: Magill, IEEE TAC
+10(4), 1965). Annotators' splines and detectors' jitter differ by two orders of magnitude, and a filter that
+is wrong about them either lags or shakes. Points of the plane are complex numbers: both axes share their
+gains. (The filter of data association takes one belief and jumps, one detection at a time, compiled.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.atomic import atomic_path
+from graphtrack.io.source import read_toml
+from graphtrack.tracks.validation import check_numbers, number, with_table
+
+TABLE = "forecast"
+"""The table of a parameter file."""
+
+
+@dataclass(frozen=True)
+class ForecastParameters:
+    """Parameters of forecasts; the defaults are learned (docs/forecast.md says on what).
+
+    Attributes
+    ----------
+    stop_speed : speeds well below it count as standing, m/s
+    companion_weight : how much a companion's velocity counts beside one's own, at most
+    companion_distance, companion_velocity : how near in position (m) and velocity (m/s) companions are
+    head_share : of the angle from the direction of motion to the visible head, how much the motion follows
+    head_seconds : time constant of that, s
+    head_limit : angles well beyond it lead nowhere, rad
+    place_distance, place_velocity : how near in position (m) and velocity (m/s) somebody earlier must have
+        been for what they did there to count
+    place_prior : people without news that what was seen in a place is weighed against
+    spread_standing, spread_walking : 1-σ a second ahead, on each axis, of what people do that nobody could
+        know: at rest (m), and for each m/s of speed (m)
+    spread_power : the power of time with which it grows
+    spread_along : the spread along the direction of motion over that across it, for people who walk
+    spread_prior : people that the spread seen in a place is weighed against
+    tail_share, tail_scale : share of people who do something else altogether, and how much wider they spread
+    scene_prior : forecasts whose outcome is known that it takes to trust the scene's own errors half
+    """
+
+    stop_speed: float = number(0.3, 0.0, 1.0, "m/s")
+    companion_weight: float = number(2.0, 0.0, 100.0)
+    companion_distance: float = number(1.0, 0.05, 20.0, "m")
+    companion_velocity: float = number(0.2, 0.01, 5.0, "m/s")
+    head_share: float = number(1.0, 0.0, 1.5)
+    head_seconds: float = number(0.3, 0.01, 10.0, "s")
+    head_limit: float = number(1.2, 0.1, 10.0, "rad")
+    place_distance: float = number(2.7, 0.05, 20.0, "m")
+    place_velocity: float = number(0.15, 0.01, 5.0, "m/s")
+    place_prior: float = number(3.0, 0.01, 1000.0)
+    spread_standing: float = number(0.02, 0.02, 5.0, "m")
+    spread_walking: float = number(0.203, 1e-3, 5.0, "m/(m/s)")
+    spread_power: float = number(1.379, 0.3, 3.0)
+    spread_along: float = number(0.722, 0.1, 10.0)
+    spread_prior: float = number(0.435, 0.1, 1000.0)
+    tail_share: float = number(0.299, 0.0, 0.9)
+    tail_scale: float = number(3.216, 1.0, 5.0)
+    scene_prior: float = number(100.0, 1.0, 1e9)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write a parameter file (TOML), whole or not at all."""
+        content = tomli_w.dumps({TABLE: asdict(self)})
+        with atomic_path(path) as temporary:
+            Path(temporary).write_text(content, encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> ForecastParameters:
+        """Read a parameter file; what it does not have is as by default.
+
+        Raise InputError with the file and the key that cannot be used.
+        """
+        expected = f"a file of graphtrack fit --forecast, with a table [{TABLE}]"
+        content = read_toml(path, expected)
+        if list(content) != [TABLE]:
+            raise InputError(f"the keys {', '.join(content) or 'none'}", expected, path=path)
+        try:
+            return with_table(cls(), TABLE, content[TABLE])
+        except InputError as error:
+            raise InputError(error.found, error.expected, path=path) from error
+
+
+ComplexArray = NDArray[np.complex128]
+
+BELIEFS = np.array([(s, q) for s in (0.003, 0.02, 0.06, 0.2) for q in (0.005, 0.05)])
+"""(K, 2): 1-σ of positions on each axis, m, and the density q of the acceleration, m²/s³."""
+
+_SPEED_VARIANCE = 1.0
+"""Of a velocity that nothing is known of, on each axis, (m/s)²."""
+_EVIDENCE_SECONDS = 10.0
+"""After which what was learned of a person's noise has faded to 1/e."""
+_FARTHEST = 25.0
+"""Squared distance, in variances, beyond which a position is a jump and not an error."""
+_HABIT_PRIOR = 2.0
+"""People that a belief about a scene is worth before anybody was seen there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Positions and velocities of n people, all beliefs together.
+
+    Attributes
+    ----------
+    position, velocity : (n,) complex, m and m/s
+    variance : (n, 3) of a position, between it and the velocity, and of a velocity, on each axis
+    """
+
+    position: ComplexArray
+    velocity: ComplexArray
+    variance: FloatArray
+
+
+def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:
+    """Velocities (n,) of which those well below a speed count little: slow motion is mostly swaying."""
+    speed2 = np.abs(velocity) ** 2
+    found: ComplexArray = velocity * speed2 / (speed2 + stop_speed**2 + 1e-12)
+    return found
+
+
+class MotionFilters:
+    """The filters of people in numbered places; who sits where is the caller's business."""
+
+    def __init__(self, places: int) -> None:
+        size = (places, len(BELIEFS))
+        self._position, self._velocity = np.zeros(size, complex), np.zeros(size, complex)
+        self._variance = np.zeros((*size, 3))
+        self._evidence = np.zeros(size)
+        self._habit = np.zeros(len(BELIEFS))
+
+    def grow(self, places: int) -> None:
+        """Make room for so many people."""
+        more = places - len(self._position)
+        for name in ("_position", "_velocity", "_variance", "_evidence"):
+            values = getattr(self, name)
+            wider = np.zeros((more, *values.shape[1:]), values.dtype)
+            setattr(self, name, np.concatenate([values, wider]))
+
+    def state(self) -> dict[str, Any]:
+        """Everything that is known, as arrays; see `restore`."""
+        return {name: np.array(values) for name, values in vars(self).items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state` was taken."""
+        for name in vars(self):
+            setattr(self, name, state[name])
+
+    def begin(self, at: NDArray[np.int64], position: ComplexArray, std: FloatArray) -> None:
+        """Somebody new in each of the places ``at`` (n,), seen at ``position`` (n,), give or take ``std``."""
+        self._position[at], self._velocity[at] = position[:, None], 0.0
+        self._variance[at] = 0.0
+        self._variance[at, :, 0] = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
+        self._variance[at, :, 2] = _SPEED_VARIANCE
+        self._evidence[at] = 0.0
+
+    def update(self, at: NDArray[np.int64], dt: FloatArray, position: ComplexArray, std: FloatArray) -> None:
+        """See the people of the places ``at`` again, after ``dt`` seconds (n,)."""
+        step = dt[:, None]
+        noise = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
+        own, cross, speed = self._predicted(at, step)
+        velocity = self._velocity[at]
+        predicted = self._position[at] + step * velocity
+        error = position[:, None] - predicted
+        expected = own + noise
+        distance = np.abs(error) ** 2 / expected
+        # Who jumped, or was mistaken for somebody, is seen anew: under no belief is that noise.
+        lost = distance.min(axis=1) > _FARTHEST
+        gain, gain_speed = own / expected, cross / expected
+        mean = predicted + gain * error
+        velocity = velocity + gain_speed * error
+        variance = np.stack([own * (1 - gain), cross * (1 - gain), speed - gain_speed * cross], axis=2)
+        keep = np.exp(-step / _EVIDENCE_SECONDS)
+        gained = -0.5 * np.minimum(distance, _FARTHEST) - np.log(expected)
+        evidence = self._evidence[at] * keep + gained
+        evidence -= evidence.max(axis=1, keepdims=True)
+        mean[lost] = position[lost, None]
+        velocity[lost] = 0.5 * self._velocity[at[lost]]
+        variance[lost] = np.stack(
+            [noise[lost], np.zeros_like(noise[lost]), np.full_like(noise[lost], _SPEED_VARIANCE)],
+            axis=2,
+        )
+        evidence[lost] = self._evidence[at[lost]]
+        self._position[at], self._velocity[at] = mean, velocity
+        self._variance[at], self._evidence[at] = variance, evidence
+
+    def _predicted(
+        self, at: NDArray[np.int64], step: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the variances (n, K) of positions, between them and velocities, and of velocities, later."""
+        own, cross, speed = np.moveaxis(self._variance[at], 2, 0)
+        density = BELIEFS[:, 1]
+        own = own + 2.0 * step * cross + step**2 * speed + density * step**3 / 3.0
+        return own, cross + step * speed + density * step**2 / 2.0, speed + density * step
+
+    def learn(self, at: NDArray[np.int64], share: float) -> None:
+        """Shift the scene's prior over beliefs towards those of the people of the places ``at``."""
+        self._habit += share * self._weights(at).sum(axis=0)
+
+    def _weights(self, at: NDArray[np.int64]) -> FloatArray:
+        habit = (self._habit + _HABIT_PRIOR / len(BELIEFS)) / (self._habit.sum() + _HABIT_PRIOR)
+        weights = np.exp(self._evidence[at] + np.log(habit))
+        total: FloatArray = weights / weights.sum(axis=1, keepdims=True)
+        return total
+
+    def motion(self, at: NDArray[np.int64], ahead: FloatArray) -> Motion:
+        """The people of the places ``at`` so many seconds (n,) after they were last seen."""
+        weights, step = self._weights(at), ahead[:, None]
+        velocities = self._velocity[at]
+        positions = self._position[at] + step * velocities
+        own, cross, speed = self._predicted(at, step)
+        position, velocity = (weights * positions).sum(axis=1), (weights * velocities).sum(axis=1)
+        off, drift = positions - position[:, None], velocities - velocity[:, None]
+        between = (
+            own + np.abs(off) ** 2 / 2,
+            cross + (off.conj() * drift).real / 2,
+            speed + np.abs(drift) ** 2 / 2,
+        )
+        variance = np.stack([(weights * part).sum(axis=1) for part in between], axis=1)
+        return Motion(position, velocity, variance)

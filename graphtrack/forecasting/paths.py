@@ -1,0 +1,256 @@
+"""Gaussian kernel sums, compiled, and the paths of a scene that they are taken over.
+
+Paths of a scene, learned online: deviations of earlier people of the same place and velocity.
+
+Every so often a person's position and velocity become an anchor, which is filled with where the person went
+instead of straight on, as that is seen. A forecast is corrected by the anchors near it (a kernel regression:
+Nadaraya, Theory Probab. Appl. 9(1), 1964), weighed against people who went straight on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.forecasting.motion import ComplexArray, ForecastParameters
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.compilation import allocating
+
+_LEAST = -25.0
+"""Logarithm of the least weight: all that is further counts for less than rounding, beside a few people."""
+
+
+@allocating
+def kernel_sums(
+    here: NDArray[np.float32], there: NDArray[np.float32], values: NDArray[np.float32], count: int
+) -> FloatArray:
+    """(n, G) sums of the values of points there, by a Gaussian kernel of width 1 about points here.
+
+    Parameters
+    ----------
+    here, there : (d, n), (d, m) points; of those there the first ``count`` are known
+    values : (m, G)
+    """
+    size, kinds = here.shape[1], values.shape[1]
+    found, total = np.empty((size, kinds)), np.empty(kinds, dtype=np.float32)
+    square = np.empty(count, dtype=np.float32)
+    for i in range(size):
+        total[:] = 0.0
+        square[:] = 0.0
+        for axis in range(len(there)):
+            place, line = here[axis, i], there[axis]
+            for j in range(count):
+                square[j] += (line[j] - place) * (line[j] - place)
+        for j in range(count):
+            if square[j] < -2.0 * _LEAST:
+                weight = np.float32(math.exp(-0.5 * square[j]))
+                for k in range(kinds):
+                    total[k] += weight * values[j, k]
+        found[i] = total
+    return found
+
+
+@allocating
+def kernel_means(
+    position: FloatArray,
+    velocity: FloatArray,
+    others: NDArray[np.int64],
+    near: float,
+    alike: float,
+    most: float,
+) -> FloatArray:
+    """(n, 2) velocities, averaged with those of others who are near and go the same way.
+
+    Parameters
+    ----------
+    position, velocity : (n, 2)
+    others : (m,) which of them count as others
+    near, alike : widths of the kernels, of positions and velocities
+    most : weight of another in the same place with the same velocity, where one's own is 1
+    """
+    found = np.empty((len(position), 2))
+    for i in range(len(position)):
+        x, y, weight = velocity[i, 0], velocity[i, 1], 1.0
+        for j in others:
+            apart = (position[j, 0] - position[i, 0]) ** 2 + (position[j, 1] - position[i, 1]) ** 2
+            unlike = (velocity[j, 0] - velocity[i, 0]) ** 2 + (velocity[j, 1] - velocity[i, 1]) ** 2
+            log = -0.5 * (apart / (near * near) + unlike / (alike * alike))
+            if i != j and log > _LEAST:
+                share = most * math.exp(log)
+                x, y, weight = x + share * velocity[j, 0], y + share * velocity[j, 1], weight + share
+        found[i, 0], found[i, 1] = x / weight, y / weight
+    return found
+
+
+LAGS: FloatArray = 0.4 * np.arange(1.0, 13.0)
+"""(G,) seconds after an anchor at which its person's deviation is kept."""
+
+EVERY = 0.4
+"""Seconds between two anchors of a person."""
+
+_CAPACITY = 4096
+"""Anchors that are kept; when there are more, new ones take the places of any."""
+_OF_ALL = ("_position", "_velocity", "_outcome")
+_OF_OPEN = ("_t", "_owner", "_next", "_expected", "_spread")
+_LONGEST_GAP = 1.0
+"""Seconds without a person beyond which nobody knows where the person was in between."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Deviations of earlier people near n people, at each of `LAGS`.
+
+    Attributes
+    ----------
+    weight : (n, G) how many anchors count
+    deviation : (n, G) complex, their mean deviation from going straight on, m
+    square : (n, G) their mean squared deviation, m²
+    """
+
+    weight: FloatArray
+    deviation: ComplexArray
+    square: FloatArray
+
+
+class Places:
+    """The anchors of a scene.
+
+    Parameters
+    ----------
+    judge : is told of errors over the expected spread, beside the numbers of their `LAGS`
+    """
+
+    def __init__(
+        self, parameters: ForecastParameters, judge: Callable[[NDArray[np.int64], FloatArray], None]
+    ) -> None:
+        self._parameters, self._judge = parameters, judge
+        self._random = np.random.default_rng(0)
+        self._count = 0
+        self._where = np.zeros((4, _CAPACITY), np.float32)
+        self._outcome = np.zeros((_CAPACITY, 4 * len(LAGS)), np.float32)
+        self._position, self._velocity = np.zeros(_CAPACITY, complex), np.zeros(_CAPACITY, complex)
+        self._t, self._owner = np.zeros(_CAPACITY), np.full(_CAPACITY, -1)
+        self._next = np.full(_CAPACITY, len(LAGS))
+        self._expected = np.zeros((_CAPACITY, len(LAGS)), complex)
+        self._spread = np.ones((_CAPACITY, len(LAGS)))
+        self._active = np.zeros(0, np.int64)
+
+    def __len__(self) -> int:
+        return min(self._count, _CAPACITY)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that is known, as arrays and numbers; see `restore`."""
+        kept = {name: getattr(self, name)[: len(self)].copy() for name in _OF_ALL}
+        still_open = {name: getattr(self, name)[self._active] for name in _OF_OPEN}
+        random = self._random.bit_generator.state
+        return {"count": self._count, "random": random, "active": self._active, **kept, **still_open}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state` was taken."""
+        self._count, self._active = state["count"], state["active"]
+        self._random.bit_generator.state = state["random"]
+        for name in _OF_ALL:
+            getattr(self, name)[: len(self)] = state[name]
+        for name in _OF_OPEN:
+            getattr(self, name)[self._active] = state[name]
+        self._where[:, : len(self)] = self._scaled(self._position[: len(self)], self._velocity[: len(self)])
+
+    def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> NDArray[np.float32]:
+        near, alike = self._parameters.place_distance, self._parameters.place_velocity
+        columns = (position.real / near, position.imag / near, velocity.real / alike, velocity.imag / alike)
+        return np.stack(columns).astype(np.float32)
+
+    def add(
+        self,
+        t: float,
+        owner: NDArray[np.int64],
+        position: ComplexArray,
+        velocity: ComplexArray,
+        expected: ComplexArray,
+        spread: FloatArray,
+    ) -> None:
+        """New anchors.
+
+        Parameters
+        ----------
+        owner : (n,) numbers of the people, of whom nobody else ever has the same
+        position, velocity : (n,)
+        expected : (n, G) deviations that were forecast for them at `LAGS`
+        spread : (n, G) and their 1-σ; NaN: not to be judged
+        """
+        free = np.arange(self._count, self._count + len(owner))
+        over = free >= _CAPACITY
+        free[over] = self._random.choice(_CAPACITY, int(over.sum()), replace=False)
+        self._count += len(owner)
+        self._position[free], self._velocity[free], self._t[free] = position, velocity, t
+        self._where[:, free] = self._scaled(position, velocity)
+        self._owner[free], self._next[free], self._outcome[free] = owner, 0, 0.0
+        self._expected[free], self._spread[free] = expected, spread
+        self._active = np.union1d(self._active, free)
+
+    def see(
+        self,
+        owner: NDArray[np.int64],
+        before: FloatArray,
+        t: float,
+        was: ComplexArray,
+        position: ComplexArray,
+    ) -> None:
+        """People were seen again: their open anchors learn where they went.
+
+        Parameters
+        ----------
+        owner : (n,) who
+        before, was : (n,) when and where they had been seen before
+        t, position : when, and (n,) where they are seen now
+        """
+        active = self._active
+        if not len(active) or not len(owner):
+            return
+        order = np.argsort(owner)
+        found = np.searchsorted(owner, self._owner[active], sorter=order)
+        person = order[np.minimum(found, len(owner) - 1)]
+        here = owner[person] == self._owner[active]
+        active, person = active[here], person[here]
+        while len(active):
+            due = LAGS[self._next[active]] + self._t[active]
+            is_due = due <= t + 1e-6
+            active, person, due = active[is_due], person[is_due], due[is_due]
+            if not len(active):
+                break
+            lag, gap = self._next[active], t - before[person]
+            share = np.clip((due - before[person]) / np.maximum(gap, 1e-9), 0.0, 1.0)
+            place = was[person] + share * (position[person] - was[person])
+            straight = self._position[active] + LAGS[lag] * self._velocity[active]
+            sure = gap <= _LONGEST_GAP
+            self._learn(active[sure], lag[sure], (place - straight)[sure])
+            self._next[active] += 1
+            more = self._next[active] < len(LAGS)
+            active, person = active[more], person[more]
+        oldest = t - LAGS[-1] - _LONGEST_GAP
+        open_ = (self._next[self._active] < len(LAGS)) & (self._t[self._active] > oldest)
+        self._active = self._active[open_]
+
+    def _learn(self, at: NDArray[np.int64], lag: NDArray[np.int64], deviation: ComplexArray) -> None:
+        size = len(LAGS)
+        self._outcome[at, lag] = deviation.real
+        self._outcome[at, size + lag] = deviation.imag
+        self._outcome[at, 2 * size + lag] = np.abs(deviation) ** 2
+        self._outcome[at, 3 * size + lag] = 1.0
+        error = np.abs(deviation - self._expected[at, lag]) / self._spread[at, lag]
+        judged = np.isfinite(error)
+        self._judge(lag[judged], error[judged])
+
+    def near(self, position: ComplexArray, velocity: ComplexArray) -> Seen:
+        """Return the deviations of earlier people near those positions and velocities (n,)."""
+        here = self._scaled(position, velocity)
+        sums = kernel_sums(here, self._where, self._outcome, len(self))
+        real, imaginary, square, weight = np.split(sums, 4, axis=1)
+        total = np.maximum(weight, 1e-12)
+        deviation: ComplexArray = np.asarray((real + 1j * imaginary) / total, dtype=complex)
+        return Seen(weight, deviation, square / total)

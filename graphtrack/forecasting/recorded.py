@@ -1,0 +1,284 @@
+"""Forecasts for recorded tracks: each from what had been seen when it was made.
+
+Tables of forecasts: recognised by their columns, and read.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.association.associate import tracks_of
+from graphtrack.errors import InputError
+from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
+from graphtrack.forecasting.motion import ForecastParameters
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.formats.native import damage_told
+from graphtrack.io.source import Source
+from graphtrack.tracks.track import STATE, Track, TrackSet
+from graphtrack.tracks.validation import check_positive
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from graphtrack.io.read_write import Given
+
+
+_LONGEST = 86400.0
+_MOST_ROWS = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrame:
+    """People seen at a time.
+
+    Attributes
+    ----------
+    t, frame : seconds, and the number of the frame
+    track_id, position, std, head : as `Forecaster.update` takes them
+    """
+
+    t: float
+    frame: int
+    track_id: NDArray[np.int64]
+    position: FloatArray
+    std: FloatArray
+    head: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Forecasts:
+    """Forecasts of a recording, as a table.
+
+    Attributes
+    ----------
+    columns : name → (rows,): ``track_id, frame, t, ahead, x, y, x_std, y_std, xy_cov, radius_50, radius_90``;
+        ``sample_<k>_x, sample_<k>_y`` where samples were asked for
+    people : how many were forecast
+    too_short : ids of those who were never seen for long enough
+    """
+
+    columns: dict[str, NDArray[np.float64] | NDArray[np.int64]]
+    people: int
+    too_short: tuple[int, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.columns["ahead"])
+
+    def __repr__(self) -> str:
+        return f"Forecasts({len(self)} rows of {self.people} people)"
+
+    def to_table(self) -> pd.DataFrame:
+        """The columns as a DataFrame."""
+        import pandas as pd
+
+        return pd.DataFrame(self.columns)
+
+    def write(self, path: str | Path) -> None:
+        """Write the table; the ending says as what (.csv, .csv.gz, .parquet, .ndjson)."""
+        from graphtrack.io.read_write import write_table
+
+        write_table(self.columns, path)
+
+
+def frames_of(tracks: TrackSet | list[Track]) -> Iterator[SeenFrame]:
+    """Return the people seen, time by time; rows without a position are left out."""
+    parts: list[tuple[FloatArray, ...]] = []
+    for track in tracks:
+        seen = np.isfinite(track.position).all(axis=1)
+        if track.observed is not None:
+            seen &= ~(track.observed == 0.0)
+        unknown = np.full(len(track), np.nan)
+        std = unknown if track.position_std is None else track.position_std
+        if track.covariance is not None:
+            places = [STATE.index("x"), STATE.index("y")]
+            std = np.sqrt(track.covariance[:, places, places].mean(axis=1))
+        head = unknown if track.head is None else track.head
+        who = np.full(len(track), track.track_id)
+        values = (track.t, track.frame, who, *track.position.T, std, head)
+        parts.append(tuple(np.asarray(one)[seen] for one in values))
+    if not parts:
+        return
+    t, frame, who, x, y, std, head = (np.concatenate(one) for one in zip(*parts, strict=True))
+    order = np.lexsort((who, np.round(t, 6)))
+    edges = np.flatnonzero(np.diff(np.round(t[order], 6), prepend=-np.inf))
+    for rows in np.split(order, edges[1:]) if len(order) else []:
+        yield SeenFrame(
+            t=float(t[rows[0]]),
+            frame=int(frame[rows[0]]),
+            track_id=who[rows].astype(np.int64),
+            position=np.stack([x[rows], y[rows]], axis=1),
+            std=std[rows],
+            head=head[rows],
+        )
+
+
+def forecast(
+    tracks: Given,
+    *,
+    horizon: float = 4.8,
+    step: float = 0.4,
+    every: float | None = None,
+    history: float | None = None,
+    samples: int = 0,
+    parameters: ForecastParameters | str | Path | None = None,
+    seed: int = 0,
+) -> Forecasts:
+    """Forecast everybody at each time from the frames until then.
+
+    Parameters
+    ----------
+    tracks : of one scene, with positions as they were seen. Tracks that were smoothed offline know their
+        future, and so would the forecasts.
+    horizon, step : forecasts are for every ``step`` seconds up to ``horizon``
+    every : seconds between the times at which forecasts are made; None: at each frame
+    history : seconds that somebody must have been seen for; None: in two frames
+    samples : paths to draw for each
+    parameters : or the file that they are in; by default those learned
+    seed : of the samples
+
+    Raises
+    ------
+    InputError
+        For settings that make no sense, and where nobody was seen for long enough.
+    """
+    ahead = times_ahead(horizon, step)
+    check_positive("every", every, _LONGEST)
+    if history is not None and not (math.isfinite(history) and 0.0 <= history <= _LONGEST):
+        raise InputError(f"history = {history:g}", f"seconds from 0 to {_LONGEST:g}")
+    if not 0 <= samples <= 1000:
+        raise InputError(f"samples = {samples}", "a number from 0 to 1000")
+    tracks = tracks_of(tracks)
+    if isinstance(parameters, str | Path):
+        parameters = ForecastParameters.load(parameters)
+    forecaster, random = Forecaster(parameters), np.random.default_rng(seed)
+    made: list[tuple[int, Forecast]] = []
+    last, rows = -math.inf, 0
+    for seen in frames_of(tracks):
+        forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
+        if every is not None and seen.t - last < every - 1e-6:
+            continue
+        last = seen.t
+        people = forecaster.people(history or 0.0)
+        if len(people):
+            made.append((seen.frame, forecaster.forecast(ahead, people, samples=samples, random=random)))
+            rows += len(people) * len(ahead)
+            if rows > _MOST_ROWS:
+                raise InputError(
+                    f"more than {_MOST_ROWS} rows", "forecasts less often (every), or longer steps"
+                )
+    told = set(np.concatenate([one.track_id for _, one in made]).tolist()) if made else set()
+    short = tuple(track.track_id for track in tracks if track.track_id not in told)
+    if not made:
+        needed = "two frames" if history is None else f"{history:g} s, the history"
+        raise InputError(f"nobody among {len(tracks)} who was seen for {needed}", "longer tracks")
+    return Forecasts(columns_of(made), len(told), short)
+
+
+def columns_of(made: list[tuple[int, Forecast]]) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
+    """The table of forecasts and the frames at which they were made."""
+    parts = [_columns(frame, one) for frame, one in made]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _columns(frame: int, made: Forecast) -> dict[str, NDArray[Any]]:
+    people, times = made.position.shape[:2]
+    values = {
+        "x": made.position[..., 0],
+        "y": made.position[..., 1],
+        "x_std": np.sqrt(made.covariance[..., 0, 0]),
+        "y_std": np.sqrt(made.covariance[..., 1, 1]),
+        "xy_cov": made.covariance[..., 0, 1],
+        "radius_50": made.radius_50,
+        "radius_90": made.radius_90,
+    }
+    for k in range(made.samples.shape[1]):
+        values |= {f"sample_{k}_x": made.samples[:, k, :, 0], f"sample_{k}_y": made.samples[:, k, :, 1]}
+    return {
+        "track_id": np.repeat(made.track_id, times),
+        "frame": np.full(people * times, frame),
+        "t": np.full(people * times, made.t),
+        "ahead": np.tile(made.ahead, people),
+        **{name: one.reshape(-1) for name, one in values.items()},
+    }
+
+
+COLUMNS = ("track_id", "frame", "t", "ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90")
+"""Of a table of forecasts; ``sample_<k>_x`` and ``sample_<k>_y`` may follow."""
+
+_TELLING = ("track_id", "t", "ahead", "radius_50", "radius_90")
+_PARQUET = b"PAR1"
+
+
+def is_forecast(path: Path) -> bool:
+    """Return whether a file is a table of forecasts.
+
+    Raise InputError if it cannot be read at all.
+    """
+    return set(_TELLING) <= set(_names(Source.open(path)))
+
+
+def read_forecasts(path: Path) -> dict[str, FloatArray]:
+    """The columns (rows,) of a table of forecasts.
+
+    Raise InputError with the line and the column that cannot be used.
+    """
+    import pandas as pd
+
+    source = Source.open(path)
+    missing = [name for name in COLUMNS if name != "frame" and name not in _names(source)]
+    if missing:
+        raise InputError(f"no column {missing[0]}", f"the columns {', '.join(COLUMNS)}", path=path)
+    if source.head.startswith(_PARQUET):
+        with damage_told(path):
+            table = pd.read_parquet(io.BytesIO(source.data))
+    else:
+        try:
+            if _is_json(source):
+                table = pd.read_json(io.StringIO(source.text), lines=True, dtype=False)
+            else:
+                table = pd.read_csv(io.StringIO(source.text), dtype=str, keep_default_na=False)
+        except ValueError as error:  # pandas' own errors among them
+            raise InputError(" ".join(str(error).split())[:100], "a whole table", path=path) from error
+    wanted = [name for name in table.columns if name in COLUMNS or name.startswith("sample_")]
+    found: dict[str, FloatArray] = {}
+    for name in wanted:
+        values = pd.to_numeric(table[name], errors="coerce").to_numpy(float)
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if len(wrong):
+            place = int(wrong[0]) + (1 if source.head.startswith(_PARQUET) or _is_json(source) else 2)
+            text = str(table[name].iloc[wrong[0]])[:40]
+            raise InputError(repr(text), "a finite number", path=path, line=place, column=name)
+        found[name] = values
+    if not len(table):
+        raise InputError("no rows", "forecasts", path=path)
+    for name in ("x_std", "y_std", "radius_50", "radius_90", "ahead"):
+        if (found[name] <= 0.0).any():
+            place = int(np.argmax(found[name] <= 0.0))
+            raise InputError(f"{found[name][place]:g}", "a number above 0", path=path, column=name)
+    return found
+
+
+def _is_json(source: Source) -> bool:
+    return source.head.lstrip().startswith(b"{")
+
+
+def _names(source: Source) -> list[str]:
+    if source.head.startswith(_PARQUET):
+        import pyarrow.parquet as pq
+
+        with damage_told(source.path):
+            return list(pq.read_schema(io.BytesIO(source.data)).names)
+    first = next((line for line in source.head.decode("utf-8", "replace").splitlines() if line.strip()), "")
+    if _is_json(source):
+        return [name for name in _TELLING if f'"{name}"' in first] + [
+            name for name in COLUMNS if name not in _TELLING and f'"{name}"' in first
+        ]
+    return [name.strip().strip('"') for name in first.removeprefix("\ufeff").split(",")]

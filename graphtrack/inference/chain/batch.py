@@ -1,0 +1,605 @@
+"""Whole tracks: descents, other basins, coupling modes and covariances, one track at a time or in lanes.
+
+Everything here is written once. A `Group` is one track, whose arrays hold floats, or one track in each lane,
+whose arrays are `lanes`; `solve_tracks` takes tracks one at a time, `solve_lanes` `LANES` at once.
+
+The compiled chain engine on whole tracks: initialise, solve, find covariances and calibrate them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins, unwind
+from graphtrack.inference.chain.covariance import Calibration, calibrate_tracks, find_covariances
+from graphtrack.inference.chain.initialisation import (
+    Seen,
+    empty_result,
+    initialise,
+    linear_part,
+    problem_of,
+    seen_in,
+    solve_linear_tracks,
+)
+from graphtrack.inference.chain.newton import (
+    COST,
+    FIRST_COST,
+    NOT_FINITE,
+    STATUS,
+    STEPS,
+    Result,
+    Workspace,
+    as_variable,
+    copy_rows,
+    cost_of,
+    minimise,
+    workspace,
+)
+from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
+from graphtrack.kernels.lanes import (
+    any_of,
+    choose,
+    lane_array,
+    lane_count,
+    lane_of,
+    lane_records,
+    lane_rows,
+    masked,
+    only_lane,
+)
+from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, N, Problem, X, Y, number_rows
+from graphtrack.model import Model
+from graphtrack.model.coupling_modes import (
+    ModeMemory,
+    add_glance_variance,
+    classified_in,
+    mode_memory,
+    renew_couplings,
+    report_modes,
+)
+from graphtrack.model.generator import OF_PRESETS, program_of
+from graphtrack.model.packing import PackedTracks
+from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.tracks.track import Track
+
+
+class Options(NamedTuple):
+    """How tracks are solved."""
+
+    max_iterations: int  # of each descent
+    tolerance: float  # of the cost, of the last descent
+    on_the_way: float  # the same of those before, which tell of modes alone
+    passes: int  # times that coupling modes, and then the states, are found
+    search: bool  # whether other basins are searched
+
+
+class Group(NamedTuple):
+    """One track, or one in each lane."""
+
+    problem: Problem  # as the kernels see it: the whole, or the lanes'
+    track: int  # its number there
+    tracks: NDArray[np.int64]  # its number, or the lanes', in the whole problem; −1: none
+    states: FloatArray  # (n, 6)
+    covariance: FloatArray  # (n, 6, 6)
+    workspace: Workspace
+    modes: Any  # ModeMemory; None without coupling modes
+
+
+# -- one group -----------------------------------------------------------------------------------------------
+
+
+@inner
+def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
+    """Minimise the costs of a group; ``workspace.ended`` reports how.
+
+    With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
+    """
+    problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
+    workspace, ended, again = group.workspace, group.workspace.ended, group.workspace.again
+    nothing = 0.0 * workspace.length[0]
+    elsewhere, begun = nothing > 0.0, nothing
+    if search:
+        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_START, workspace)
+    if any_of(elsewhere):
+        # Contradictions make a poor start, from which the descent is long.
+        begun = cost_of(problem, track, n, states, workspace)
+        copy_rows(0, n, again, states)
+    minimise(problem, track, n, states, max_iterations, tolerance, workspace)
+    ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
+    if search:
+        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace)
+        challenge(group, n, elsewhere, max_iterations, tolerance)
+    wound = unwind(problem, track, n, states, workspace)
+    challenge(group, n, wound, max_iterations, tolerance)
+
+
+@inner
+def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, tolerance: float) -> None:
+    """Minimise from ``workspace.again`` where it lies ``elsewhere``, and stay there if that costs less."""
+    states, workspace = group.states, group.workspace
+    ended, again, start = workspace.ended, workspace.again, workspace.start
+    elsewhere &= ended[STATUS] < float(NOT_FINITE)
+    if any_of(elsewhere):
+        for i in range(N):
+            start[1, i] = start[0, i]
+        first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
+        minimise(group.problem, group.track, n, again, max_iterations, tolerance, workspace)
+        better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
+        keep_better(n, better, again, states, states)
+        for i in range(N):
+            start[0, i] = choose(better, start[0, i], start[1, i])
+        ended[FIRST_COST], ended[COST] = first_cost, choose(better, ended[COST], cost)
+        ended[STATUS] = choose(better, ended[STATUS], status)
+        ended[STEPS] = steps + choose(elsewhere, ended[STEPS], 0.0 * steps)
+
+
+@inner
+def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states: FloatArray) -> None:
+    """States (n, 6) become the one where that is ``better``, else the other."""
+    for k in range(n):
+        for i in range(N):
+            states[k, i] = choose(better, one[k, i], other[k, i])
+
+
+@merged
+def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
+    """Search other basins once the couplings are known, and stay there if they cost less.
+
+    Class likelihoods have basins that only the couplings tell apart; but the grid does not know the offset of
+    the head's coupling, so that it may lead to a worse basin.
+    """
+    states, workspace = group.states, group.workspace
+    ended, before, start = workspace.ended, workspace.before, workspace.start
+    first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
+    copy_rows(0, n, states, before)
+    first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
+    settle(whole, group, n, max_iterations, tolerance, as_variable(True))
+    better = ended[COST] < cost
+    keep_better(n, better, states, before, states)
+    for i in range(N):
+        start[0, i] = choose(better, start[0, i], first[i])
+    ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
+    ended[COST] = choose(better, ended[COST], cost)
+    ended[STATUS] = choose(better, ended[STATUS], status)
+    ended[STEPS] = choose(better, ended[STEPS], steps)
+
+
+@inner
+def put_back(
+    offsets: NDArray[np.int64],
+    tracks: NDArray[np.int64],
+    guessed: BoolArray,
+    length: Any,
+    before: FloatArray,
+    states: FloatArray,
+) -> None:
+    """Have the angles that are ``guessed`` (N, 2) as they were before the descent; no rows: none are."""
+    for lane in range(lane_count(length)):
+        if tracks[lane] < 0 or len(guessed) == 0:
+            continue
+        begin, here = offsets[tracks[lane]], masked(states, only_lane(length > 0.0, lane))
+        for k in range(int(lane_of(length, lane))):
+            for i in range(2):
+                if guessed[begin + k, i]:
+                    here[k, BODY + i] = lane_of(before[k, BODY + i], lane)
+
+
+@inner
+def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
+    """How the descents of a group ended, into the result."""
+    for lane in range(lane_count(ended[COST])):
+        if tracks[lane] >= 0:
+            result.first_cost[tracks[lane]] = lane_of(ended[FIRST_COST], lane)
+            result.cost[tracks[lane]] = lane_of(ended[COST], lane)
+            result.iterations[tracks[lane]] = int(lane_of(ended[STEPS], lane))
+            result.status[tracks[lane]] = int(lane_of(ended[STATUS], lane))
+
+
+@merged
+def solve_group(
+    whole: Problem,
+    group: Group,
+    n: int,
+    options: Options,
+    gait: Any,
+    guessed: BoolArray,
+    classified: bool,
+    searched: bool,
+    result: Result,
+) -> None:
+    """Solve a group of up to n frames from its states, in place, with covariances.
+
+    Parameters
+    ----------
+    gait : parameters of the coupling modes; None without
+    guessed : (N, 2) angles that nothing holds without couplings: they stay as they are until there are
+    classified : whether class likelihoods of the head are known
+    searched : whether basins are searched with couplings, too, as class likelihoods ask for
+    """
+    problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
+    workspace, most, search = group.workspace, options.max_iterations, options.search
+    length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
+    copy_rows(0, n, states, workspace.before)
+    settle(whole, group, n, most, tolerance, search)
+    if gait is not None:
+        # That was without couplings: from there both the modes and the states are found.
+        put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
+        search = as_variable(False)
+        for left in range(options.passes - 1, -1, -1):
+            last = left == 0
+            tolerance = options.tolerance if last else options.on_the_way
+            renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
+            settle(whole, group, n, most, tolerance, search)
+            if searched:
+                improve(whole, group, n, most, tolerance)
+    note(tracks, workspace.ended, result)
+    find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
+    if gait is not None:
+        add_glance_variance(n, group.modes.held, gait, group.covariance)
+        for lane in range(lane_count(length)):
+            if tracks[lane] >= 0:
+                begin, frames = whole.offsets[tracks[lane]], int(lane_of(length, lane))
+                report_modes(frames, lane, group.modes.held, result.modes[begin : begin + frames])
+
+
+# -- one track after the other -------------------------------------------------------------------------------
+
+
+@compiled
+def solve_tracks(
+    problem: Problem,
+    options: Options,
+    gait: Any,
+    guessed: BoolArray,
+    tracks: NDArray[np.int64],
+    workspace: Workspace,
+    modes: Any,
+    result: Result,
+) -> None:
+    """Solve all tracks from the states in the result, in place; parameters as in `solve_group`.
+
+    ``tracks`` (1,), ``workspace`` and ``modes`` are memory.
+    """
+    for track in range(len(problem.offsets) - 1):
+        a, b = problem.offsets[track], problem.offsets[track + 1]
+        tracks[0], workspace.length[0] = track, b - a
+        group = Group(problem, track, tracks, result.states[a:b], result.covariance[a:b], workspace, modes)
+        body, head = classified_in(problem, track)
+        searched = options.search and (body or head)
+        solve_group(problem, group, b - a, options, gait, guessed, head, searched, result)
+
+
+# -- a track in each lane ------------------------------------------------------------------------------------
+
+
+class LaneArrays(NamedTuple):
+    """Memory for a group of tracks of up to n frames, without class likelihoods; lanes come last."""
+
+    tracks: NDArray[np.int64]  # (LANES,) numbers; −1: none
+    offsets: NDArray[np.int64]  # (2,) of the lanes' problem
+    frames: FloatArray  # (n, numbers of a record, LANES)
+    origin: FloatArray  # (1, 2, LANES)
+    states: FloatArray  # (n, 6, LANES)
+    covariance: FloatArray  # (n, 6, 6, LANES)
+    workspace: Workspace
+    modes: ModeMemory | None
+
+
+def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
+    """Memory for tracks of up to n frames whose records have so many numbers."""
+    return LaneArrays(
+        np.empty(LANES, np.int64),
+        np.zeros(2, np.int64),
+        np.empty((n, numbers, LANES)),
+        np.empty((1, 2, LANES)),
+        np.empty((n, N, LANES)),
+        np.empty((n, N, N, LANES)),
+        _for_lanes(workspace(n)),
+        _for_lanes(mode_memory(n)) if has_modes else None,
+    )
+
+
+def _for_lanes(memory: Any) -> Any:
+    """A `Workspace` or a `ModeMemory` with room in every array of floats for all lanes."""
+    return type(memory)(
+        *(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory),
+    )
+
+
+@inner_allocating
+def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
+    """The arrays as the kernels see them; whoever calls keeps the arrays."""
+    own = Problem(
+        lane_records(arrays.frames, problem.records),
+        problem.shared,
+        problem.body_heights,
+        problem.head_heights,
+        problem.body_directions,
+        problem.head_directions,
+        lane_rows(arrays.origin, 2),
+        arrays.offsets,
+        problem.prior,
+    )
+    memory = arrays.workspace
+    workspace = Workspace(
+        lane_array(memory.inverse),
+        lane_array(memory.link),
+        lane_array(memory.solution),
+        lane_array(memory.step),
+        lane_array(memory.candidate),
+        lane_rows(memory.trigonometry, 4),
+        lane_array(memory.scratch),
+        lane_array(memory.start),
+        lane_array(memory.ended),
+        lane_array(memory.length),
+        lane_array(memory.message),
+        lane_array(memory.factored),
+        memory.kept,
+        lane_array(memory.again),
+        lane_array(memory.before),
+    )
+    states, covariance = lane_array(arrays.states), lane_array(arrays.covariance)
+    return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays.modes))
+
+
+@inner_allocating
+def lane_modes(memory: Any) -> Any:
+    """The memory of the coupling modes as the kernels see it; None without modes."""
+    if memory is None:
+        return None
+    return ModeMemory(
+        lane_array(memory.dt),
+        lane_rows(memory.ahead, 3),
+        lane_rows(memory.likelihood, ROW),
+        lane_rows(memory.filtered_body, ROW),
+        lane_rows(memory.filtered_head, ROW),
+        lane_rows(memory.spare, ROW),
+        lane_rows(memory.after, ROW),
+        lane_rows(memory.weight, ROW),
+        lane_rows(memory.before, ROW),
+        lane_rows(memory.held, 4),
+        lane_rows(memory.spread, 2),
+    )
+
+
+@compiled
+def gather(
+    problem: Problem,
+    numbers: FloatArray,
+    states: FloatArray,
+    order: NDArray[np.int64],
+    begin: int,
+    arrays: LaneArrays,
+) -> int:
+    """Put the tracks from a place in an order on into the lanes; returns how many frames the longest has.
+
+    ``numbers`` (N, fields) are the problem's records, ``states`` (N, 6) those of all tracks.
+    """
+    longest = 0
+    for lane in range(LANES):
+        track = order[begin + lane] if begin + lane < len(order) else -1
+        n = problem.offsets[track + 1] - problem.offsets[track] if track >= 0 else 0
+        arrays.tracks[lane], arrays.workspace.length[0, lane], longest = track, n, max(n, longest)
+        for axis in range(2):
+            arrays.origin[0, axis, lane] = problem.origin[track, axis] if track >= 0 else 0.0
+    arrays.offsets[1] = longest
+    for k in range(longest):
+        for lane in range(LANES):
+            row = problem.offsets[arrays.tracks[lane]] + k
+            known = float(k) < arrays.workspace.length[0, lane]
+            for i in range(numbers.shape[1]):
+                arrays.frames[k, i, lane] = numbers[row, i] if known else 0.0
+            for i in range(N):
+                arrays.states[k, i, lane] = states[row, i] if known else 0.0
+    return longest
+
+
+@compiled
+def scatter(problem: Problem, arrays: LaneArrays, result: Result) -> None:
+    """Put states and covariances of the lanes into the result."""
+    for lane in range(LANES):
+        track = arrays.tracks[lane]
+        if track < 0:
+            continue
+        begin = problem.offsets[track]
+        for k in range(int(arrays.workspace.length[0, lane])):
+            for i in range(N):
+                result.states[begin + k, i] = arrays.states[k, i, lane]
+                for j in range(N):
+                    result.covariance[begin + k, i, j] = arrays.covariance[k, i, j, lane]
+
+
+@allocating
+def solve_lanes(
+    problem: Problem,
+    numbers: FloatArray,
+    order: NDArray[np.int64],
+    options: Options,
+    gait: Any,
+    guessed: BoolArray,
+    arrays: LaneArrays,
+    result: Result,
+) -> None:
+    """`solve_tracks` in lanes, in an ``order`` in which neighbours are about as long."""
+    group = lane_group(problem, arrays)
+    for begin in range(0, len(order), LANES):
+        n = gather(problem, numbers, result.states, order, begin, arrays)
+        solve_group(problem, group, n, options, gait, guessed, False, False, result)
+        scatter(problem, arrays, result)
+
+
+PASSES = 2
+"""Times that the coupling modes, and the states with them, are found; a third changes nothing that the errors
+on motion capture would show."""
+
+ON_THE_WAY = 1e-6
+"""Of the cost: where descents before the last end, which tell of modes alone; their last step is taken all
+the same. That is 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, from where ending at 10⁻¹² leads."""
+
+LARGE = 200_000
+"""Person-frames from which work is large: solved in lanes, which takes as long to compile as all else of an
+engine, and a third of the time."""
+
+LONGEST = 5_000
+"""Frames of a track that is solved in lanes; those of the longest take 15 kB each."""
+
+NONE_GUESSED = np.zeros((0, 2), bool)
+
+
+def is_chain(model: Model) -> bool:
+    """Whether every term of a model has a compiled kernel."""
+    return all(term.is_compiled for term in model.terms)
+
+
+def is_large(model: Model, n_frames: int) -> bool:
+    """Whether work of so many person-frames is large, and the model one whose tracks can be in lanes."""
+    return n_frames >= LARGE and has_lanes(model)
+
+
+def has_lanes(model: Model) -> bool:
+    """Whether the tracks of a model can be solved in lanes: its kernels are those of the presets."""
+    return is_chain(model) and program_of(model) is OF_PRESETS
+
+
+def fit_lanes(tracks: Sequence[Track], model: Model, n_frames: int | None = None) -> list[bool]:
+    """Which tracks are solved in lanes: those of large work, without class likelihoods.
+
+    Parameters
+    ----------
+    tracks : to be solved
+    model : solves them
+    n_frames : of all the work that the tracks are a part of; by default there is no other
+    """
+    n_frames = sum(map(len, tracks)) if n_frames is None else n_frames
+    large = is_large(model, n_frames)
+    return [
+        large and len(track) <= LONGEST and track.body_likelihood is None and track.head_likelihood is None
+        for track in tracks
+    ]
+
+
+def solve_packed(
+    packed: PackedTracks,
+    model: Model,
+    *,
+    max_iterations: int = 100,
+    tolerance: float = 1e-12,
+    restart: bool = True,
+    in_lanes: bool = False,
+    calibration: Calibration | None = None,
+) -> Result:
+    """Maximum a posteriori states and their covariances.
+
+    Parameters
+    ----------
+    packed : from `initial.pack` or `initial.pack_to_solve`, with the same model, which is a chain
+    max_iterations : Newton steps a track
+    tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
+    restart : search a grid of orientations for a better basin where there may be one
+    in_lanes : several tracks at a time, of those that `fit_lanes` has found
+    calibration : of the covariances; None: they are the inverse curvature
+
+    Returns
+    -------
+    Result
+        States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
+        that is positive definite. NaN for what the model does not have. Where couplings have modes, they are
+        weighed by the modes' probabilities. Costs are those given these weights; covariances contain what is
+        not known of the modes (see `covariance`).
+    """
+    result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
+    if model.is_linear(packed):
+        solve_linear_tracks(linear_part(packed), longest, result)
+    else:
+        problem, seen = problem_of(packed), seen_in(packed, model)
+        initialise(linear_part(packed), seen, np.empty((3, longest)), result.states)
+        guessed = never_seen(packed, seen) if model.has_modes else NONE_GUESSED
+        options = Options(max_iterations, tolerance, max(ON_THE_WAY, tolerance), PASSES, restart)
+        solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
+        finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
+    if calibration is not None:
+        calibrate_tracks(result.covariance, result.states, packed.offsets, packed.t, calibration)
+    return result
+
+
+def solve_terms(
+    model: Model,
+    problem: Problem,
+    options: Options,
+    result: Result,
+    guessed: BoolArray = NONE_GUESSED,
+    *,
+    in_lanes: bool = False,
+    memory: Workspace | None = None,
+) -> None:
+    """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states.
+
+    ``guessed`` (N, 2): angles that nothing holds without couplings; they stay as they are until there are.
+    """
+    lengths = np.diff(problem.offsets)
+    longest, gait = int(lengths.max()), gait_of(model.parameters.gait) if model.has_modes else None
+    if gait is not None:
+        for gate in program_of(model).switched:
+            problem.records[gate] = 0.0
+    if in_lanes:
+        numbers, order = number_rows(problem.records), np.argsort(-lengths, kind="stable")
+        arrays = lane_arrays(longest, numbers.shape[1], gait is not None)
+        solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
+    else:
+        memory = workspace(longest) if memory is None else memory
+        modes = None if gait is None else mode_memory(longest)
+        numbers = np.zeros(1, np.int64)
+        solve_tracks(problem, options, gait, guessed, numbers, memory, modes, result)
+
+
+def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
+    """Body and head (N, 2) of tracks in which they were never seen, in frames that tell nothing else."""
+    found = np.zeros((packed.offsets[-1], 2), bool)
+    known = np.zeros(len(found), bool)
+    if any(track.inputs for track in packed.tracks):
+        known = np.concatenate([_says_more(track) for track in packed.tracks])
+    for place, vectors in enumerate((seen.body, seen.head)):
+        if len(vectors):
+            was_seen = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), packed.offsets[:-1])
+            found[:, place] = ~np.repeat(was_seen, np.diff(packed.offsets)) & ~known
+    return found
+
+
+def _says_more(track: Track) -> BoolArray:
+    """(n,) frames in which an input is known."""
+    known = np.zeros(len(track), bool)
+    for values in track.inputs.values():
+        known |= np.isfinite(values.reshape(len(track), -1)).any(axis=1)
+    return known
+
+
+@compiled
+def finish(
+    origin: FloatArray, offsets: NDArray[np.int64], has_body: bool, has_head: bool, result: Result
+) -> None:
+    """States back in the world's frame, and NaN for what the model does not have or was not found."""
+    for track in range(len(offsets) - 1):
+        failed = result.status[track] == NOT_FINITE
+        for k in range(offsets[track], offsets[track + 1]):
+            for i in range(VY + 1):
+                failed = failed or not math.isfinite(result.states[k, i])
+        if failed:
+            result.status[track] = NOT_FINITE
+        for k in range(offsets[track], offsets[track + 1]):
+            state, covariance = result.states[k], result.covariance[k]
+            state[X] += origin[track, X]
+            state[Y] += origin[track, Y]
+            for place, has in ((BODY, has_body), (HEAD, has_head)):
+                if not has:
+                    state[place] = math.nan
+                    for i in range(N):
+                        covariance[place, i] = math.nan
+                        covariance[i, place] = math.nan
+            if failed:
+                covariance[:] = math.nan

@@ -1,0 +1,385 @@
+"""The linear part of the model, solved exactly in one pass: motion and positions in metres.
+
+Both axes share one covariance, so a frame is a 2 × 2 block (position, velocity) with two right-hand sides.
+
+Where the optimiser starts, compiled: the linear solution, and running means of the angles seen.
+
+Where the optimisers start: the linear solution for positions, a circular running mean for angles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.basin_search import SLOW
+from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE, Result
+from graphtrack.kernels.compilation import allocating, compiled, inner
+from graphtrack.kernels.layout import (
+    BODY,
+    HEAD,
+    TIME_TOLERANCE,
+    VX,
+    VY,
+    N,
+    Problem,
+    X,
+    Y,
+    number_rows,
+    place_in_row,
+)
+from graphtrack.model import Model, States
+from graphtrack.model.generator import program_of
+from graphtrack.model.observation import require_position, vectors_of
+from graphtrack.model.packing import PackedTracks, RecordTypes
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
+
+
+class Places(NamedTuple):
+    """Where in a record the numbers stand that the linear part of the model has."""
+
+    dt: int
+    motion_information: int
+    velocity_information: int
+    x: int
+    y: int
+    position_information: int
+
+
+class Linear(NamedTuple):
+    """The linear part of some tracks end to end, whatever else is in the records: N frames, m tracks."""
+
+    rows: FloatArray  # (N, fields) the records
+    places: Places
+    origin: FloatArray  # (m, 2) metres, what a track's positions are counted from
+    offsets: NDArray[np.int64]  # (m + 1,)
+
+
+def linear_part(packed: PackedTracks) -> Linear:
+    """What the linear solution reads of packed tracks."""
+    places = Places(*(place_in_row(name, packed.records.dtype) for name in Places._fields))
+    return Linear(number_rows(packed.records), places, packed.origin, packed.offsets)
+
+
+@allocating
+def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
+    """Solve tracks, none longer than ``longest``, of which the linear part is all that there is.
+
+    States are in the world's frame; orientations are NaN.
+    """
+    spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
+    for track in range(len(linear.offsets) - 1):
+        solve_linear_track(linear, track, spread, memory, result)
+
+
+@inner
+def solve_linear_track(
+    linear: Linear, track: int, spread: FloatArray, memory: FloatArray, result: Result
+) -> None:
+    """One of them; ``spread`` and ``memory`` as in `solve_linear`, of any track."""
+    a, b = linear.offsets[track], linear.offsets[track + 1]
+    states, origin = result.states[a:b], linear.origin[track]
+    cost = solve_linear(linear, track, states, spread, memory)
+    result.first_cost[track] = result.cost[track] = cost
+    result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
+    blank = 0.0 if math.isfinite(cost) else math.nan
+    for k in range(b - a):
+        state, covariance = states[k], result.covariance[a + k]
+        state[X] += origin[X]
+        state[Y] += origin[Y]
+        state[BODY] = state[HEAD] = math.nan
+        for i in range(N):
+            for j in range(N):
+                covariance[i, j] = math.nan if i >= BODY or j >= BODY else blank
+        for axis in range(2):
+            p, v = X + axis, VX + axis
+            covariance[p, p] = spread[k, 0] + blank
+            covariance[p, v] = covariance[v, p] = spread[k, 1] + blank
+            covariance[v, v] = spread[k, 2] + blank
+
+
+@inner
+def solve_linear(
+    linear: Linear, track: int, states: FloatArray, spread: FloatArray, memory: FloatArray
+) -> float:
+    """Posterior mean and covariance of positions and velocities of one track; returns the cost there.
+
+    Fills in the first four columns of ``states`` (n, 6), and ``spread`` (n, 3): the variance of the position,
+    the covariance of position and velocity, and the variance of the velocity, on each axis. ``memory`` is
+    (n, 7). Positions are counted from the origin. NaN comes out where no position determines the track.
+    """
+    at, origin = linear.places, linear.origin[track]
+    frames = linear.rows[linear.offsets[track] : linear.offsets[track + 1]]
+    n = len(frames)
+    pp = pv = vv = px = py = vx = vy = 0.0
+    for k in range(n):
+        frame = frames[k]
+        information = frame[at.motion_information]
+        if information > 0.0:
+            half = 0.5 * frame[at.dt]
+            bend = 12.0 * information / (frame[at.dt] * frame[at.dt] * frame[at.dt])
+            turn = information / frame[at.dt]
+            # The frame before, complete with this transition, is eliminated.
+            hpp, hpv, hvv = pp + bend, pv + half * bend, vv + turn + half * half * bend
+            determinant = hpp * hvv - hpv * hpv
+            a, b, c = hvv / determinant, -hpv / determinant, hpp / determinant
+            e_pp, e_pv, e_vp, e_vv = -bend, -half * bend, half * bend, half * half * bend - turn
+            g_pp, g_pv = a * e_pp + b * e_pv, b * e_pp + c * e_pv
+            g_vp, g_vv = a * e_vp + b * e_vv, b * e_vp + c * e_vv
+            row = memory[k - 1]
+            row[0], row[1], row[2] = a, b, c
+            row[3], row[4], row[5], row[6] = g_pp, g_pv, g_vp, g_vv
+            mx, ux = a * px + b * vx, b * px + c * vx
+            my, uy = a * py + b * vy, b * py + c * vy
+            before = states[k - 1]
+            before[X], before[VX], before[Y], before[VY] = mx, ux, my, uy
+            px, vx = -(e_pp * mx + e_pv * ux), -(e_vp * mx + e_vv * ux)
+            py, vy = -(e_pp * my + e_pv * uy), -(e_vp * my + e_vv * uy)
+            pp = bend - (e_pp * g_pp + e_pv * g_pv)
+            pv = -half * bend - (e_pp * g_vp + e_pv * g_vv)
+            vv = turn + half * half * bend - (e_vp * g_vp + e_vv * g_vv)
+        vv += frame[at.velocity_information]
+        weight = frame[at.position_information]
+        pp += weight
+        px += weight * (frame[at.x] - origin[X])
+        py += weight * (frame[at.y] - origin[Y])
+    determinant = pp * vv - pv * pv
+    a, b, c = vv / determinant, -pv / determinant, pp / determinant
+    state = states[n - 1]
+    state[X], state[VX] = a * px + b * vx, b * px + c * vx
+    state[Y], state[VY] = a * py + b * vy, b * py + c * vy
+    spread[n - 1, 0], spread[n - 1, 1], spread[n - 1, 2] = a, b, c
+    for k in range(n - 2, -1, -1):
+        row, after, state = memory[k], states[k + 1], states[k]
+        g_pp, g_pv, g_vp, g_vv = row[3], row[4], row[5], row[6]
+        state[X] -= g_pp * after[X] + g_vp * after[VX]
+        state[VX] -= g_pv * after[X] + g_vv * after[VX]
+        state[Y] -= g_pp * after[Y] + g_vp * after[VY]
+        state[VY] -= g_pv * after[Y] + g_vv * after[VY]
+        q_pp = g_pp * a + g_vp * b
+        q_pv = g_pp * b + g_vp * c
+        q_vp = g_pv * a + g_vv * b
+        q_vv = g_pv * b + g_vv * c
+        a = row[0] + q_pp * g_pp + q_pv * g_vp
+        c_new = row[2] + q_vp * g_pv + q_vv * g_vv
+        b = row[1] + q_pp * g_pv + q_pv * g_vv
+        c = c_new
+        spread[k, 0], spread[k, 1], spread[k, 2] = a, b, c
+    cost = 0.0
+    for k in range(n):
+        frame, state = frames[k], states[k]
+        dx, dy = state[X] - (frame[at.x] - origin[X]), state[Y] - (frame[at.y] - origin[Y])
+        cost += 0.5 * frame[at.position_information] * (dx * dx + dy * dy)
+        cost += 0.5 * frame[at.velocity_information] * (state[VX] * state[VX] + state[VY] * state[VY])
+        if frame[at.motion_information] > 0.0:
+            then, half = states[k - 1], 0.5 * frame[at.dt]
+            turn = frame[at.motion_information] / frame[at.dt]
+            bend = 12.0 * frame[at.motion_information] / (frame[at.dt] * frame[at.dt] * frame[at.dt])
+            dvx, dvy = state[VX] - then[VX], state[VY] - then[VY]
+            ox = state[X] - then[X] - half * (state[VX] + then[VX])
+            oy = state[Y] - then[Y] - half * (state[VY] + then[VY])
+            cost += 0.5 * (turn * (dvx * dvx + dvy * dvy) + bend * (ox * ox + oy * oy))
+    return cost if math.isfinite(cost) else math.nan
+
+
+OPPOSITE = math.cos(math.pi - 1e-5)
+"""Cosine below which two angles are opposite: rounding is less, and what noise leaves is more."""
+
+_ASIDE = math.radians(30.0)
+"""By which opposite angles that stand in for those of two frames in a row begin nearer to each other."""
+
+
+class Seen(NamedTuple):
+    """What the first orientations are made of."""
+
+    t: FloatArray  # (N,) seconds since the first frame of the track
+    body: FloatArray  # (N, 2) vectors to where the body was seen to point, or NaN; no rows: no body
+    head: FloatArray  # (N, 2) the same of the head
+    moving: float  # m/s above which the direction of travel stands in
+    window: float  # seconds to either side over which vectors are averaged
+
+
+@inner
+def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: FloatArray) -> None:
+    """Direction of the mean of the vectors (n, 2) seen within ``window`` seconds; NaN where none was."""
+    n = len(t)
+    low = high = count = 0
+    x = y = 0.0
+    for k in range(n):
+        while high < n and t[high] - t[k] <= window + TIME_TOLERANCE:
+            if math.isfinite(vectors[high, 0]):
+                x += vectors[high, 0]
+                y += vectors[high, 1]
+                count += 1
+            high += 1
+        while t[k] - t[low] > window + TIME_TOLERANCE:
+            if math.isfinite(vectors[low, 0]):
+                x -= vectors[low, 0]
+                y -= vectors[low, 1]
+                count -= 1
+            low += 1
+        if count > 0 and x * x + y * y > 1e-18:
+            angle[k] = math.atan2(y, x)
+        else:
+            angle[k] = math.nan
+
+
+@inner
+def headings(states: FloatArray, threshold: float, angle: FloatArray) -> int:
+    """Direction of travel where the speed is above the threshold, else NaN; returns how often it is."""
+    count = 0
+    for k in range(len(states)):
+        vx, vy = states[k, VX], states[k, VY]
+        moving = vx * vx + vy * vy > threshold * threshold
+        angle[k] = math.atan2(vy, vx) if moving else math.nan
+        count += 1 if moving else 0
+    return count
+
+
+@compiled
+def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
+    """Put the fallback where an angle is NaN, else the nearest in time of either, else 0.
+
+    Of two that are as near as `TIME_TOLERANCE` can tell, the earlier one. Between two fallbacks that are
+    opposite a turn to either side is as likely: angles turn evenly and counter-clockwise, however the track
+    lies in the world.
+    """
+    n = len(t)
+    last, guessed = -1, False
+    for k in range(n):
+        guess = not math.isfinite(angle[k])
+        if guess:
+            angle[k] = fallback[k]
+        if math.isfinite(angle[k]):
+            opposite = guess and guessed and math.cos(angle[k] - angle[last]) < OPPOSITE
+            if opposite and last == k - 1:
+                angle[last], angle[k] = angle[last] + _ASIDE, angle[last] + math.pi - _ASIDE
+            for gap in range(last + 1, k):
+                if opposite:
+                    angle[gap] = angle[last] + math.pi * (t[gap] - t[last]) / (t[k] - t[last])
+                    continue
+                earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap] + TIME_TOLERANCE
+                angle[gap] = angle[last] if earlier else angle[k]
+            last, guessed = k, guess
+    for gap in range(last + 1, n):
+        angle[gap] = angle[last] if last >= 0 else 0.0
+
+
+@allocating
+def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArray) -> None:
+    """Fill in the states (N, 6) of all tracks; ``angles`` (3, n) is memory, for the longest of them."""
+    longest = angles.shape[1]
+    spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
+    for track in range(len(linear.offsets) - 1):
+        a, b = linear.offsets[track], linear.offsets[track + 1]
+        n, t, here = b - a, seen.t[a:b], states[a:b]
+        solve_linear(linear, track, here, spread, memory)
+        heading = angles[0, :n]
+        # Whoever stands has a path whose direction may go all around.
+        if headings(here, max(seen.moving, SLOW), heading) == 0:
+            headings(here, seen.moving, heading)
+        for place, vectors, row in ((BODY, seen.body, 1), (HEAD, seen.head, 2)):
+            angle = angles[row, :n]
+            if len(vectors) == 0:
+                here[:, place] = 0.0
+                continue
+            running_mean(t, vectors[a:b], seen.window, angle)
+            fill(t, angle, angles[1, :n] if place == HEAD and len(seen.body) > 0 else heading)
+            for k in range(n):
+                here[k, place] = angle[k]
+
+
+WINDOW = 0.5
+"""Seconds to either side over which observed angles are averaged for the initial values."""
+
+NO_PRIOR = np.zeros((0, 6))
+
+CREEPING = 0.1
+"""m/s up to which a direction of travel does not stand in for an orientation, whatever the threshold."""
+
+
+def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
+    """Tracks end to end, with the records that the model's compiled terms fill in."""
+    return PackedTracks.of(tracks, camera, model.compiled_terms, program_of(model).types)
+
+
+def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
+    """The same; with the fields of the model's own terms alone where the linear solution is all there is.
+
+    That is a fourth of the memory.
+    """
+    terms = model.terms  # what holds first orientations has nothing to hold
+    if camera is None and not (model.has_body or model.has_head):
+        packed = PackedTracks.of(tracks, camera, terms, RecordTypes.of(terms))
+        if model.is_linear(packed):
+            return packed
+    return pack(tracks, model, camera)
+
+
+def problem_of(packed: PackedTracks) -> Problem:
+    """What the kernels read."""
+    return Problem(
+        packed.records,
+        packed.shared,
+        packed.body_heights,
+        packed.head_heights,
+        unit(class_centres(BODY_CLASSES)),
+        unit(class_centres(HEAD_CLASSES)),
+        packed.origin,
+        packed.offsets,
+        NO_PRIOR,
+    )
+
+
+def seen_in(packed: PackedTracks, model: Model) -> Seen:
+    """What the first orientations are made of."""
+    none = np.zeros((0, 2))
+    return Seen(
+        packed.t,
+        vectors_of(packed.directions("body"), packed.channel("body_likelihood"), len(packed.t))
+        if model.has_body
+        else none,
+        vectors_of(packed.directions("head"), packed.channel("head_likelihood"), len(packed.t))
+        if model.has_head
+        else none,
+        max(model.parameters.coupling.speed_threshold, CREEPING),
+        WINDOW,
+    )
+
+
+def initial_states(track: Track, model: Model) -> States:
+    """Where the optimiser starts; NaN angles for orientations that the model does not have.
+
+    Terms of your own have no part in it: nothing is compiled for them.
+
+    Raises
+    ------
+    SolveError
+        If no position was observed.
+    """
+    packed = pack([track], Model(model.preset, model.parameters))
+    require_position(track)
+    states = np.zeros((len(track), 6))
+    initialise(linear_part(packed), seen_in(packed, model), np.empty((3, len(track))), states)
+    none = np.full(len(track), np.nan)
+    return States(
+        states[:, :2] + packed.origin[0],
+        states[:, 2:4],
+        states[:, 4] if model.has_body else none,
+        states[:, 5] if model.has_head else none,
+    )
+
+
+def empty_result(packed: PackedTracks) -> Result:
+    """Room for the solution of packed tracks."""
+    n, m = len(packed.records), len(packed.tracks)
+    ended = np.zeros(m, np.int64)
+    modes = np.full((n, 3), np.nan)
+    covariance = np.empty((n, 6, 6))
+    return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended, modes)

@@ -1,0 +1,280 @@
+"""What a smoother of GTSAM's is guided by: the modes of the couplings, and the search for other basins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.basin_search import AT_END
+from graphtrack.inference.graph.batch import keys_of, optimize, window_graph
+from graphtrack.inference.graph.chain_view import WindowView
+from graphtrack.inference.graph.fixed_lag import FixedLag
+from graphtrack.inference.graph.isam2 import Isam2
+from graphtrack.inference.result import SolverOptions
+from graphtrack.inference.state import FAILURES, MarginalPrior, Newest, Window, leaving, read_step, values_of
+from graphtrack.inference.warm import make_online_ready
+from graphtrack.model import Model, Step
+from graphtrack.model.factors import COUPLED, is_recoupled
+from graphtrack.packages import gtsam
+
+_LAG = 5.0
+"""Seconds of a full history in which modes are inferred and basins are searched."""
+_RECOUPLED = 0.01
+"""Share by which what the modes set has to change for a step's factors to be evaluated anew."""
+_REST = 0.5
+"""Seconds for which basins are not searched after a descent that led nowhere better."""
+_SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)
+"""Of the descent in another basin."""
+
+
+class Guided:
+    """A smoother of GTSAM's with the modes of the couplings, and other basins, from its own states.
+
+    The modes are no variables of the graph. With each observation they are inferred from the graph's states
+    of the window, by the hidden Markov chain that the chain engine has, and the factors of the steps whose
+    couplings have changed are evaluated anew.
+
+    Gauss–Newton ends in the basin that it began in. Where what was seen may speak for several directions
+    (class likelihoods, or angles with outliers) the window's orientations are searched on a grid with each
+    observation. Where another course promises to cost less, and a descent from it does, the graph begins anew
+    from there.
+
+    Whatever a method raises, it leaves the smoother as it was.
+
+    Parameters
+    ----------
+    graph : the smoother
+    model : its terms
+    lag : seconds of the smoother's window; infinite: all history
+    couplings : what the graph's factors read the couplings from; None for a model without modes
+
+    Attributes
+    ----------
+    graph : the smoother
+    modes : probability of an aligned body, and its offset from the motion, in the newest frame; or NaN
+    """
+
+    def __init__(
+        self,
+        graph: FixedLag | Isam2,
+        model: Model,
+        lag: float,
+        couplings: dict[int, Sequence[float]] | None = None,
+    ) -> None:
+        self.graph, self._whole, self._couplings = graph, model, couplings
+        self._model = model.compiled
+        self._lag = _LAG if lag == math.inf else lag
+        self._outliers = model.parameters.likelihood.outlier_probability > 0.0
+        self._view: WindowView | None
+        self._searches: bool
+        self._search_from: float
+        self._take(Window((), {}, None, None))
+
+    @property
+    def steps(self) -> Sequence[Step]:
+        """The steps of the window, oldest first."""
+        return self.graph.steps
+
+    def state(self, step: Step) -> tuple[float, ...]:
+        """x, y, vx, vy, body, head of a step."""
+        return self.graph.state(step)
+
+    def extend(self, step: Step, state: Sequence[float]) -> Newest:
+        """Add a step whose variables start at ``state``; what is known about it then."""
+        with self._kept():
+            self._notice([step])
+            if self._couplings is not None:
+                recent = self._recent(self.steps)
+                states = np.array([*map(self.state, recent), tuple(state)])
+                self._infer([*recent, step], states, self._prior(recent))
+            self.graph.extend(step, state)
+            return self._guided()
+
+    def rework(self, window: Window) -> Newest:
+        """Take over a window that was changed; what is known about its newest step then."""
+        with self._kept():
+            self._notice(window.steps)
+            self._couple(window)
+            self.graph.restore(window)
+            self.graph.settled()
+            return self._guided()
+
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        """Leave the smoother as it is at the beginning if anything inside raises."""
+        before, couplings, graph = dict(vars(self)), dict(self._couplings or {}), self.graph.memory()
+        modes = None if self._view is None else self._view.before
+        try:
+            yield
+        except BaseException:
+            self.graph.recall(graph)
+            vars(self).update(before)
+            if self._couplings is not None:
+                self._couplings.clear()
+                self._couplings.update(couplings)
+            if self._view is not None:
+                self._view = self._look(modes)
+            raise
+
+    def _couple(self, window: Window) -> None:
+        """Infer the modes of a window's recent steps, and of all since the first without couplings."""
+        steps, couplings = window.steps, self._couplings
+        if couplings is None or not steps:
+            return
+        first = len(steps) - len(self._recent(steps))
+        first = next((k for k, step in enumerate(steps[:first]) if step.index not in couplings), first)
+        states = np.array([window.values[step.index] for step in steps[first:]])
+        self._infer(steps[first:], states, None if first else window.prior)
+
+    def _infer(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
+        """Set the couplings of some steps, if there are any, by the modes that their states (n, 6) imply."""
+        assert self._view is not None
+        self._view.follow(steps, states, prior)
+        if self._couplings is not None:
+            self._view.renew(states)
+            aligned, offset, glance = self._view.modes[-1].tolist()
+            self.modes = aligned, offset, glance
+
+    def _notice(self, steps: Sequence[Step]) -> None:
+        """Search from the first step on that may speak for several directions."""
+        if not self._searches and (self._outliers or any(step.is_ambiguous for step in steps)):
+            self._searches = True
+            self._view = self._view or self._look()
+
+    def _look(self, modes: FloatArray | None = None) -> WindowView:
+        """A view of the window, with the modes before it."""
+        make_online_ready(self._model, "isam2")
+        view = WindowView(self._model, self._couplings)
+        view.before = view.before if modes is None else modes
+        return view
+
+    def _recent(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """The steps that are looked at: with a lag all there are."""
+        return steps[leaving(steps, self._lag) :]
+
+    def _prior(self, recent: Sequence[Step]) -> MarginalPrior | None:
+        """What the graph knows about the first of the recent steps beside its factors."""
+        return self.graph.prior() if len(recent) == len(self.steps) else None
+
+    def _states(self, steps: Sequence[Step]) -> FloatArray:
+        return np.array([self.state(step) for step in steps])
+
+    def _guided(self) -> Newest:
+        """What is known about the newest step once the couplings, and the basin, are those of the states."""
+        if self._view is None:
+            return self.graph.settled()
+        recent = self._recent(self.steps)
+        states, couplings = self._states(recent), {} if self._couplings is None else self._couplings
+        if len(recent) == len(self.steps):
+            for index in couplings.keys() - {step.index for step in recent}:
+                del couplings[index]
+        try:
+            with self._kept():
+                before = dict(couplings)
+                self._infer(recent, states, self._prior(recent))
+                changed = [
+                    step
+                    for step in recent
+                    if step.index in couplings
+                    and is_recoupled(before.get(step.index), couplings[step.index], _RECOUPLED)
+                ]
+                self.graph.recouple(changed)
+                newest, states = self.graph.settled(), self._states(recent)
+                if self._searches and (found := self._moved(recent, states)) is not None:
+                    newest, states = found
+        except FAILURES:
+            # It is where the observation itself has led to.
+            return self.graph.settled()
+        if self._couplings is None:
+            return newest
+        covariance = np.zeros((len(recent), 6, 6))
+        self._view.widen(states, covariance)
+        return newest[0], newest[1] + covariance[-1]
+
+    def _moved(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
+        """Begin anew where the window costs less: what is known about the newest step then, and the states.
+
+        None where no such place was found, and nothing has changed.
+        """
+        assert self._view is not None
+        t = recent[-1].observation.t
+        other = None if t < self._search_from else self._view.other(states, AT_END)
+        if other is None:
+            return None
+        window = self.graph.window()
+        body, head = (other[0] - states[0])[4:].tolist()
+        turns = {recent[0].body_key: body, recent[0].head_key: head}
+        prior = None if window.prior is None else window.prior.turned(turns, AT_END)
+        here = replace(window, steps=tuple(recent))
+        # From here, too: one or two Gauss–Newton steps an observation may be far from their end.
+        values, costs = self._descent(here, states)
+        values_there, costs_there = self._descent(replace(here, prior=prior), other)
+        if costs_there[-1] < costs[-1]:
+            window, values = replace(window, prior=prior), values_there
+        least = min(costs[-1], costs_there[-1])
+        if not least < costs[0] - _SEARCH.relative_tolerance * (1.0 + costs[0]):
+            self._search_from = t + _REST
+            return None
+        known = {step.index: self.state(step) for step in window.steps}
+        known |= {step.index: read_step(values, step, self._whole) for step in recent}
+        self.graph.restore(replace(window, values=known))
+        return self.graph.settled(), self._states(recent)
+
+    def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
+        """Where a descent from some states (n, 6) of a window ends, and the cost at each step.
+
+        What came before the window is as it is.
+        """
+        model, ordering = self._whole, gtsam.Ordering(keys_of(window.steps, self._whole))
+        begun = values_of(window.steps, states, model)
+        values, costs, _ = optimize(window_graph(window, model, self._couplings), begun, ordering, _SEARCH)
+        return values, costs
+
+    # -- saved states --------------------------------------------------------------------------------------
+
+    def window(self) -> Window:
+        """What another smoother needs to go on from here."""
+        window = self.graph.window()
+        return window if self._view is None else replace(window, modes=self._view.before)
+
+    def restore(self, window: Window) -> None:
+        """Take over a window as it stands."""
+        self._take(window)
+        self._couple(window)
+        self.graph.restore(window)
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """What makes the next estimates the same beside the window; see `resume`."""
+        own = {"search_from": np.array([self._search_from])}
+        if self._couplings is not None:
+            own["couplings"] = np.array([self._couplings[step.index] for step in self.steps])
+        return own
+
+    def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
+        """Go on where `window` and `arrays` were taken, as if nothing had happened.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If the arrays do not fit the window.
+        """
+        self._take(window)
+        if self._couplings is not None:
+            rows = arrays["couplings"].reshape(len(window.steps), len(COUPLED)).tolist()
+            for step, row in zip(window.steps, rows, strict=True):
+                self._couplings[step.index] = tuple(row)
+        (self._search_from,) = arrays["search_from"].tolist()
+        self.graph.restore(window)
+
+    def _take(self, window: Window) -> None:
+        """Begin with a window: nothing is known about its couplings, nor where to search."""
+        if self._couplings is not None:
+            self._couplings.clear()
+        self.modes, self._searches, self._search_from = (math.nan,) * 3, False, -math.inf
+        self._view = self._look(window.modes) if self._model.has_modes else None
+        self._notice(window.steps)

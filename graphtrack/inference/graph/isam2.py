@@ -1,0 +1,304 @@
+"""iSAM2 of one person, over the full history or in a window, on the model's variables and factors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.graph.batch import beginning, graph_of, joint_covariance, keys_of
+from graphtrack.inference.state import (
+    Angles,
+    MarginalPrior,
+    Newest,
+    Window,
+    finite,
+    leaving,
+    marginal_prior,
+    present,
+    read_step,
+    values_of,
+    variable_keys,
+)
+from graphtrack.model import Model, Step
+from graphtrack.model.factors import Couplings
+from graphtrack.packages import gtsam
+
+ANCHOR_KAPPA = 1e-4
+"""Concentration at which first orientations are held. GTSAM's Bayes tree refuses a clique whose last pivot is
+less than 2⁻²⁴ of the one before, as between turning and a weaker anchor in the frames of a video."""
+
+_WILDFIRE = 1e-6
+"""Metres, m/s or radians, below which GTSAM does not go on substituting into the past."""
+_OF_CLASSES = 0.1
+"""Share of the threshold at which orientations are linearised again once class likelihoods have been seen:
+their peaks are sharper than what an observed angle says."""
+_WATCHED = 50
+"""Newest steps of which some has to be beyond the threshold for a further update."""
+_REMEMBERED = 50
+"""The estimates of a full history are remembered again once it has grown by one in so many steps."""
+
+
+class Isam2:
+    """An iSAM2 smoother of one person.
+
+    Each step adds `X(k)`, `V(k)`, `B(k)` and `H(k)` and the nonlinear factors of its terms to one
+    `gtsam.ISAM2`, which relinearises a variable where its estimate is farther from its linearisation point
+    than the threshold of its kind.
+
+    With a lag, the variables of steps that leave the window are marginalised by `ISAM2.marginalizeLeaves`:
+    what they say about the step after them stays as a Gaussian. For that they have to be leaves of the Bayes
+    tree, so that the window's variables are eliminated again, beginning with them. Time and memory are
+    bounded by the window then. Without a lag the tree is GTSAM's own, and memory grows with the track.
+
+    Parameters
+    ----------
+    model : the terms
+    lag : seconds that the window reaches back from its newest step; infinite: all history
+    relinearize_threshold : change of a variable beyond which it is linearised again (metres, m/s, radians)
+    step_tolerance : the updates for an observation end when no variable is farther than this, or than the
+        threshold, from where it was linearised
+    max_iterations : or after so many
+    couplings : what the modes of the couplings set, of each step; see `recouple`
+
+    Attributes
+    ----------
+    steps : the steps of the window, oldest first
+    isam : GTSAM's smoother; to look at, not to be changed
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        lag: float,
+        relinearize_threshold: float,
+        step_tolerance: float,
+        max_iterations: int,
+        couplings: Couplings | None = None,
+    ) -> None:
+        self._model, self._lag, self._couplings = model, lag, couplings
+        self._threshold, self._max_iterations = relinearize_threshold, max_iterations
+        self._tolerance = max(relinearize_threshold, step_tolerance)
+        self._classified = False
+        self.steps: list[Step]
+        self._anchor: Angles | None
+        # By index of a step: at which of iSAM2's factors those are that may read couplings.
+        self._custom: dict[int, dict[int, gtsam.CustomFactor]]
+        self._marginals: set[int]
+        # What a full history goes back to: estimates of all steps, and of those that came since.
+        self._estimates: gtsam.Values
+        self._since: dict[int, tuple[float, ...]]
+        self._waiting: Window | None = Window((), {}, None, None)
+        self._build_waiting()
+
+    def state(self, step: Step) -> tuple[float, ...]:
+        """x, y, vx, vy, body, head of a step; NaN for what the model does not have."""
+        if self._waiting is not None:
+            return self._waiting.values[step.index]
+        isam, nan = self.isam, math.nan
+        return (
+            *isam.calculateEstimatePoint2(step.position_key).tolist(),
+            *isam.calculateEstimateVector(step.velocity_key).tolist(),
+            isam.calculateEstimateRot2(step.body_key).theta() if self._model.has_body else nan,
+            isam.calculateEstimateRot2(step.head_key).theta() if self._model.has_head else nan,
+        )
+
+    # -- observations --------------------------------------------------------------------------------------
+
+    def extend(self, step: Step, state: Sequence[float]) -> None:
+        """Add a step whose variables start at ``state``, with one update."""
+        if step.is_ambiguous and not self._classified:
+            self._waiting, self._classified = self.window(), True
+        self._build_waiting()
+        factors = self._model.factors(step, self._couplings)
+        if not self.steps:
+            self._anchor = (state[4], state[5])
+            factors += beginning(Window((step,), {}, None, self._anchor), self._model, ANCHOR_KAPPA)
+        values = values_of([step], np.array([state]), self._model)
+        self.steps.append(step)
+        self._note(step, factors, self._update(factors, values))
+        self._slide()
+
+    def recouple(self, steps: Sequence[Step]) -> None:
+        """Evaluate the couplings of some steps anew, with one update if there are any."""
+        if not steps:
+            return
+        self._build_waiting()
+        exchanged = [entry for step in steps for entry in self._custom[step.index].items()]
+        graph = [factor for _, factor in exchanged]
+        places = iter(zip(self._update(graph, removed=[slot for slot, _ in exchanged]), graph, strict=True))
+        for step in steps:
+            self._custom[step.index] = dict(next(places) for _ in self._custom[step.index])
+
+    def memory(self) -> Mapping[str, Any]:
+        """The smoother as it is, for `recall`."""
+        memory = {**vars(self), "steps": copy(self.steps)}
+        if self._waiting is None and self._lag < math.inf:
+            # A copy takes a twentieth of an update; of a full history it would take more than the update.
+            memory["isam"] = gtsam.ISAM2(self.isam)
+            memory["_custom"] = copy(self._custom)
+        return memory
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Be as then."""
+        is_changed = self.isam is memory["isam"] and self._waiting is None
+        vars(self).update(memory)
+        self._held = self.isam.getLinearizationPoint()
+        if is_changed:
+            values = {
+                step.index: self._since.get(step.index) or read_step(self._estimates, step, self._model)
+                for step in self.steps
+            }
+            self.restore(Window(tuple(self.steps), values, self.prior(), self._anchor))
+
+    # -- iSAM2 ---------------------------------------------------------------------------------------------
+
+    def _note(self, step: Step, factors: Sequence[gtsam.NonlinearFactor], indices: Sequence[int]) -> None:
+        """Remember at which indices of iSAM2's factors those of a step are that may read couplings."""
+        pairs = zip(indices, factors, strict=True)
+        self._custom[step.index] = {
+            index: factor for index, factor in pairs if isinstance(factor, gtsam.CustomFactor)
+        }
+
+    def _update(
+        self,
+        factors: Sequence[gtsam.NonlinearFactor] = (),
+        values: gtsam.Values | None = None,
+        removed: Sequence[int] = (),
+    ) -> list[int]:
+        """One update of iSAM2; the indices of the new factors."""
+        # The newest variables last: the root of the tree is where the next observation comes in.
+        order, again, n = gtsam.KeyGroupMap(), gtsam.KeyList(), leaving(self.steps, self._lag)
+        for key in variable_keys(self.steps[-1], self._model):
+            order.insert2(key, 2 if n else 1)
+        if n:
+            for i, step in enumerate(self.steps[:-1]):
+                for key in variable_keys(step, self._model):
+                    order.insert2(key, 0 if i < n else 1)
+                    again.push_back(key)
+        values = gtsam.Values() if values is None else values
+        result = self.isam.update(graph_of(factors), values, list(removed), order, None, again, True)
+        return list(result.getNewFactorsIndices())
+
+    def settled(self) -> Newest:
+        """What is known about the newest step, once none is too far from where it was linearised."""
+        self._build_waiting()
+        for _ in range(self._max_iterations - 1):
+            if not self._farthest() * self._threshold > self._tolerance:
+                break
+            self._update()
+        newest = self.steps[-1]
+        state = self.state(newest)
+        known = finite(state), joint_covariance(self.isam, newest, self._model)
+        if self._lag == math.inf:
+            self._since[newest.index] = state
+            if len(self._since) * _REMEMBERED > len(self.steps):
+                self._estimates, self._since = self.isam.calculateEstimate(), {}
+        return known
+
+    def _farthest(self) -> float:
+        """Greatest distance of the newest steps from their linearisation points, in thresholds.
+
+        The first step of a window does not count: what has left it holds its linearisation point. Without a
+        lag `_WATCHED` steps count.
+        """
+        begin = 1 if self._marginals else 0
+        if self._lag == math.inf:
+            begin = max(begin, len(self.steps) - _WATCHED)
+        steps = self.steps[begin:]
+        keys = keys_of(steps, self._model)
+        far = np.abs(self.isam.getDelta().vector(keys)).reshape(len(steps), len(self._limits)) / self._limits
+        if not np.isfinite(far).all():
+            raise ArithmeticError("a step of the solver is not finite")
+        return float(far.max(initial=0.0))
+
+    def _slide(self) -> None:
+        """Marginalise the steps that leave the window."""
+        gone = self.steps[: leaving(self.steps, self._lag)]
+        if not gone:
+            return
+        keys = gtsam.KeyList()
+        for key in keys_of(gone, self._model):
+            keys.push_back(key)
+        made, absorbed = self.isam.marginalizeLeavesWithIndices(keys)
+        for step in gone:
+            del self._custom[step.index]
+        self._marginals = self._marginals - {*absorbed} | {*made}
+        del self.steps[: len(gone)]
+        # Its links to the step before are part of the marginals now.
+        self.steps[0] = first = self.steps[0].alone()
+        there = self.isam.getFactorsUnsafe()
+        own = self._custom[first.index]
+        self._custom[first.index] = {i: factor for i, factor in own.items() if there.exists(i)}
+
+    def _build_waiting(self) -> None:
+        """Begin anew with a window that waits for it; if its factors raise, it goes on waiting."""
+        window = self._waiting
+        if window is None:
+            return
+        angle = self._threshold * (_OF_CLASSES if self._classified else 1.0)
+        thresholds = np.array([self._threshold] * 4 + [angle] * 2)
+        isam, steps = gtsam.ISAM2(_parameters(thresholds)), window.steps
+        firm = window if window.prior is None else replace(window, prior=window.prior.firm(ANCHOR_KAPPA))
+        held = beginning(firm, self._model, ANCHOR_KAPPA)
+        factors = [self._model.factors(step, self._couplings) for step in steps]
+        values = values_of(steps, np.array([window.values[step.index] for step in steps]), self._model)
+        graph = graph_of([*held, *(factor for own in factors for factor in own)])
+        indices = iter(isam.update(graph, values).getNewFactorsIndices() if steps else ())
+        self.isam, self._waiting, self.steps, self._anchor = isam, None, list(steps), window.anchor
+        self._limits = thresholds[present(self._model)]
+        # As long as somebody holds GTSAM's values, it hands custom factors these and not a copy of all.
+        self._held = isam.getLinearizationPoint()
+        self._estimates, self._since = values, {}
+        first = {next(indices) for _ in held}
+        self._marginals = set() if window.prior is None else first
+        self._custom = {}
+        for step, own in zip(steps, factors, strict=True):
+            self._note(step, own, [next(indices) for _ in own])
+
+    # -- saved states --------------------------------------------------------------------------------------
+
+    def restore(self, window: Window) -> None:
+        """Take over a history as it stands."""
+        self._classified = any(step.is_ambiguous for step in window.steps)
+        self.steps, self._anchor, self._waiting = list(window.steps), window.anchor, window
+
+    def window(self) -> Window:
+        """What another smoother needs to go on from here: the linearisation points are its values."""
+        if self._waiting is not None:
+            return self._waiting
+        points = self.isam.getLinearizationPoint()
+        values = {step.index: read_step(points, step, self._model) for step in self.steps}
+        return Window(tuple(self.steps), values, self.prior(), self._anchor)
+
+    def prior(self) -> MarginalPrior | None:
+        """What has left the window says about its first step, about where that is linearised."""
+        if self._waiting is not None:
+            return self._waiting.prior
+        if not self._marginals:
+            return None
+        points, factors = self.isam.getLinearizationPoint(), self.isam.getFactorsUnsafe()
+        graph = gtsam.GaussianFactorGraph()
+        for index in self._marginals:
+            graph.push_back(factors.at(index).linearize(points))
+        return marginal_prior(gtsam.HessianFactor(graph), points)
+
+
+def _parameters(thresholds: FloatArray) -> gtsam.ISAM2Params:
+    """What GTSAM is told; ``thresholds`` (6,) are those of a state's coordinates."""
+    by_kind = gtsam.ISAM2ThresholdMap()
+    for letter, part in (("x", slice(0, 2)), ("v", slice(2, 4)), ("b", slice(4, 5)), ("h", slice(5, 6))):
+        by_kind.insert((letter, thresholds[part]))
+    optimisation = gtsam.ISAM2GaussNewtonParams()
+    optimisation.setWildfireThreshold(_WILDFIRE)
+    parameters = gtsam.ISAM2Params()
+    parameters.relinearizeSkip = 1
+    parameters.setRelinearizeThreshold(by_kind)
+    parameters.setOptimizationParams(optimisation)
+    parameters.findUnusedFactorSlots = True
+    return parameters

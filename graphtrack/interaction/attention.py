@@ -1,0 +1,560 @@
+"""Attention: how probably each person looks at each other one, at a place, or at nothing of these.
+
+Summaries of attention: tables, looks at each target, dwell times, mutual gaze.
+
+`OnlineAttention`: a frame's people in, what each of them looks at out, from what was seen until then.
+
+Machine code of online groups, attention and forecasts before it is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass
+from typing import Any
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.forecasting.forecaster import Forecaster
+from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, direction
+from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, looks_of_frame, looks_over_time
+from graphtrack.interaction.groups import Groups, OnlineGroups
+from graphtrack.interaction.groups import groups as find_groups
+from graphtrack.interaction.people import IntArray, People, Told, people_told
+from graphtrack.interaction.places import Place
+from graphtrack.kernels.compilation import Rehearsal, make_ready
+from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
+from graphtrack.tracks.track import STATE, Track
+from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
+
+_EXACT = 200.0
+"""Concentration of a head that comes with none."""
+
+
+@dataclass(frozen=True)
+class AttentionParameters:
+    """Parameters of gaze.
+
+    Attributes
+    ----------
+    look_std : radians, 1-σ of where a head points about what is looked at
+    nothing : share of looks at nothing of what is known
+    distance : metres at which a person draws half the looks that one near does
+    fellows : how many times more a fellow member of a conversation draws looks than another person there
+    switching : 1/s at which a look ends
+    correlation_time : seconds over which a head's deviation from what it looks at persists
+    """
+
+    look_std: float = number(0.3, 0.01, 3.0, "rad")
+    nothing: float = number(0.3, 0.0, 1.0)
+    distance: float = number(4.0, 0.1, 1e3, "m")
+    fellows: float = number(20.0, 0.0, 1e4)
+    switching: float = number(0.4, 1e-3, 1e3, "1/s")
+    correlation_time: float = number(0.4, 0.0, 1e3, "s")
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+    def to_array(self) -> FloatArray:
+        """(6,) in the order that `looking` reads them."""
+        return np.array(astuple(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Attention:
+    """Targets of one person's looks.
+
+    Attributes
+    ----------
+    track_id : whose looks
+    frame, t : (n,)
+    people : (p,) ids of the others who are ever near
+    places : names
+    probability : (n, p + places + 1); the last is nothing of these. NaN where the position is unknown
+    """
+
+    track_id: int
+    frame: IntArray
+    t: FloatArray
+    people: tuple[int, ...]
+    places: tuple[str, ...]
+    probability: FloatArray
+
+    @property
+    def targets(self) -> list[tuple[str, str]]:
+        """Kind and name of each column of ``probability``."""
+        people = [("person", str(one)) for one in self.people]
+        return [*people, *(("place", name) for name in self.places), ("nothing", "")]
+
+
+def attention(
+    tracks: Iterable[Track],
+    places: Sequence[Place] = (),
+    parameters: AttentionParameters | None = None,
+    *,
+    groups: Groups | None = None,
+    online: bool = False,
+) -> list[Attention]:
+    """Estimate the targets of everybody's looks.
+
+    Targets have a density each of where a head points that looks at them: about their bearing, as wide as
+    they are seen; "nothing" has the uniform one. That meets the head's whole posterior: all modes of class
+    likelihoods, or an angle with its concentration or covariance. Looks last (a chain over the targets).
+
+    Parameters
+    ----------
+    tracks : estimates or observations
+    groups : who is in conversation with whom; by default they are found
+    online : whether the past alone counts in each frame
+    """
+    chosen = AttentionParameters() if parameters is None else parameters
+    everybody = sorted(tracks, key=lambda track: track.track_id)
+    found = find_groups(everybody, online=online) if groups is None else groups
+    number = {one.track_id: np.full(len(one), -1) for one in everybody}
+    frames = {one.track_id: one.frame for one in everybody}
+    for person in number.keys() & set(np.unique(found.track_id).tolist()):
+        rows = found.track_id == person
+        number[person][np.searchsorted(frames[person], found.frame[rows])] = found.group[rows]
+    return [_of_one(one, everybody, number, places, chosen, online) for one in everybody]
+
+
+def _of_one(
+    one: Track,
+    everybody: Sequence[Track],
+    number: Mapping[int, IntArray],
+    places: Sequence[Place],
+    parameters: AttentionParameters,
+    online: bool,
+) -> Attention:
+    others, where, fellow = _others(one, everybody, number)
+    n, people = len(one), len(others)
+    bearing, half, far = (np.empty((n, people + len(places))) for _ in range(3))
+    for k, place in enumerate(places, people):
+        bearing[:, k], half[:, k], far[:, k] = place.seen_from(one.position)
+    gap = one.dt.copy()
+    gap[:1] = np.inf
+    weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(one))
+    scene = (one.position, where, fellow, bearing, half, far)
+    probability = looks_over_time(*scene, weights, means, kappas, gap, not online, parameters.to_array())
+    probability[~np.isfinite(one.position).all(axis=1)] = np.nan
+    return Attention(
+        one.track_id,
+        one.frame,
+        one.t,
+        tuple(other.track_id for other in others),
+        tuple(place.name for place in places),
+        probability,
+    )
+
+
+def _others(
+    one: Track, everybody: Sequence[Track], number: Mapping[int, IntArray]
+) -> tuple[list[Track], FloatArray, np.ndarray]:
+    """Who is ever near somebody, where they are in the frames of that one, (n, p, 2), NaN: not there; and
+    whether they are in one group, (n, p)."""
+    found, where, fellow = [], [], []
+    for other in everybody:
+        if other is one or not len(other):
+            continue
+        place = np.minimum(np.searchsorted(other.frame, one.frame), len(other) - 1)
+        there = other.frame[place] == one.frame
+        position = np.where(there[:, None], other.position[place], np.nan)
+        away = np.linalg.norm(position - one.position, axis=1)
+        if np.fmin.reduce(away, initial=np.inf) < REACH:
+            own = number[one.track_id]
+            found.append(other)
+            where.append(position)
+            fellow.append(there & (own >= 0) & (own == number[other.track_id][place]))
+    if not found:
+        return found, np.zeros((len(one), 0, 2)), np.zeros((len(one), 0), dtype=bool)
+    return found, np.stack(where, axis=1), np.stack(fellow, axis=1)
+
+
+def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a head's von Mises mixture: weights, means and concentrations, (n, m) each.
+
+    NaN weights: nothing is known.
+    """
+    if track.head is None and track.head_likelihood is not None:
+        scores = track.head_likelihood
+        total = scores.sum(axis=1, keepdims=True)
+        means = np.broadcast_to(class_centres(HEAD_CLASSES), scores.shape)
+        return (
+            scores / np.where(total > 0.0, total, np.nan),
+            means,
+            np.full(scores.shape, class_kappa(HEAD_CLASSES)),
+        )
+    if track.head is None:
+        return np.full((len(track), 1), np.nan), np.zeros((len(track), 1)), np.ones((len(track), 1))
+    kappa = np.full(len(track), _EXACT)
+    if track.covariance is not None:
+        place = STATE.index("head")
+        kappa = concentration(track.covariance[:, place, place])
+    elif track.head_kappa is not None:
+        kappa = np.where(np.isnan(track.head_kappa), _EXACT, track.head_kappa)
+    known = np.where(np.isfinite(track.head) & np.isfinite(kappa), 1.0, np.nan)
+    return known[:, None], np.nan_to_num(track.head)[:, None], np.nan_to_num(kappa, nan=0.0)[:, None]
+
+
+LEAST = 0.01
+"""Targets that are less probable are left out of the table."""
+
+
+def attention_columns(found: Sequence[Attention]) -> dict[str, np.ndarray]:
+    """A row for each person, frame and target of at least `LEAST`, and one for nothing.
+
+    Those of one person and frame sum to 1 but for what is left out.
+    """
+    parts: dict[str, list[np.ndarray]] = {
+        name: [] for name in ("frame", "t", "track_id", "kind", "target", "probability")
+    }
+    for one in found:
+        kinds, names = (np.array(part, dtype=object) for part in zip(*one.targets, strict=True))
+        keep = one.probability >= LEAST
+        keep[:, -1] = np.isfinite(one.probability[:, -1])
+        row, target = np.nonzero(keep)
+        columns = (one.frame[row], one.t[row], np.full(len(row), one.track_id), kinds[target], names[target])
+        for values, column in zip(parts.values(), (*columns, one.probability[row, target]), strict=True):
+            values.append(column)
+    return {name: np.concatenate(values) if values else np.empty(0) for name, values in parts.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class LookSummary:
+    """Expected seconds.
+
+    Attributes
+    ----------
+    people, targets : names of rows and columns; the last column is nothing
+    matrix : (people, targets) seconds that each looks at each target
+    mutual : (a, b) → seconds in which both look at each other
+    dwell : place → person → seconds, and the intervals (from, to) in which a look at it is likelier than not
+    """
+
+    people: tuple[int, ...]
+    targets: tuple[str, ...]
+    matrix: FloatArray
+    mutual: dict[tuple[int, int], float]
+    dwell: dict[str, dict[int, tuple[float, list[tuple[float, float]]]]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For a JSON file."""
+        return {
+            "people": list(self.people),
+            "targets": list(self.targets),
+            "seconds": np.round(self.matrix, 3).tolist(),
+            "mutual": [{"a": a, "b": b, "seconds": round(s, 3)} for (a, b), s in self.mutual.items()],
+            "dwell": [
+                {"place": place, "track_id": person, "seconds": round(seconds, 3), "intervals": intervals}
+                for place, people in self.dwell.items()
+                for person, (seconds, intervals) in people.items()
+            ],
+        }
+
+
+def summary_of(found: Sequence[Attention]) -> LookSummary:
+    """Add up what everybody looks at."""
+    people = tuple(one.track_id for one in found)
+    places = found[0].places if found else ()
+    targets = (*map(str, people), *places, "nothing")
+    column = {name: k for k, name in enumerate((*people, *places, None))}
+    matrix = np.zeros((len(people), len(targets)))
+    dwell: dict[str, dict[int, tuple[float, list[tuple[float, float]]]]] = {name: {} for name in places}
+    for row, one in enumerate(found):
+        seconds = frame_seconds(one.t)
+        spent = np.nansum(one.probability * seconds[:, None], axis=0)
+        for name, value in zip((*one.people, *one.places, None), spent, strict=True):
+            matrix[row, column[name]] = value
+        for k, name in enumerate(one.places):
+            likely = one.probability[:, len(one.people) + k] > 0.5
+            value = float(spent[len(one.people) + k])
+            if value > 0.0:
+                dwell[name][one.track_id] = (value, _intervals(one.t, likely, seconds))
+    return LookSummary(people, targets, matrix, _mutual(found), dwell)
+
+
+def frame_seconds(t: FloatArray) -> FloatArray:
+    """(n,) seconds that each frame stands for: half of those to its neighbours, gaps not counted."""
+    if len(t) < 2:
+        return np.zeros(len(t))
+    gap = np.diff(t)
+    gap = np.minimum(gap, 2.0 * np.median(gap))
+    return 0.5 * (np.append(gap, gap[-1]) + np.append(gap[0], gap))
+
+
+def _intervals(t: FloatArray, likely: np.ndarray, seconds: FloatArray) -> list[tuple[float, float]]:
+    edges = np.flatnonzero(np.diff(likely.astype(int), prepend=0, append=0))
+    return [
+        (round(float(t[a] - 0.5 * seconds[a]), 3), round(float(t[b - 1] + 0.5 * seconds[b - 1]), 3))
+        for a, b in edges.reshape(-1, 2)
+    ]
+
+
+def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
+    """Seconds in which two look at each other; their looks are taken as independent, given what is seen."""
+    result: dict[tuple[int, int], float] = {}
+    of = {one.track_id: one for one in found}
+    for one in found:
+        for k, other in enumerate(one.people):
+            back = of[other]
+            if other <= one.track_id or one.track_id not in back.people:
+                continue
+            _, mine, theirs = np.intersect1d(one.frame, back.frame, return_indices=True)
+            p = one.probability[mine, k] * back.probability[theirs, back.people.index(one.track_id)]
+            seconds = float(np.nansum(p * frame_seconds(one.t)[mine]))
+            if seconds > 1e-6:
+                result[one.track_id, other] = seconds
+    return result
+
+
+_FORGOTTEN = 40.0
+"""Looks that end on average, after which nothing is left of what somebody looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Targets of the looks of a frame's people.
+
+    Attributes
+    ----------
+    frame, t : of all; 0 and NaN where there is nobody
+    track_id : (n,) who looks, ascending
+    first : (n + 1,) first of each one's targets among the people
+    target : (k,) ids of the people who are near enough to be looked at, ascending for each who looks
+    person : (k,) probabilities of these
+    places : names
+    place : (n, places + 1) probabilities of the places, and of nothing of all these
+    """
+
+    frame: int
+    t: float
+    track_id: IntArray
+    first: IntArray
+    target: IntArray
+    person: FloatArray
+    places: tuple[str, ...]
+    place: FloatArray
+
+    def told(self) -> dict[int, list[tuple[str, int | str | None, float]]]:
+        """Who looks → kind, target and probability of those of at least `LEAST`; nothing stands last."""
+        found: dict[int, list[tuple[str, int | str | None, float]]] = {}
+        likely = np.flatnonzero(self.person >= LEAST)
+        ends = np.searchsorted(likely, self.first).tolist()
+        target, person = self.target[likely].tolist(), self.person[likely].tolist()
+        for row, (one, place) in enumerate(zip(self.track_id.tolist(), self.place.tolist(), strict=True)):
+            looks: list[tuple[str, int | str | None, float]] = [
+                ("person", target[k], person[k]) for k in range(ends[row], ends[row + 1])
+            ]
+            looks += [
+                ("place", name, p) for name, p in zip(self.places, place[:-1], strict=True) if p >= LEAST
+            ]
+            found[one] = [*looks, ("nothing", None, place[-1])]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """State of p people when each was last seen; the fields of `Looks`, and:
+
+    Attributes
+    ----------
+    t : (p,) seconds
+    head : (p, 2) direction, rad, and its variance, rad²; infinite where it was unknown
+    bearing : (k,) of those who were near, rad
+    place_bearing : (p, places) radians
+    """
+
+    track_id: IntArray
+    t: FloatArray
+    head: FloatArray
+    first: IntArray
+    target: IntArray
+    bearing: FloatArray
+    person: FloatArray
+    place_bearing: FloatArray
+    place: FloatArray
+
+    def of(self, rows: IntArray) -> _Known:
+        """Some of the people, in another order."""
+        size = np.diff(self.first)[rows]
+        first = np.append(0, np.cumsum(size))
+        flat = np.arange(first[-1]) + np.repeat(self.first[:-1][rows] - first[:-1], size)
+        return _Known(
+            **{
+                name: first if name == "first" else values[flat if name in _OF_TARGETS else rows]
+                for name, values in vars(self).items()
+            }
+        )
+
+    def with_others(self, other: _Known) -> _Known:
+        """The people of both, who are others, by identity."""
+        joined = {name: np.concatenate([values, getattr(other, name)]) for name, values in vars(self).items()}
+        joined["first"] = np.append(self.first, self.first[-1] + other.first[1:])
+        both = _Known(**joined)
+        return both.of(np.argsort(both.track_id))
+
+
+_OF_TARGETS = ("target", "bearing", "person")
+"""Fields of `_Known` with a value for each target; others have one for each person."""
+
+
+def _nobody(places: int) -> _Known:
+    none, ids = np.empty(0), np.empty(0, dtype=np.int64)
+    zero = np.zeros(1, dtype=np.int64)
+    wide = np.empty((0, places)), np.empty((0, places + 1))
+    return _Known(ids, none, np.empty((0, 2)), zero, ids, none, none, *wide)
+
+
+class OnlineAttention:
+    """Targets of looks, frame by frame: `attention` with ``online=True``.
+
+    What is kept is bounded: of each who was seen in the last 100 s (40 looks), what they looked at then.
+
+    Parameters
+    ----------
+    places : what else may be looked at
+    parameters : by default those of `AttentionParameters`
+
+    Examples
+    --------
+    >>> import graphtrack as gt
+    >>> tracker, groups, attention = gt.OnlineTracker("joint"), gt.OnlineGroups(), gt.OnlineAttention()
+    >>> for k in range(10):
+    ...     people = tracker.update(0.2 * k, [gt.Observation(0.0, position=(x, 0.0), head=a, head_kappa=50.0)
+    ...                                       for x, a in ((0.0, 0.0), (2.0, 1.6))])
+    ...     looks = attention.update(0.2 * k, people, groups.update(0.2 * k, people))
+    >>> max(looks.told()[1], key=lambda look: look[2])[:2]
+    ('person', 2)
+    """
+
+    def __init__(self, places: Sequence[Place] = (), parameters: AttentionParameters | None = None) -> None:
+        self.parameters = AttentionParameters() if parameters is None else parameters
+        self.places = tuple(places)
+        self._known = _nobody(len(self.places))
+        self.t = -math.inf
+
+    def __repr__(self) -> str:
+        return f"OnlineAttention({len(self.places)} places, {len(self._known.track_id)} people known)"
+
+    def update(self, t: float, people: Told, groups: Groups) -> Looks:
+        """Take in the people of a frame; what each of them looks at.
+
+        Parameters
+        ----------
+        t, people : as in `OnlineGroups.update`
+        groups : what that says of them, since people look at those whom they talk with
+
+        Raises
+        ------
+        InputError
+            If time does not increase, somebody is told of twice, or the groups are of others.
+        """
+        return self.take(people_told(t, people), groups)
+
+    def take(self, people: People, groups: Groups) -> Looks:
+        """As `update`, for the `People` of one frame, or of none."""
+        names = tuple(place.name for place in self.places)
+        ids = people.ids[people.person]
+        if not np.array_equal(groups.track_id, ids):
+            raise InputError("groups of others", "those of the people of this frame")
+        if not len(people):
+            none = _nobody(len(self.places))
+            return Looks(0, math.nan, ids, none.first, none.target, none.person, names, none.place)
+        t = float(people.t[0])
+        if not t > self.t:
+            raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
+        parameters, known = self.parameters.to_array(), self._known
+        was = np.searchsorted(known.track_id, ids)
+        was = np.where(np.isin(ids, known.track_id), was, -1)
+        length = np.linalg.norm(people.head, axis=1)
+        kappa = concentration(-2.0 * np.log(np.maximum(length, 1e-300)))
+        angle = direction(people.head)
+        seen = np.array([place.seen_from(people.position) for place in self.places]).reshape(-1, 3, len(ids))
+        bearing, half, far = np.ascontiguousarray(seen.transpose(1, 2, 0))
+        before = list(vars(known).values())[1:]  # in the order in which the step takes them
+        head, first, target, bearing_now, person, place = looks_of_frame(
+            *(t, ids, people.position, angle, kappa, length > 0.0, groups.group),
+            *(bearing, half, far, was, *before, parameters),
+        )
+        kept = _Known(ids, np.full(len(ids), t), head, first, target, bearing_now, person, bearing, place)
+        gone = np.ones(len(known.track_id), dtype=bool)
+        gone[was[was >= 0]] = False
+        away = np.flatnonzero(gone & (parameters[SWITCHING] * (t - known.t) <= _FORGOTTEN))
+        self._known = kept.with_others(known.of(away)) if len(away) else kept
+        self.t = t
+        return Looks(int(people.frame[0]), t, ids, first, target, person, names, place)
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        whole = ("track_id", "first", "target")
+        numbers = {
+            name: values.tolist() if name in whole else to_text(values)
+            for name, values in vars(self._known).items()
+        }
+        return {"t": None if math.isinf(self.t) else self.t, "known": numbers}
+
+    @classmethod
+    def from_state(
+        cls,
+        state: Mapping[str, Any],
+        places: Sequence[Place] = (),
+        parameters: AttentionParameters | None = None,
+    ) -> OnlineAttention:
+        """Attention that goes on where `state` was taken, to the last bit, given the same places.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged.
+        """
+        found = cls(places, parameters)
+        try:
+            found.t = -math.inf if state["t"] is None else real(state["t"])
+            parts = {}
+            for name, template in vars(found._known).items():
+                values = state["known"][name]
+                flat = from_text(values) if isinstance(values, str) else np.array(values, dtype=np.int64)
+                parts[name] = flat.reshape((-1, *template.shape[1:]))
+            found._known = _Known(**parts)
+        except DAMAGES as error:
+            raise damaged(error) from error
+        return found
+
+
+ONLINE, FORECASTS = "groups and looks", "forecasts"
+"""What is compiled here, in words."""
+
+
+def online_rehearsal() -> Rehearsal:
+    """What online groups and attention call."""
+    return Rehearsal("groups and looks", _rehearse, 12.0)
+
+
+def make_behaviour_ready() -> None:
+    """Compile or load what groups and attention call; the log reports a long wait before and after."""
+    make_ready(ONLINE, online_rehearsal())
+
+
+def forecast_rehearsal() -> Rehearsal:
+    """What forecasts call."""
+    return Rehearsal("forecasts", _rehearse_forecast, 1.0)
+
+
+def _rehearse() -> None:
+    groups = OnlineGroups()
+    attention = OnlineAttention([Place("made up", np.array([[0.0, 5.0]]), 0.5)])
+    for k in range(2):
+        aside = np.array([[0.0, 0.0], [1.0, 0.0]])
+        ahead = np.array([[0.9, 0.1], [-0.9, 0.1]])
+        rows, one = np.arange(2), np.array([k])
+        people = People(rows, one, 1.0 * one, np.array([0, 2]), rows, aside, 0.0 * aside, ahead, ahead)
+        attention.take(people, groups.take(people))
+
+
+def _rehearse_forecast() -> None:
+    forecaster = Forecaster()
+    for k in range(3):
+        forecaster.update(0.4 * k, [0, 1], [(0.5 * k, 0.0), (0.5 * k, 1.0)])
+    forecaster.forecast([0.4])

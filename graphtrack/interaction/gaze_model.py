@@ -1,0 +1,431 @@
+"""Model of gaze: densities of head directions given a target, and a Markov chain over targets, compiled.
+
+One step of everybody's chain of looks, compiled.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.arithmetic import log_i0e
+from graphtrack.kernels.compilation import allocating, compiled
+
+IntArray = np.ndarray
+
+REACH = 15.0
+"""Metres: people further away are not looked at, and cover nothing; places are looked at from anywhere."""
+SHOULDERS = 0.25
+"""Metres, half the width of a person who is looked at or stands in between."""
+LOOK_STD, NOTHING, DISTANCE, FELLOWS, SWITCHING, CORRELATION = range(6)
+"""Places in an array of `AttentionParameters`."""
+_NARROW = 0.26
+"""Radians, a little more than half the angle under which somebody a metre away is seen."""
+_NOISY_SECONDS = 1.5
+_UNIFORM = 1.0 / (2.0 * math.pi)
+
+
+@compiled
+def turn(angle: float) -> float:
+    """An angle within ±π."""
+    return angle - 2.0 * math.pi * np.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@allocating
+def half_angle(radius: float, far: FloatArray) -> FloatArray:
+    """Half the angle, radians, under which a disc is seen from (n,) metres; π from inside it."""
+    found = np.empty(len(far))
+    for k in range(len(far)):
+        found[k] = math.asin(radius / far[k]) if far[k] > radius else math.pi
+    return found
+
+
+@allocating
+def see(own: FloatArray, others: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray) -> None:
+    """Fill how somebody sees others from where they are.
+
+    Parameters
+    ----------
+    own, others : (2,), (n, 2) metres; NaN: not there
+    bearing, half, far : (n,) radians, radians and metres
+    """
+    for j in range(len(others)):
+        x, y = others[j, 0] - own[0], others[j, 1] - own[1]
+        bearing[j], far[j] = math.atan2(y, x), math.hypot(x, y)
+    half[:] = half_angle(SHOULDERS, far)
+
+
+@compiled
+def concentration_of(variance: float) -> float:
+    """The von Mises κ of the mean resultant length e^(−variance/2); Fisher (1993), eq. 4.40."""
+    r = math.exp(-0.5 * max(variance, 1e-6))
+    if r < 0.53:
+        return 2.0 * r + r**3 + 5.0 * r**5 / 6.0
+    if r < 0.85:
+        return -0.4 + 1.39 * r + 0.43 / (1.0 - r)
+    return 1.0 / (r**3 - 4.0 * r**2 + 3.0 * r)
+
+
+@allocating
+def concentration(variance: FloatArray) -> FloatArray:
+    """`concentration_of` each of (n,) variances; NaN stays so."""
+    found = np.empty(len(variance))
+    for k in range(len(variance)):
+        found[k] = concentration_of(variance[k]) if not math.isnan(variance[k]) else math.nan
+    return found
+
+
+@compiled
+def _covered(apart: float, half: float, of_target: float) -> float:
+    """The angle that somebody covers of a target, or less than 0."""
+    return min(apart + half, of_target) - max(apart - half, -of_target)
+
+
+@compiled
+def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray) -> float:
+    """Share of the angle of a target that nobody nearer covers.
+
+    ``around``, ``wide``: (3, k) bearing, half the angle and distance of people: of all by their bearing,
+    three times round, and of those who cover more than `_NARROW` to either side
+    """
+    covered = 0.0
+    for k in range(wide.shape[1]):
+        if wide[2, k] < far:
+            covered = max(covered, _covered(abs(turn(wide[0, k] - bearing)), wide[1, k], half))
+    middle = turn(bearing)
+    for k in range(np.searchsorted(around[0], middle - half - _NARROW), around.shape[1]):
+        if around[0, k] > middle + half + _NARROW:
+            break
+        if around[2, k] < far:
+            covered = max(covered, _covered(abs(around[0, k] - middle), around[1, k], half))
+    return 1.0 - covered / (2.0 * half) if half > 0.0 else 1.0
+
+
+@allocating
+def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """People as `_share_in_sight` looks through them."""
+    near = np.flatnonzero(far < REACH)
+    near = near[np.argsort(bearing[near])]
+    count = len(near)
+    around, wide = np.empty((3, 3 * count)), np.empty((3, count))
+    size = 0
+    for place in range(count):
+        k = near[place]
+        for lap in range(3):
+            at = place + lap * count
+            around[0, at] = bearing[k] + 2.0 * math.pi * (lap - 1)
+            around[1, at], around[2, at] = half[k], far[k]
+        if half[k] > _NARROW:
+            wide[0, size], wide[1, size], wide[2, size] = bearing[k], half[k], far[k]
+            size += 1
+    return around, wide[:, :size]
+
+
+@allocating
+def prior_of_looks(
+    bearing: FloatArray,
+    half: FloatArray,
+    far: FloatArray,
+    fellow: np.ndarray,
+    people: int,
+    parameters: FloatArray,
+    prior: FloatArray,
+) -> None:
+    """Fill (targets + 1,) with how probably somebody looks at each whose head nobody has seen.
+
+    Parameters
+    ----------
+    bearing, half : (targets,) radians, as they are seen; people come first
+    far : (targets,) metres; NaN: not there
+    fellow : (people,) whether they are in one group with whom looks
+    """
+    around, wide = _in_the_way(bearing[:people], half[:people], far[:people])
+    total = 0.0
+    for j in range(len(bearing)):
+        prior[j] = 0.0
+        if not far[j] < (REACH if j < people else math.inf):
+            continue
+        weight = _share_in_sight(bearing[j], half[j], far[j], around, wide)
+        weight /= 1.0 + (far[j] / parameters[DISTANCE]) ** 2
+        if j < people and fellow[j]:
+            weight *= parameters[FELLOWS]
+        prior[j] = weight
+        total += weight
+    if total > 1e-12:
+        prior[:-1] *= (1.0 - parameters[NOTHING]) / total
+        prior[-1] = parameters[NOTHING]
+    else:  # where nobody is in sight, all looks are at nothing
+        prior[:-1] = 0.0
+        prior[-1] = 1.0
+
+
+@allocating
+def densities(
+    bearing: FloatArray,
+    half: FloatArray,
+    weights: FloatArray,
+    means: FloatArray,
+    kappas: FloatArray,
+    look_std: float,
+    found: FloatArray,
+) -> None:
+    """Fill (targets + 1,) with the density at which a head, as it is known, looks at each target.
+
+    Two von Mises densities are integrated, that of the head and that of looks at the target; "nothing" has
+    the uniform one.
+
+    ``weights``, ``means``, ``kappas``: (modes,) of the head; a NaN weight: nothing is known
+    """
+    scale = np.empty(len(kappas))
+    for m in range(len(kappas)):
+        scale[m] = kappas[m] + log_i0e(kappas[m])
+    found[-1] = _UNIFORM
+    for j in range(len(bearing)):
+        # A disc or a polygon is seen over an interval, whose variance adds up with that of looks.
+        of_target = concentration_of(look_std**2 + min(half[j], math.pi) ** 2 / 3.0)
+        of_scale = of_target + log_i0e(of_target)
+        total = 0.0
+        for m in range(len(kappas)):
+            product = 2.0 * kappas[m] * of_target * math.cos(means[m] - bearing[j])
+            both = math.sqrt(max(kappas[m] ** 2 + of_target**2 + product, 0.0))
+            total += weights[m] * math.exp(both + log_i0e(both) - scale[m] - of_scale)
+        found[j] = total * _UNIFORM if not math.isnan(total) else _UNIFORM
+
+
+@compiled
+def carry(
+    gap: float,
+    head: FloatArray,
+    before: FloatArray,
+    bearing: FloatArray,
+    bearing_before: FloatArray,
+    parameters: FloatArray,
+    anew: FloatArray,
+    held: FloatArray,
+) -> None:
+    """Fill a frame's likelihood of a new look, ``anew``, which is changed, and of one that goes on, ``held``.
+
+    The deviation from a target is autoregressive. A look at nothing goes somewhere, too, and stays there:
+    what is known of it is where the head was. Where heads have several modes or are known less surely than
+    that, frames closer than `_NOISY_SECONDS` carry the same evidence again.
+
+    Parameters
+    ----------
+    gap : seconds from the frame before; infinite for the first
+    head, before : direction, rad, and its variance, rad², infinite where it is unknown or has several modes;
+        in this frame and in the one before
+    bearing, bearing_before : (targets,) radians; NaN: not there
+    anew, held : (targets + 1,)
+    """
+    memory = math.exp(-gap / parameters[CORRELATION]) if parameters[CORRELATION] > 0.0 else 0.0
+    spread = parameters[LOOK_STD] ** 2
+    if not max(head[1], before[1]) < spread * (1.0 - memory**2):
+        power = min(1.0, gap / _NOISY_SECONDS)
+        for j in range(len(anew)):
+            anew[j] = held[j] = anew[j] ** power
+        return
+    noise = head[1] + memory**2 * before[1]
+    for j in range(len(bearing)):
+        step = turn(turn(head[0] - bearing[j]) - memory * turn(before[0] - bearing_before[j]))
+        held[j] = _normal(step if not math.isnan(step) else 0.0, spread * (1.0 - memory**2) + noise)
+    variance = 2.0 * spread * (1.0 - memory) + head[1] + before[1]
+    held[-1] = _normal(turn(head[0] - before[0]), variance)
+
+
+@compiled
+def _normal(deviation: float, variance: float) -> float:
+    return max(math.exp(-0.5 * deviation**2 / variance) / math.sqrt(2.0 * math.pi * variance), 1e-12)
+
+
+@compiled
+def go_on(
+    prior: FloatArray,
+    anew: FloatArray,
+    held: FloatArray,
+    stay: float,
+    before: FloatArray,
+    found: FloatArray,
+) -> None:
+    """A step of the chain over targets: a look stays, or is drawn anew from the frame's prior.
+
+    Parameters
+    ----------
+    stay : probability that the look has not ended; 0 in the first frame
+    before, found : (targets + 1,) probabilities in the frame before, and in this one
+    """
+    total = 0.0
+    for j in range(len(prior)):
+        value = (1.0 - stay) * prior[j] * anew[j]
+        if stay > 0.0 and prior[j] > 0.0:
+            value += stay * before[j] * held[j]
+        found[j] = value
+        total += value
+    for j in range(len(prior)):
+        found[j] = found[j] / total if total > 0.0 else prior[j]
+
+
+@allocating
+def looks_over_time(
+    own: FloatArray,
+    others: FloatArray,
+    fellow: np.ndarray,
+    bearing: FloatArray,
+    half: FloatArray,
+    far: FloatArray,
+    weights: FloatArray,
+    means: FloatArray,
+    kappas: FloatArray,
+    gap: FloatArray,
+    both: bool,
+    parameters: FloatArray,
+) -> FloatArray:
+    """(n, targets + 1) what somebody looks at in each frame, from the past or from both sides.
+
+    Parameters
+    ----------
+    own, others : (n, 2), (n, people, 2) metres; NaN: not there
+    fellow : (n, people)
+    bearing, half, far : (n, targets) as places are seen; what comes before them is filled
+    weights, means, kappas : (n, modes) of the head
+    gap : (n,) seconds from the frame before
+    """
+    n, count = bearing.shape
+    prior, anew, held = np.empty((n, count + 1)), np.empty((n, count + 1)), np.empty((n, count + 1))
+    stay, found = np.exp(-parameters[SWITCHING] * gap), np.empty((n, count + 1))
+    stay[:1] = 0.0
+    head = np.empty((n, 2))
+    people = fellow.shape[1]
+    for f in range(n):
+        see(own[f], others[f], bearing[f, :people], half[f, :people], far[f, :people])
+        prior_of_looks(bearing[f], half[f], far[f], fellow[f], people, parameters, prior[f])
+        densities(bearing[f], half[f], weights[f], means[f], kappas[f], parameters[LOOK_STD], anew[f])
+        head[f, 0] = means[f, 0]
+        known = weights.shape[1] == 1 and not math.isnan(weights[f, 0])
+        head[f, 1] = noise_of(kappas[f, 0]) if known else math.inf
+        b = max(f - 1, 0)
+        since = gap[f] if f > 0 else math.inf
+        carry(since, head[f], head[b], bearing[f], bearing[b], parameters, anew[f], held[f])
+        go_on(prior[f], anew[f], held[f], stay[f], found[b], found[f])
+    if both:
+        _look_back(prior, anew, held, stay, found)
+    return found
+
+
+@compiled
+def noise_of(kappa: float) -> float:
+    """The variance, rad², of a direction with a concentration; no more than that of the uniform one."""
+    return min(1.0 / max(kappa, 1e-6), math.pi**2 / 3.0)
+
+
+@allocating
+def _look_back(
+    prior: FloatArray, anew: FloatArray, held: FloatArray, stay: FloatArray, found: FloatArray
+) -> None:
+    """The backward pass over the chain: what the past says becomes what both sides say."""
+    n, count = prior.shape
+    back = np.ones(count)
+    for f in range(n - 2, -1, -1):
+        drawn = 0.0
+        for j in range(count):
+            drawn += prior[f + 1, j] * anew[f + 1, j] * back[j]
+        total, most = 0.0, 0.0
+        for j in range(count):
+            goes_on = held[f + 1, j] * back[j] if prior[f + 1, j] > 0.0 else 0.0
+            back[j] = stay[f + 1] * goes_on + (1.0 - stay[f + 1]) * drawn
+            most = max(most, back[j])
+        for j in range(count):
+            back[j] = back[j] / most if most > 0.0 else 1.0
+            found[f, j] *= back[j]
+            total += found[f, j]
+        for j in range(count):
+            found[f, j] = found[f, j] / total if total > 0.0 else prior[f, j]
+
+
+@compiled
+def _near(position: FloatArray, i: int, j: int) -> bool:
+    x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+    return i != j and x * x + y * y < REACH * REACH
+
+
+@allocating
+def looks_of_frame(
+    t: float,
+    ids: IntArray,
+    position: FloatArray,
+    angle: FloatArray,
+    kappa: FloatArray,
+    seen: np.ndarray,
+    group: IntArray,
+    place_bearing: FloatArray,
+    place_half: FloatArray,
+    place_far: FloatArray,
+    was: IntArray,
+    t_before: FloatArray,
+    head_before: FloatArray,
+    first_before: IntArray,
+    target_before: IntArray,
+    bearing_before: FloatArray,
+    person_before: FloatArray,
+    place_bearing_before: FloatArray,
+    place_before: FloatArray,
+    parameters: FloatArray,
+) -> tuple[FloatArray, IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
+    """A step of everybody's chain: head, first, target, bearing, person and place, as in `_Known`.
+
+    Parameters
+    ----------
+    ids, position, angle, kappa, seen, group : (n,) who, where, and how heads point, if they were seen
+    place_bearing, place_half, place_far : (n, places) how places are seen
+    was : (n,) place of each among those known before, −1: unknown; what follows is theirs
+    """
+    n, places = place_bearing.shape
+    first, head = np.zeros(n + 1, dtype=np.int64), np.empty((n, 2))
+    for i in range(n):
+        near = 0
+        for j in range(n):
+            near += _near(position, i, j)
+        first[i + 1] = first[i] + near
+    target = np.empty(first[-1], dtype=np.int64)
+    all_bearing, person = np.empty(first[-1]), np.empty(first[-1])
+    place = np.empty((n, places + 1))
+    others, fellow, weight = np.empty((n, 2)), np.empty(n, dtype=np.bool_), np.ones(1)
+    room = np.empty((9, n + places + 1))
+    for i in range(n):
+        at, people = first[i], first[i + 1] - first[i]
+        count = people + places
+        bearing, half, far = room[0, :count], room[1, :count], room[2, :count]
+        prior, anew, held = room[3, : count + 1], room[4, : count + 1], room[5, : count + 1]
+        then, then_bearing, found = room[6, : count + 1], room[7, :count], room[8, : count + 1]
+        k = 0
+        for j in range(n):
+            if _near(position, i, j):
+                target[at + k], others[k] = ids[j], position[j]
+                fellow[k] = group[i] >= 0 and group[i] == group[j]
+                k += 1
+        see(position[i], others[:people], bearing[:people], half[:people], far[:people])
+        bearing[people:], half[people:], far[people:] = place_bearing[i], place_half[i], place_far[i]
+        prior_of_looks(bearing, half, far, fellow[:people], people, parameters, prior)
+        weight[0] = 1.0 if seen[i] else math.nan
+        one = slice(i, i + 1)
+        densities(bearing, half, weight, angle[one], kappa[one], parameters[LOOK_STD], anew)
+        head[i, 0], head[i, 1] = angle[i], noise_of(kappa[i]) if seen[i] else math.inf
+        p = was[i]
+        gap, stay, before = math.inf, 0.0, head[i]
+        then[:], then_bearing[:] = 0.0, math.nan
+        if p >= 0:
+            gap, before = t - t_before[p], head_before[p]
+            stay = math.exp(-parameters[SWITCHING] * gap)
+            b, end = first_before[p], first_before[p + 1]
+            for k in range(people):
+                while b < end and target_before[b] < target[at + k]:
+                    b += 1
+                if b < end and target_before[b] == target[at + k]:
+                    then[k], then_bearing[k] = person_before[b], bearing_before[b]
+            then[people:], then_bearing[people:] = place_before[p], place_bearing_before[p]
+        carry(gap, head[i], before, bearing, then_bearing, parameters, anew, held)
+        go_on(prior, anew, held, stay, then, found)
+        person[at : at + people], all_bearing[at : at + people] = found[:people], bearing[:people]
+        place[i] = found[people:]
+    return head, first, target, all_bearing, person, place

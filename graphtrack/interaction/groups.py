@@ -1,0 +1,508 @@
+"""Correlation clustering: the partition of people with the most log odds inside its groups, compiled.
+
+Numbers that groups keep over time.
+
+Groups: for every frame a partition of the people, with its kinds and probabilities.
+
+`OnlineGroups`: a frame's people in, its groups out, from what was seen until then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from graphtrack.association.associate import tracks_of
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.interaction.evidence import OnlineEvidence, PairEvidence, pair_evidence, with_bodies
+from graphtrack.interaction.parameters import DEFAULT, GroupParameters
+from graphtrack.interaction.people import IntArray, People, Told, people_of, people_told
+from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.saved import DAMAGES, damaged, real, whole
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from graphtrack.io.read_write import Given
+
+
+@allocating
+def _climbed(weight: FloatArray, label: IntArray) -> None:
+    """Better a partition by moving one person, joining two groups, until nothing helps."""
+    people = len(weight)
+    gain = np.empty(people)
+    for _ in range(100):
+        changed = False
+        for i in range(people):
+            gain[:] = 0.0
+            size = np.zeros(people, dtype=np.int64)
+            for j in range(people):
+                size[label[j]] += 1
+                if j != i:
+                    gain[label[j]] += weight[i, j]
+            best, most = -1, 0.0 if size[label[i]] > 1 else -1e-9
+            now = gain[label[i]] if size[label[i]] > 1 else 0.0
+            for g in range(people):
+                if size[g] > 0 and g != label[i] and gain[g] > most:
+                    best, most = g, gain[g]
+            if most > now + 1e-9:
+                if best < 0:
+                    for g in range(people):
+                        if size[g] == 0:
+                            best = g
+                            break
+                label[i] = best
+                changed = True
+        if _joined(weight, label):
+            changed = True
+        if not changed:
+            return
+
+
+@allocating
+def _joined(weight: FloatArray, label: IntArray) -> bool:
+    """Join the two groups that gain most by it, again and again; whether there were any."""
+    people = len(weight)
+    between = np.zeros((people, people))
+    for i in range(people):
+        for j in range(i):
+            if label[i] != label[j]:
+                between[label[i], label[j]] += weight[i, j]
+                between[label[j], label[i]] += weight[i, j]
+    any_joined = False
+    while True:
+        best, a, b = 1e-9, -1, -1
+        for g in range(people):
+            for h in range(g):
+                if between[g, h] > best:
+                    best, a, b = between[g, h], h, g
+        if a < 0:
+            return any_joined
+        any_joined = True
+        for i in range(people):
+            if label[i] == b:
+                label[i] = a
+        for g in range(people):
+            if g != a and g != b:
+                between[a, g] += between[b, g]
+                between[g, a] += between[g, b]
+        between[b, :] = 0.0
+        between[:, b] = 0.0
+        between[a, b] = between[b, a] = 0.0
+
+
+@compiled
+def _inside(weight: FloatArray, label: IntArray) -> float:
+    """The sum of log odds inside groups."""
+    total = 0.0
+    for i in range(len(label)):
+        for j in range(i):
+            if label[i] == label[j]:
+                total += weight[i, j]
+    return total
+
+
+@allocating
+def _best(weight: FloatArray) -> IntArray:
+    """The better of what is reached from everybody alone, and from all together."""
+    alone = np.arange(len(weight))
+    _joined(weight, alone)
+    _climbed(weight, alone)
+    together = np.zeros(len(weight), dtype=np.int64)
+    _climbed(weight, together)
+    if _inside(weight, together) > _inside(weight, alone) + 1e-9:
+        return together
+    return alone
+
+
+@allocating
+def _components(people: int, left: IntArray, right: IntArray, odds: FloatArray) -> IntArray:
+    """The smallest member of each person's component, where positive log odds connect."""
+    root = np.arange(people)
+    for k in range(len(left)):
+        if odds[k] > 0.0:
+            a, b = left[k], right[k]
+            while root[a] != a:
+                a = root[a]
+            while root[b] != b:
+                b = root[b]
+            root[max(a, b)] = min(a, b)
+    for i in range(people):
+        a = i
+        while root[a] != a:
+            a = root[a]
+        root[i] = a
+    return root
+
+
+@allocating
+def partition(people: int, left: IntArray, right: IntArray, odds: FloatArray, far: float) -> IntArray:
+    """Groups of one frame's people: a label for each, the place of the group's first member.
+
+    Parameters
+    ----------
+    left, right : (k,) places of the two of a pair
+    odds : (k,) log odds that they are of one group
+    far : log odds of pairs that are not among them
+    """
+    found = np.arange(people)
+    root = _components(people, left, right, odds)
+    place = np.full(people, -1)
+    for first in range(people):
+        if root[first] != first:
+            continue
+        members = np.flatnonzero(root == first)
+        if len(members) < 2:
+            continue
+        place[members] = np.arange(len(members))
+        weight = np.full((len(members), len(members)), far)
+        for k in range(len(left)):
+            if root[left[k]] == first and root[right[k]] == first:
+                a, b = place[left[k]], place[right[k]]
+                weight[a, b] = weight[b, a] = odds[k]
+        label = _best(weight)
+        for a in range(len(members)):
+            for b in range(len(members)):
+                if label[b] == label[a]:
+                    found[members[a]] = members[b]
+                    break
+    return found
+
+
+@allocating
+def partitions(
+    first: IntArray, start: IntArray, left: IntArray, right: IntArray, odds: FloatArray, far: float
+) -> IntArray:
+    """`partition` of every frame: for each row the row of the first member of its group.
+
+    Parameters
+    ----------
+    first : (k + 1,) first row of each frame
+    start : (k + 1,) first pair of each frame
+    left, right : (n,) rows of the two of a pair
+    """
+    found = np.empty(first[-1], dtype=np.int64)
+    for k in range(len(first) - 1):
+        pairs = slice(start[k], start[k + 1])
+        label = partition(
+            first[k + 1] - first[k], left[pairs] - first[k], right[pairs] - first[k], odds[pairs], far
+        )
+        found[first[k] : first[k + 1]] = label + first[k]
+    return found
+
+
+class Numbering:
+    """Numbers groups frame by frame.
+
+    A group keeps its number while more than half of those who were in it are; where several groups become
+    one, it is that of most of its members. A number that was lost is found again for ``memory`` seconds, and
+    forgotten then.
+    """
+
+    def __init__(self, memory: float) -> None:
+        self._memory = memory
+        self._last: dict[int, tuple[float, frozenset[int]]] = {}
+        self._number_of: dict[int, int] = {}  # of each who was in a group when it was last seen
+        self._following = 0
+
+    def of_frame(self, t: float, groups: Sequence[Sequence[int]]) -> list[int]:
+        """The number of each group of a frame.
+
+        Parameters
+        ----------
+        t : seconds, no less than before
+        groups : the members of each; the order matters where two have the same right to a number
+        """
+        self._forget(t)
+        members = [frozenset(group) for group in groups]
+        claims = []
+        for place, who in enumerate(members):
+            for number in {self._number_of[one] for one in who if one in self._number_of}:
+                were = self._last[number][1]
+                stayed = len(who & were)
+                if 2 * stayed > len(were):
+                    claims.append((-stayed, number, place))
+        taken: dict[int, int] = {}
+        for _, number, place in sorted(claims):
+            if place not in taken and number not in taken.values():
+                taken[place] = number
+        for place, who in enumerate(members):
+            if place not in taken:
+                taken[place], self._following = self._following, self._following + 1
+            number = taken[place]
+            if number in self._last:
+                self._part(number, self._last[number][1] - who)
+            self._last[number] = (t, who)
+            self._number_of.update(dict.fromkeys(who, number))
+        return [taken[place] for place in range(len(members))]
+
+    def state(self) -> dict[str, Any]:
+        """Return the state as JSON-able data; see `restore`."""
+        groups = [[number, t, sorted(who)] for number, (t, who) in self._last.items()]
+        return {"following": self._following, "groups": groups, "of": list(self._number_of.items())}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where `state` was taken."""
+        self._following = whole(state["following"])
+        groups = state["groups"]
+        self._last = {whole(one): (real(t), frozenset(map(whole, who))) for one, t, who in groups}
+        self._number_of = {whole(person): whole(one) for person, one in state["of"]}
+
+    def _forget(self, t: float) -> None:
+        for number in [number for number, (then, _) in self._last.items() if t - then > self._memory]:
+            self._part(number, self._last.pop(number)[1])
+
+    def _part(self, number: int, who: frozenset[int]) -> None:
+        for one in who:
+            if self._number_of.get(one) == number:
+                del self._number_of[one]
+
+
+def numbered(people: People, label: IntArray, size: IntArray, numbering: Numbering) -> IntArray:
+    """(n,) number of each row's group, −1 for those alone.
+
+    Parameters
+    ----------
+    label : (n,) what rows of one group share within a frame
+    size : (n,) of the group of each row
+    """
+    found = np.full(len(people), -1, dtype=np.int64)
+    person = people.ids[people.person].tolist()
+    for k, t in enumerate(people.t.tolist()):
+        rows = np.arange(people.first[k], people.first[k + 1])
+        here: dict[int, list[int]] = {}
+        for row in rows[size[rows] > 1].tolist():
+            here.setdefault(int(label[row]), []).append(row)
+        numbers = numbering.of_frame(t, [[person[row] for row in members] for members in here.values()])
+        for number, members in zip(numbers, here.values(), strict=True):
+            found[members] = number
+    return found
+
+
+KINDS = ("", "conversing", "walking")
+"""Alone, in a conversation, walking together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Group memberships, a row for each person and frame, sorted by frame and by identity.
+
+    Attributes
+    ----------
+    frame, t, track_id : (n,)
+    group : (n,) number, −1 for those alone; a group keeps its number while most of its members stay
+    kind : (n,) place in `KINDS`
+    probability : (n,) of a fellow member that it is one, on average; of somebody alone, that the likeliest
+        companion is none
+    centre : (n, 2) metres, of the o-space, or of those who walk; NaN for those alone
+    """
+
+    frame: IntArray
+    t: FloatArray
+    track_id: IntArray
+    group: IntArray
+    kind: IntArray
+    probability: FloatArray
+    centre: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the columns of the table."""
+        return {
+            "frame": self.frame,
+            "t": self.t,
+            "track_id": self.track_id,
+            "group": self.group,
+            "kind": np.array(KINDS, dtype=object)[self.kind],
+            "probability": self.probability,
+            "centre_x": self.centre[:, 0],
+            "centre_y": self.centre[:, 1],
+        }
+
+    def to_table(self) -> pd.DataFrame:
+        """One row per person and frame, with the columns of the file."""
+        import pandas as pd
+
+        return pd.DataFrame(self.columns())
+
+    def members(self) -> dict[int, list[frozenset[int]]]:
+        """Frame → the groups of two and more, each the ids of its members."""
+        found: dict[int, dict[int, set[int]]] = {int(frame): {} for frame in self.frame}
+        for frame, group, person in zip(
+            self.frame.tolist(), self.group.tolist(), self.track_id.tolist(), strict=True
+        ):
+            if group >= 0:
+                found[frame].setdefault(group, set()).add(person)
+        return {
+            frame: [frozenset(g) for g in groups.values() if len(g) > 1] for frame, groups in found.items()
+        }
+
+
+def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: bool = False) -> Groups:
+    """Find who stands in conversation, and who walks together.
+
+    Parameters
+    ----------
+    tracks : estimates, or observations, which count as far as their concentrations say; people count in the
+        frames in which their position is known
+    parameters : by default those that were learned
+    online : whether the past alone counts in each frame, or both sides
+    """
+    chosen = DEFAULT if parameters is None else parameters
+    people = people_of(tracks_of(tracks), online=online)
+    if not online:
+        return groups_of(people, chosen, pair_evidence(people, chosen))
+    known, numbering = OnlineEvidence(chosen), Numbering(chosen.look_seconds)
+    if not len(people):
+        return groups_of(people, chosen, known.take(people))
+    parts = [groups_of(one, chosen, known.take(one), numbering) for one in people.frames()]
+    columns = [np.concatenate([getattr(one, name) for one in parts]) for name in vars(parts[0])]
+    return Groups(*columns)
+
+
+def groups_of(
+    people: People, parameters: GroupParameters, evidence: PairEvidence, numbering: Numbering | None = None
+) -> Groups:
+    """The partition of every frame under the evidence of pairs.
+
+    ``numbering``: that knows the frames before; None: there are none
+    """
+    odds = evidence.odds - evidence.caution
+    label = partitions(people.first, evidence.start, evidence.left, evidence.right, odds, parameters.apart)
+    size = np.bincount(label, minlength=len(people))[label]
+    within = label[evidence.left] == label[evidence.right]
+    kind = np.where(size > 1, 1, 0)
+    walking = _per_label(label, evidence, within, evidence.walking)
+    kind[(size > 1) & (walking > 0.5)] = 2
+    frame_of = people.frame_of
+    return Groups(
+        people.frame[frame_of],
+        people.t[frame_of],
+        people.ids[people.person],
+        numbered(people, label, size, numbering or Numbering(parameters.look_seconds)),
+        kind,
+        _probability(people, evidence, within, size, parameters.apart),
+        _centres(with_bodies(people, parameters.head_spread), label, size, kind, parameters.stride),
+    )
+
+
+def _per_label(label: IntArray, evidence: PairEvidence, within: np.ndarray, values: FloatArray) -> FloatArray:
+    """(rows,) mean of a pair's value over the pairs of each group."""
+    of = label[evidence.left[within]]
+    total = np.bincount(of, values[within], minlength=len(label))
+    count = np.bincount(of, minlength=len(label))
+    mean: FloatArray = (total / np.maximum(count, 1))[label]
+    return mean
+
+
+def _probability(
+    people: People, evidence: PairEvidence, within: np.ndarray, size: IntArray, apart: float
+) -> FloatArray:
+    p = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds))
+    rows = np.concatenate([evidence.left[within], evidence.right[within]])
+    total = np.bincount(rows, np.tile(p[within], 2), minlength=len(people))
+    met = np.bincount(rows, minlength=len(people))
+    far = 0.5 * (1.0 + np.tanh(0.5 * apart))
+    inside = (total + (size - 1 - met) * far) / np.maximum(size - 1, 1)
+    likeliest = np.zeros(len(people))
+    np.maximum.at(likeliest, evidence.left, p)
+    np.maximum.at(likeliest, evidence.right, p)
+    return np.where(size > 1, inside, 1.0 - likeliest)
+
+
+def _centres(people: People, label: IntArray, size: IntArray, kind: IntArray, stride: float) -> FloatArray:
+    point = people.position + np.where(kind[:, None] == 1, stride, 0.0) * people.body
+    count = len(people)
+    total = np.column_stack([np.bincount(label, point[:, k], minlength=count)[label] for k in (0, 1)])
+    return np.where(size[:, None] > 1, total / size[:, None], np.nan)
+
+
+class OnlineGroups:
+    """Groups, frame by frame: `groups` with ``online=True``.
+
+    Evidence of pairs is averaged over the past, each pair's by itself; what is kept of it is bounded, see
+    `OnlineEvidence`.
+
+    Parameters
+    ----------
+    parameters : by default those that were learned
+
+    Examples
+    --------
+    >>> import graphtrack as gt
+    >>> tracker, groups = gt.OnlineTracker("joint"), gt.OnlineGroups()
+    >>> for k in range(40):
+    ...     people = tracker.update(0.2 * k, [(0.2 * k, 0.0), (0.2 * k, 0.7)])
+    ...     found = groups.update(0.2 * k, people)
+    >>> found.to_table()["kind"].tolist()
+    ['walking', 'walking']
+    """
+
+    def __init__(self, parameters: GroupParameters | None = None) -> None:
+        self.parameters = DEFAULT if parameters is None else parameters
+        self._numbering = Numbering(self.parameters.look_seconds)
+        self._evidence = OnlineEvidence(self.parameters)
+        self.t = -math.inf
+
+    def __repr__(self) -> str:
+        return f"OnlineGroups({len(self._evidence)} pairs known)"
+
+    def update(self, t: float, people: Told) -> Groups:
+        """Take in the people of a frame; the groups in it, a row for each person, by identity.
+
+        Parameters
+        ----------
+        t : seconds, after those of the update before
+        people : what `OnlineTracker.update` gives, or the estimates of `OnlineSmoother` by track id: of
+            whoever is there at that time
+
+        Raises
+        ------
+        InputError
+            If time does not increase, or somebody is told of twice. Nothing has changed then.
+        """
+        return self.take(people_told(t, people))
+
+    def take(self, people: People) -> Groups:
+        """As `update`, for the `People` of one frame, or of none."""
+        if not len(people):
+            return groups_of(people, self.parameters, self._evidence.take(people))
+        t = float(people.t[0])
+        if not t > self.t:
+            raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
+        found = groups_of(people, self.parameters, self._evidence.take(people), self._numbering)
+        self.t = t
+        return found
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        return {
+            "t": None if math.isinf(self.t) else self.t,
+            "numbers": self._numbering.state(),
+            **self._evidence.state(),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], parameters: GroupParameters | None = None) -> OnlineGroups:
+        """Groups that go on where `state` was taken, to the last bit, given the same parameters.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged.
+        """
+        found = cls(parameters)
+        try:
+            found.t = -math.inf if state["t"] is None else real(state["t"])
+            found._numbering.restore(state["numbers"])
+            found._evidence.restore(state)
+        except DAMAGES as error:
+            raise damaged(error) from error
+        return found

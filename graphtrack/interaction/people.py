@@ -1,0 +1,205 @@
+"""Everybody of a scene, frame by frame: where they are and how surely they face a direction.
+
+People of one frame, as online smoothers and trackers tell of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import BoolArray, FloatArray, mean_resultant_length, unit
+from graphtrack.tracks.track import STATE, Track
+
+if TYPE_CHECKING:
+    from graphtrack.association.tracker import PersonEstimate
+    from graphtrack.inference.state import Estimate
+
+
+IntArray = NDArray[np.int64]
+
+_SLOPE_SECONDS = 0.5
+"""Velocities that nobody estimated are differences over so long to either side, where frames are closer."""
+
+
+@dataclass(frozen=True, eq=False)
+class People:
+    """Person-frames with a position, sorted by frame and by identity within it.
+
+    Attributes
+    ----------
+    ids : (p,) identities, ascending
+    frame : (k,) the frames in which there is somebody, ascending
+    t : (k,) seconds
+    first : (k + 1,) first row of each frame
+    person : (n,) place in ``ids``
+    position : (n, 2) metres
+    velocity : (n, 2) m/s; 0 where nothing is known of it
+    body, head : (n, 2) expected unit vectors: shorter, the less sure the direction; 0 where it is unknown
+    """
+
+    ids: IntArray
+    frame: IntArray
+    t: FloatArray
+    first: IntArray
+    person: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    body: FloatArray
+    head: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.person)
+
+    @property
+    def frame_of(self) -> IntArray:
+        """(n,) place in ``frame`` of each row."""
+        return np.repeat(np.arange(len(self.frame)), np.diff(self.first))
+
+    def frames(self) -> Iterator[People]:
+        """Return the people of each frame by themselves."""
+        for k, (begin, end) in enumerate(pairwise(self.first.tolist())):
+            here, count = slice(begin, end), end - begin
+            yield People(
+                self.ids[self.person[here]],
+                self.frame[k : k + 1],
+                self.t[k : k + 1],
+                np.array([0, count]),
+                np.arange(count),
+                *(values[here] for values in (self.position, self.velocity, self.body, self.head)),
+            )
+
+
+def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
+    """The people of a scene, as far as their positions are known.
+
+    Estimates count with their covariance, observed angles with the concentration that they come with; angles
+    with neither count as exact. ``online``, velocities that nobody estimated are those of the past.
+    """
+    chosen = sorted(tracks, key=lambda track: track.track_id)
+    parts = [_rows(track, online) for track in chosen]
+    ids = np.array([track.track_id for track in chosen], dtype=np.int64)
+    person = np.repeat(np.arange(len(chosen)), [len(part[0]) for part in parts])
+    joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)] if parts else _nobody()
+    order = np.lexsort((person, joined[0]))
+    frames, t, position, velocity, body, head = (column[order] for column in joined)
+    frame, first = np.unique(frames, return_index=True)
+    return People(
+        ids, frame, t[first], np.append(first, len(frames)), person[order], position, velocity, body, head
+    )
+
+
+def _nobody() -> list[np.ndarray]:
+    return [np.empty(0, dtype=np.int64), np.empty(0), *(np.empty((0, 2)) for _ in range(4))]
+
+
+def _rows(track: Track, online: bool) -> tuple[np.ndarray, ...]:
+    known: BoolArray = np.asarray(np.isfinite(track.position).all(axis=1))
+    velocity = _velocity(track, known, online) if track.velocity is None else track.velocity[known]
+    return (
+        track.frame[known],
+        track.t[known],
+        track.position[known],
+        np.nan_to_num(velocity),
+        expected_direction(track, "body")[known],
+        expected_direction(track, "head")[known],
+    )
+
+
+def expected_unit(angle: FloatArray, variance: FloatArray) -> FloatArray:
+    """(n, 2) mean of the unit vector of an angle, rad, with a variance, rad²; 0 where it is unknown."""
+    vector: FloatArray = np.nan_to_num(np.exp(-0.5 * variance)[:, None] * unit(angle))
+    return vector
+
+
+def expected_direction(track: Track, name: str) -> FloatArray:
+    """(n, 2) mean of the unit vector of ``body`` or ``head``; 0 where the angle is unknown."""
+    angle: FloatArray | None = getattr(track, name)
+    if angle is None:
+        return np.zeros((len(track), 2))
+    length = np.ones(len(track))
+    kappa: FloatArray | None = getattr(track, f"{name}_kappa")
+    if track.covariance is not None:
+        place = STATE.index(name)
+        return expected_unit(angle, track.covariance[:, place, place])
+    if kappa is not None:
+        length = np.where(np.isnan(kappa), 1.0, mean_resultant_length(np.nan_to_num(kappa)))
+    return np.nan_to_num(length[:, None] * unit(angle))
+
+
+def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
+    """Slope of the positions that are known, over `_SLOPE_SECONDS` or a frame to either side."""
+    t, position = track.t[known], track.position[known]
+    count = len(t)
+    if count < 2:
+        return np.zeros((count, 2))
+    each = np.arange(count)
+    before = np.minimum(np.searchsorted(t, t - _SLOPE_SECONDS), np.maximum(each - 1, 0))
+    after = np.maximum(
+        np.searchsorted(t, t + _SLOPE_SECONDS, side="right") - 1, np.minimum(each + 1, count - 1)
+    )
+    if online:
+        past: FloatArray = (position - position[before]) / np.where(each > 0, t - t[before], 1.0)[:, None]
+        return past
+    slope: FloatArray = (position[after] - position[before]) / (t[after] - t[before])[:, None]
+    return slope
+
+
+Told: TypeAlias = "Mapping[int, Estimate] | Iterable[PersonEstimate]"
+"""Estimates by track id, or those of a tracker, which know whose they are."""
+
+Numbers = tuple[float, ...]
+"""x, y, vx, vy, body, head, and the variances of these two: metres, seconds and radians."""
+
+_BODY, _HEAD = STATE.index("body"), STATE.index("head")
+
+
+def numbers_of(estimate: Estimate) -> Numbers:
+    """What groups and attention take of an estimate."""
+    spread = estimate.covariance
+    angles = (estimate.body, estimate.head, spread.item(_BODY, _BODY), spread.item(_HEAD, _HEAD))
+    return (*estimate.position.tolist(), *estimate.velocity.tolist(), *angles)
+
+
+def people_told(t: float, told: Told) -> People:
+    """The people of a frame, by identity; those who still wait for a position are left out.
+
+    Raises
+    ------
+    InputError
+        For a time that is no number, and for somebody who is told of twice.
+    """
+    if not math.isfinite(t):
+        raise InputError(f"t = {t:g}", "a time in seconds")
+    numbers: dict[int, Numbers] = {}
+    frame = 0
+    for one, estimate in told.items() if isinstance(told, Mapping) else ((p.track_id, p) for p in told):
+        if one in numbers:
+            raise InputError(f"track {one} twice", "each person once in a frame")
+        if estimate.status != "waiting":
+            numbers[one], frame = numbers_of(estimate), estimate.frame
+    return people_at(t, frame, numbers)
+
+
+def people_at(t: float, frame: int, numbers: Mapping[int, Numbers]) -> People:
+    """The people of a frame from their numbers by track id."""
+    ids = sorted(numbers)
+    count, table = len(ids), np.array([numbers[one] for one in ids], float).reshape(-1, 8)
+    return People(
+        np.array(ids, dtype=np.int64),
+        np.full(min(count, 1), frame, dtype=np.int64),
+        np.full(min(count, 1), float(t)),
+        np.array([0, count] if count else [0], dtype=np.int64),
+        np.arange(count),
+        table[:, :2].copy(),
+        np.nan_to_num(table[:, 2:4]),
+        expected_unit(table[:, 4], table[:, 6]),
+        expected_unit(table[:, 5], table[:, 7]),
+    )

@@ -1,0 +1,238 @@
+"""Well-known names of columns: those that are read by themselves, and those that are only proposed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.options import SHORT, WILD, ReadOptions
+from graphtrack.io.source import Source
+from graphtrack.tracks.display import shortened
+from graphtrack.tracks.schema import is_column
+
+SYNONYMS: Mapping[str, tuple[str, ...]] = {
+    key: tuple(names.split())
+    for key, names in {
+        "track_id": "id trackid tid person personid agent agentid ped pedid pid pedestrian pedestrianid "
+        "object objectid objid subject subjectid participant participantid identity trackerid targetid "
+        "trajectoryid",
+        "frame": "frameid frameno framenumber framenum framenr frameindex frameidx",
+        "t": "time times timestamp timestamps datetime seconds sec secs",
+        "x": "posx positionx xpos xposition xcoord xcoordinate coordx worldx xworld",
+        "y": "posy positiony ypos yposition ycoord ycoordinate coordy worldy yworld",
+    }.items()
+}
+"""Native column → names without marks and units and in lower case.
+
+Each means this in published tables of people; it is read so where the native column is absent.
+"""
+
+_POSSIBLE = {
+    "track_id": "track obj individual individualid target trajectory trajid traj uid uuid userid user player "
+    "playerid deviceid device tagid tag mac entity entityid who name",
+    "t": "ts datetimeutc timeutc utc unixtime epoch unix second elapsed elapsedtime date stamp clock "
+    "milliseconds microseconds nanoseconds millis",
+    "x": "px coordinatex groundx gx locx locationx centerx centrex easting east",
+    "y": "py coordinatey groundy gy locy locationy centery centrey northing north",
+}
+"""Further names that may mean it: proposed by `graphtrack info --suggest`, never taken by themselves."""
+
+LENGTHS = {"m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "cm": "cm", "mm": "mm"}
+LENGTHS |= {"ft": "ft", "feet": "ft"}
+TIMES = {"s": "s", "sec": "s", "seconds": "s", "ms": "ms", "msec": "ms", "milliseconds": "ms", "millis": "ms"}
+TIMES |= {"us": "us", "µs": "us", "microseconds": "us", "ns": "ns", "nanoseconds": "ns"}
+_UNITS: Mapping[str, Mapping[str, str]] = {"x": LENGTHS, "y": LENGTHS, "t": TIMES}
+
+_KEYS = {native: short for short, native in SHORT.items() if native == "track_id"}
+_MEANINGS = {
+    _KEYS.get(key, key): (key.replace("_", ""), *names, *_POSSIBLE.get(key, "").split())
+    for key, names in SYNONYMS.items()
+} | {"lat": ("lat", "latitude"), "lon": ("lon", "lng", "long", "longitude")}
+"""Key of ``--columns`` → all names that may mean it, the likeliest first."""
+
+_BRACKETS = re.compile(r"[\[({]\s*([^\])}]*?)\s*[\])}]")
+_WORDS = re.compile(r"[^\W_]+")
+
+READ_AS = "read column"
+"""Beginning of the note that names the columns that were read by their well-known names."""
+
+UNSURE_UNIT = (
+    "times were read as seconds, though they lie 5 and more apart: --time-unit ms if they are milliseconds"
+)
+"""Note on a column of times without a unit in its name."""
+
+_NO_METRES = frozenset(("u", "v", "lat", "lon"))
+"""Columns beside which no other column is taken for metres."""
+
+
+def plain(name: str) -> tuple[str, str]:
+    """A name without marks, brackets and unit, in lower case, and the unit, "" where there is none."""
+    bracket = _BRACKETS.search(name)
+    unit = bracket[1].lower() if bracket else ""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _BRACKETS.sub(" ", name))  # agentId: agent Id
+    words = [word.lower() for word in _WORDS.findall(spaced)]
+    if len(words) > 1 and not unit and (words[-1] in LENGTHS or words[-1] in TIMES):
+        unit = words.pop()
+    return "".join(words), unit
+
+
+def meanings(names: Iterable[str]) -> dict[str, str]:
+    """Key of ``--columns`` → name, for the columns whose names say what they are."""
+    known = {name: plain(name) for name in names}
+    found: dict[str, str] = {}
+    for key, words in _MEANINGS.items():
+        units = _UNITS.get(key, {})
+        fitting = [
+            (words.index(word), name)
+            for name, (word, unit) in known.items()
+            if word in words and name not in found.values() and (not unit or unit in units)
+        ]
+        if fitting:
+            found[key] = min(fitting)[1]
+    if "lat" in found and "lon" in found:
+        found = {key: name for key, name in found.items() if key not in ("x", "y")}
+    return {key: name for key, name in found.items() if key not in ("lat", "lon") or "x" not in found}
+
+
+def wide(names: Iterable[str]) -> dict[str, str]:
+    """``x`` and ``y`` with the mark for who it is, for columns such as x_1, y_1 or anna_x, anna_y."""
+    there = list(names)
+    counted: dict[tuple[str, str], int] = {}
+    for name in there:
+        for place in re.finditer(r"(?<![A-Za-z])[xX](?![A-Za-z])", name):
+            other = name[: place.start()] + ("y" if place[0] == "x" else "Y") + name[place.end() :]
+            if other not in there:
+                continue
+            for pattern in _patterns(name, place.start(), place.end()):
+                pair = (pattern, pattern.replace("x", "y").replace("X", "Y"))
+                counted[pair] = counted.get(pair, 0) + 1
+    if not counted:
+        return {}
+    best = max(counted, key=lambda pair: (counted[pair], len(pair[0])))
+    return {"x": best[0], "y": best[1]}
+
+
+def _patterns(name: str, start: int, end: int) -> list[str]:
+    """The name with what stands before or after its x, but for a mark between them, put for who it is."""
+    patterns = []
+    before, after = name[:start], name[end:]
+    if after and not before:
+        mark = re.match(r"[\W_]?", after)[0]  # type: ignore[index]
+        patterns.append(f"{name[start:end]}{mark}{WILD}")
+    if before and not after:
+        mark = re.search(r"[\W_]?$", before)[0]  # type: ignore[index]
+        patterns.append(f"{WILD}{mark}{name[start:end]}")
+    return patterns
+
+
+_MOST = 10_000
+"""Columns of a table from which on no names are looked at."""
+
+
+def with_synonyms(
+    names: Sequence[str], options: ReadOptions, path: Path | None = None
+) -> tuple[ReadOptions, tuple[str, ...]]:
+    """Add well-known names of columns to a reader's options.
+
+    A name counts only where the native column is absent and no option says which column it is. With
+    ``options.columns`` given, nothing is added.
+
+    Parameters
+    ----------
+    names : of the table's columns
+    path : of the table, for errors
+
+    Returns
+    -------
+    tuple
+        The options, and notes for the user: what was read as what, and columns that look like an identity
+        and are not read.
+    """
+    if options.columns is not None or len(names) > _MOST:
+        return options, ()
+    native, found = set(names), {}
+    for key, words in SYNONYMS.items():
+        if key in native or (key in ("x", "y") and native & _NO_METRES):
+            continue
+        known_units = _UNITS.get(key, {})
+        fitting = [
+            name
+            for name in names
+            if not is_column(name)
+            and (meaning := plain(name))[0] in words
+            and (not meaning[1] or meaning[1] in known_units)
+        ]
+        # A column that bears the native name in other letters comes first: Track_ID before id.
+        exact = [name for name in fitting if plain(name)[0] == key.replace("_", "")]
+        if len(exact or fitting) > 1:
+            both = " and ".join(shortened(name) for name in (exact or fitting)[:3])
+            expected = f"one column {key}; --columns {_KEYS.get(key, key)}=NAME says which"
+            raise InputError(f"columns {both}", expected, path=path, line=1)
+        if fitting:
+            found[key] = (exact or fitting)[0]
+    if ("x" in found) != ("y" in found):
+        found.pop("x", None), found.pop("y", None)
+    notes = []
+    if found:
+        said = ", ".join(f"{shortened(name)} as {key}" for key, name in found.items())
+        notes.append(f"{READ_AS}{'s' * (len(found) > 1)} {said}")
+        time_unit, units = (plain(found[key])[1] if key in found else "no unit" for key in ("t", "x"))
+        options = replace(
+            options,
+            columns=found,
+            time_unit=options.time_unit or TIMES.get(str(time_unit)),
+            units=options.units or LENGTHS.get(str(units)),
+        )
+    if "track_id" not in native | found.keys():
+        like = meanings(name for name in names if not is_column(name)).get("id")
+        if like is not None:
+            notes.append(f"column {shortened(like)} may be an identity and was not read: --columns id={like}")
+    return options, tuple(notes)
+
+
+def unit_notes(options: ReadOptions, t: FloatArray) -> tuple[str, ...]:
+    """Return the notes on times (n,) in seconds that were read by a well-known name of their column."""
+    by_name = isinstance(options.columns, Mapping) and "t" in options.columns
+    steps = np.diff(np.unique(t))
+    unsure = by_name and options.time_unit is None and len(steps) > 0 and float(np.median(steps)) >= 5.0
+    return (UNSURE_UNIT,) if unsure else ()
+
+
+def names_in(source: Source, format: str) -> list[str]:
+    """Return the names of the columns of a file that is a table; none where they cannot be told.
+
+    Parameters
+    ----------
+    format : "csv", "ndjson" or "parquet"
+    """
+    if format == "parquet":
+        import io
+
+        import pyarrow.parquet as pq
+
+        from graphtrack.io.formats.native import damage_told
+
+        with damage_told(source.path):
+            return list(pq.ParquetFile(io.BytesIO(source.data)).schema_arrow.names)
+    first = next((line for line in source.lines if line.strip()), "")
+    try:
+        if format == "ndjson":
+            row = json.loads(first)
+            return list(row) if isinstance(row, dict) else []
+        return [name.strip() for name in next(csv.reader([first]), [])]
+    except (csv.Error, ValueError, RecursionError):
+        return []
+
+
+def says_places(columns: Mapping[str, str] | str | None, names: Iterable[str]) -> bool:
+    """Test whether a table without native names is one of people: places, and times or frames."""
+    there = {*names, *(columns if isinstance(columns, Mapping) else ())}
+    return {"x", "y"} <= there and bool({"t", "frame"} & there)

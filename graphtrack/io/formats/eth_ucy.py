@@ -1,0 +1,271 @@
+"""BIWI (ETH) and OpenTraj tables: ``frame id x z y vx vz vy``, annotated at 2.5 Hz.
+
+UCY crowds: splines (``.vsp``) whose control points are the observations.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
+from graphtrack.io.format import Format
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source, mostly
+from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXELS
+
+ANNOTATED_HZ = 2.5
+
+_OBSMAT = ("frame", "id", "x", "z", "y", "vx", "vz", "vy")
+
+
+def _looks_like_eth(head: bytes, path: Path) -> bool:
+    """Return whether the lines are eight numbers between white space."""
+
+    def matches(line: str) -> bool:
+        cells = line.split()
+        return len(cells) == 8 and all(parse_number(cell) is not None for cell in cells)
+
+    return mostly(head, matches)
+
+
+def _read_eth(source: Source, options: ReadOptions) -> Rows:
+    """Read positions (metres) of an ``obsmat`` table; its velocities are differences and are left out.
+
+    The frame rate is 2.5 Hz times the step of the frame numbers, unless ``fps`` is given.
+    """
+    table = read_numbers(source, delimiter=None, widths=(8,), names=_OBSMAT)
+    frame = table.integers(0)
+    notes = ["the velocities of the file are differences of its positions and were not read"]
+    fps = options.fps
+    if fps is None:
+        step = _frame_step(frame)
+        fps = ANNOTATED_HZ * step
+        notes.append(
+            f"frame rate {fps:g} Hz: the frames step by {step} and are annotated at {ANNOTATED_HZ} Hz"
+        )
+    rows = Rows(
+        source.path,
+        "eth",
+        table.integers(1, LARGEST_ID),
+        frame,
+        {"position": np.column_stack([table.metres(2), table.metres(4)])},
+        table.line_of,
+        notes=tuple(notes),
+    )
+    return rows.with_times(fps)
+
+
+def _frame_step(frame: NDArray[np.int64]) -> int:
+    """The most frequent step between frames that follow each other."""
+    steps = np.diff(np.unique(frame))
+    if not len(steps):
+        return 1
+    values, counts = np.unique(steps, return_counts=True)
+    return int(values[np.argmax(counts)])
+
+
+ETH = Format(
+    name="eth",
+    description="BIWI (ETH) obsmat: frame id x z y vx vz vy",
+    suffixes=(),
+    looks_like=_looks_like_eth,
+    read=_read_eth,
+)
+
+
+_UCY_FPS = 25.0
+_CENTRE = (360.0, 288.0)
+"""The file's origin in its 720×576 image, as (u, v)."""
+
+_FROM_PIXEL = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""(u, v) → (row, column), which is what the homographies that come with the data expect."""
+
+_MIRROR = np.diag([1.0, -1.0, 1.0])
+
+_COUNT = re.compile(r"(\d{1,9})\s*(-.*)?", re.ASCII)
+_COMMENT = re.compile(r" - | ?\(")
+_POINT = ("x", "y", "frame", "gaze")
+_OBSTACLES = re.compile(r"\s*\d{1,9}.*number of (line|cylinder) obstacles", re.ASCII | re.IGNORECASE)
+_WHOLE = {"frame"}
+
+
+def _looks_like_ucy(head: bytes, path: Path) -> bool:
+    """Return whether the first line counts splines."""
+    return b"number of splines" in head.split(b"\n", 1)[0].lower()
+
+
+def _homography_beside(path: Path) -> tuple[Path, ...]:
+    """Path of the data set's homography."""
+    return (path.parent / "H.txt",)
+
+
+@dataclass(frozen=True)
+class _ControlPoint:
+    spline: int
+    u: float
+    v: float
+    frame: int
+    line: int
+
+
+def _read_ucy(source: Source, options: ReadOptions) -> Rows:
+    """Read each control point as one observation in its frame.
+
+    Needs the homography of the data set, (row, column) → ground in metres; ``H.txt`` beside the file is found
+    by itself. A mirrored ground is turned right-handed by negating y. 25 frames a second unless ``fps`` is
+    given.
+    """
+    lines = _Lines(source)
+    points = _control_points(lines)
+    pixel = np.array([(point.u, point.v) for point in points]).reshape(-1, 2)
+    notes = [
+        "gaze was not read: most of it is the direction to the next control point, which tells the future",
+        *_obstacles(lines),
+    ]
+    camera, more = _camera(source, options, pixel)
+    frame = np.array([point.frame for point in points], dtype=np.int64)
+    spline = np.array([point.spline for point in points], dtype=np.int64)
+    rows = Rows(
+        source.path,
+        "ucy",
+        spline,
+        frame,
+        {"pixel": pixel},
+        lambda row: points[row].line,
+        notes=tuple(notes),
+    )
+    rows = on_ground(rows, camera, more)
+    # Annotators at times set two control points in one frame; the first one stands.
+    _, first = np.unique(np.column_stack([rows.track_id, rows.frame]), axis=0, return_index=True)
+    kept = np.zeros(len(rows), dtype=bool)
+    kept[first] = True
+    rows = rows.keep(kept, "second control point of a spline in one frame")
+    return rows.with_times(options.fps or _UCY_FPS)
+
+
+def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[GroundCamera, tuple[str, ...]]:
+    if options.camera is not None:
+        return options.camera, ()
+    given = options.homography
+    notes: tuple[str, ...] = ()
+    if given is None and options.point_pairs is None and options.calibration is None:
+        (found,) = _homography_beside(source.path)
+        if found.is_file():
+            given, notes = found, ("homography from H.txt beside the file",)
+        elif options.metres_per_pixel is None:
+            raise InputError(
+                "no homography",
+                "H.txt beside the file, or a homography (row, column → metres)",
+                path=source.path,
+            )
+    if given is None:
+        return camera_or_scale(options, pixel, np.ones(1))
+    homography = read_homography(given) if isinstance(given, str | Path) else np.asarray(given, dtype=float)
+    if homography.shape != (3, 3):
+        raise InputError(f"a homography of shape {homography.shape}", "shape (3, 3)")
+    camera = GroundCamera.from_homography(homography @ _FROM_PIXEL, visible=pixel)
+    if camera.is_mirrored:
+        camera = GroundCamera(_MIRROR @ camera.homography)
+        notes = (
+            *notes,
+            "the ground of the homography is mirrored: y has been negated to make it right-handed",
+        )
+    return camera, notes
+
+
+class _Lines:
+    """The lines of a file that hold something, one after the other."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._lines = [(number, line.strip()) for number, line in enumerate(source.lines, 1) if line.strip()]
+        self._place = 0
+
+    @property
+    def number(self) -> int:
+        """Of the current line, in the file; of the last one at the end."""
+        return self._lines[self._place][0] if self.left else len(self._source.lines)
+
+    @property
+    def left(self) -> bool:
+        """Return whether there is a current line."""
+        return self._place < len(self._lines)
+
+    def text(self, expected: str) -> str:
+        """The current line; an error at the end of the file."""
+        if not self.left:
+            raise self.fail("the end of the file", expected)
+        return self._lines[self._place][1]
+
+    def fail(self, found: str, expected: str, column: str | None = None) -> InputError:
+        """The error for the current line."""
+        return InputError(found, expected, path=self._source.path, line=self.number, column=column)
+
+    def count(self, expected: str) -> int:
+        """The count that the current line begins with, and go on."""
+        text = self.text(expected)
+        match = _COUNT.fullmatch(text)
+        if match is None:
+            raise self.fail(repr(text[:40]), expected)
+        self._place += 1
+        return int(match[1])
+
+    def numbers(self, names: tuple[str, ...], expected: str) -> list[float]:
+        """The numbers of the current line, before its comment, and go on."""
+        text = self.text(expected)
+        cells = _COMMENT.split(text, maxsplit=1)[0].split()
+        if len(cells) != len(names):
+            raise self.fail(f"{len(cells)} columns", f"{len(names)}: {' '.join(names)}")
+        values = []
+        for name, cell in zip(names, cells, strict=True):
+            value, whole = parse_number(cell), name in _WHOLE
+            highest = LARGEST_FRAME if whole else LARGEST_PIXELS
+            if value is None or abs(value) > highest or (whole and value != int(value)):
+                kind = "whole number" if whole else "number"
+                raise self.fail(repr(cell[:40]), f"a {kind} within ±{highest:g}", name)
+            values.append(value)
+        self._place += 1
+        return values
+
+
+def _control_points(lines: _Lines) -> list[_ControlPoint]:
+    """All control points, in the order of the file."""
+    splines = lines.count("the number of splines")
+    points: list[_ControlPoint] = []
+    for spline in range(splines):
+        of = f"of spline {spline + 1} of {splines}"
+        for _ in range(lines.count(f"the number of control points {of}")):
+            number = lines.number
+            x, y, frame, _gaze = lines.numbers(_POINT, f"a control point {of}")
+            points.append(_ControlPoint(spline, x + _CENTRE[0], _CENTRE[1] - y, int(frame), number))
+    return points
+
+
+def _obstacles(lines: _Lines) -> tuple[str, ...]:
+    """A note on the obstacles that may stand after the splines; they say nothing of people's tracks."""
+    if not lines.left:
+        return ()
+    expected = "the end of the file, or the number of line or cylinder obstacles, after the splines"
+    text = lines.text(expected)
+    if _OBSTACLES.match(text) is None:
+        raise lines.fail(repr(text[:40]), expected)
+    return ("obstacles not read",)
+
+
+UCY = Format(
+    name="ucy",
+    description="UCY crowds: splines of control points (.vsp)",
+    suffixes=(".vsp",),
+    looks_like=_looks_like_ucy,
+    read=_read_ucy,
+    beside=_homography_beside,
+)

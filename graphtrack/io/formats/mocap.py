@@ -1,0 +1,93 @@
+"""Motion-capture tables: one clip a track, with exact positions and the yaw of shoulders and head."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import wrap
+from graphtrack.io.format import Format
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source
+from graphtrack.io.text import Numbers, read_numbers
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.validation import LARGEST_SECONDS
+
+_NEEDED = ("clip", "frame", "t_s", "x_m", "y_m", "shoulder_yaw_rad", "head_yaw_rad")
+_LARGEST_YAW = 1e4
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Return whether the first line names the columns of a motion-capture table."""
+    cells = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].strip().split(b",")
+    return {name.encode() for name in _NEEDED} <= set(cells)
+
+
+def read(source: Source, options: ReadOptions) -> Rows:
+    """Read a table ``clip,frame,t_s,x_m,y_m,…,shoulder_yaw_rad,head_yaw_rad,…``.
+
+    Body is the yaw of the shoulders, head that of the head, both in the world; tracks are numbered from 0 in
+    the order of the clips and carry the clip as their label. Times are the file's own.
+    """
+    lines = source.lines
+    header = lines[0].split(",")
+    for name in _NEEDED:
+        if name not in header:
+            raise InputError("no such column", f"a column {name}", path=source.path, line=1, column=name)
+    clip_column = header.index("clip")
+    # The clip's name becomes the number of its first appearance, and the rest is a table of numbers.
+    number_of: dict[str, int] = {}
+    numbered = [""]
+    for number, line in enumerate(lines[1:], 2):
+        cells = line.split(",")
+        if line.strip() and len(cells) == len(header):
+            clip = cells[clip_column].strip()
+            if not clip:
+                raise InputError("an empty cell", "a clip", path=source.path, line=number, column="clip")
+            cells[clip_column] = str(number_of.setdefault(clip, len(number_of)))
+            line = ",".join(cells)
+        numbered.append(line)
+    table = read_numbers(
+        Source(source.path, "\n".join(numbered).encode()),
+        delimiter=",",
+        widths=(len(header),),
+        names=tuple(header),
+    )
+
+    def yaw(name: str) -> np.ndarray:
+        return wrap(table.bounded(header.index(name), -_LARGEST_YAW, _LARGEST_YAW))
+
+    notes = ["body is the yaw of the shoulders"]
+    if options.fps is not None:
+        notes.append("the frame rate was not used: the file has times")
+    rows = Rows(
+        source.path,
+        "mocap",
+        table.integers(clip_column),
+        table.integers(header.index("frame")),
+        {
+            "t": table.bounded(header.index("t_s"), -LARGEST_SECONDS, LARGEST_SECONDS),
+            "position": _pair(table, header, "x_m", "y_m"),
+            "body": yaw("shoulder_yaw_rad"),
+            "head": yaw("head_yaw_rad"),
+        },
+        table.line_of,
+        labels={number: clip for clip, number in number_of.items()},
+        notes=tuple(notes),
+    )
+    return rows
+
+
+def _pair(table: Numbers, header: list[str], x: str, y: str) -> np.ndarray:
+    return np.column_stack([table.metres(header.index(x)), table.metres(header.index(y))])
+
+
+MOCAP = Format(
+    name="mocap",
+    description="motion-capture table, a clip a track",
+    suffixes=(),
+    looks_like=looks_like,
+    read=read,
+)

@@ -1,0 +1,222 @@
+"""MOTChallenge text: ``frame,id,left,top,width,height,confidence,x,y,z``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.cameras import PERSON_HEIGHT, placed_boxes, with_scores
+from graphtrack.io.format import Format
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source, mostly
+from graphtrack.io.text import Numbers, parse_number, read_numbers
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import LARGEST_ID, LARGEST_LIKELIHOOD, LARGEST_PIXELS
+
+DEFAULT_FPS = 25.0
+
+IGNORED = "marked to be ignored"
+
+_NAMES = ("frame", "id", "left", "top", "width", "height", "confidence", "x", "y", "z")
+
+_CLASSES = (
+    "Pedestrian",
+    "PersonOnVehicle",
+    "Car",
+    "Bicycle",
+    "Motorbike",
+    "NonMotorisedVehicle",
+    "StaticPerson",
+    "Distractor",
+    "Occluder",
+    "OccluderOnGround",
+    "OccluderFull",
+    "Reflection",
+    "Crowd",
+)
+"""The classes 1, 2, … of ground truth with nine columns (MOT16 and later)."""
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Return whether the lines are seven to ten numbers between commas."""
+
+    def matches(line: str) -> bool:
+        cells = line.split(",")
+        return 7 <= len(cells) <= 10 and all(parse_number(cell) is not None for cell in cells)
+
+    return mostly(head, matches)
+
+
+def beside(path: Path) -> tuple[Path, ...]:
+    """Paths of the file with a sequence's frame rate."""
+    return path.parent / "seqinfo.ini", path.parent.parent / "seqinfo.ini"
+
+
+def read(source: Source, options: ReadOptions) -> Rows:
+    """Read boxes with ids, and positions where the file has them.
+
+    Columns 8 and 9 are metres unless all are −1; a row of −1 among metres is a missing position. With
+    nine columns they are class and visibility (ground truth of MOT16 and later). Without metres the foot
+    point, the middle of the box's lower edge, is put on the ground by the camera of the options or by a
+    scale. A confidence of 0 marks a row to be ignored. Of detections the confidence is the channel
+    ``score``, see `with_scores`. The frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
+    """
+    rows = read_boxes(source, options)
+    fps, note = _frame_rate(source.path, options)
+    rows = placed_boxes(rows, options).with_notes(*note).with_times(fps)
+    return with_scores(rows).without("box", "confidence")
+
+
+def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
+    """Rows with ids, in the order of the file, without those to be ignored and those of other classes.
+
+    The channels are ``box`` (n, 4), left, top, width and height in pixels, NaN where the row has no box;
+    ``confidence`` (n,), negative ones among them; and ``position`` (n, 2) in metres, where the file has any.
+    """
+    table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
+    identity = table.integers(1, LARGEST_ID)
+    unknown = identity < 0
+    nobodys = bool((identity == -1).all())
+    if unknown.any() and not nobodys:
+        raise table.fail(
+            int(np.argmax(unknown)),
+            1,
+            f"an id from 0, or -1 in all rows: {unknown.sum()} of {len(unknown)} are detections without "
+            "identity",
+        )
+    channels = {"box": _boxes_of(table), "confidence": _confidences(table)}
+    world = _world(table)
+    if world is not None:
+        channels["position"] = world
+    rows = Rows(source.path, "mot", identity, table.integers(0), channels, table.line_of)
+    rows = replace(rows, has_identity=not nobodys)
+    if table.values.shape[1] == 9:
+        rows = _of_classes(rows, table, options)
+    confidence = rows.channels["confidence"]
+    if nobodys and (confidence < 0.0).any():  # 0 is a number like any other
+        return rows
+    return rows.keep(confidence != 0.0, IGNORED)
+
+
+def _confidences(table: Numbers) -> FloatArray:
+    return table.bounded(6, -LARGEST_LIKELIHOOD, LARGEST_LIKELIHOOD)
+
+
+def _boxes_of(table: Numbers) -> FloatArray:
+    """Boxes (n, 4) in pixels; NaN in rows whose box is −1, −1, −1, −1: no box."""
+    absent = np.all(table.values[:, 2:6] == -1.0, axis=1)
+    for column in (4, 5):
+        bad = (table.values[:, column] <= 0.0) & ~absent
+        if bad.any():
+            raise table.fail(int(np.argmax(bad)), column, "a size above 0, or -1,-1,-1,-1 for no box")
+    sizes = [table.bounded(column, -1.0, LARGEST_PIXELS) for column in (4, 5)]
+    box = np.column_stack([table.pixels(2), table.pixels(3), *sizes])
+    return np.where(absent[:, None], np.nan, box)
+
+
+def _world(table: Numbers) -> FloatArray | None:
+    """Positions (n, 2) in metres, if the file has any."""
+    if table.values.shape[1] < 10:
+        return None
+    absent = np.all(table.values[:, 7:9] == -1.0, axis=1)
+    if absent.all():
+        return None
+    return np.where(absent[:, None], np.nan, np.column_stack([table.metres(7), table.metres(8)]))
+
+
+def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
+    """The rows of the classes asked for; the others are refused, counted by class."""
+    number = table.integers(7)
+    if (number < 1).all():  # −1: a result without classes
+        return rows
+    rows = rows.with_channels(number=number.astype(float))
+    for k in np.unique(number):
+        name = _CLASSES[k - 1] if 1 <= k <= len(_CLASSES) else f"number {k}"
+        if name not in options.classes:
+            rows = rows.keep(rows.channels["number"] != k, f"of class {name}")
+    return rows.without("number")
+
+
+def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
+    if options.fps is not None:
+        return options.fps, ()
+    for info in beside(path):
+        if info.is_file():
+            text = Source.open(info).text
+            rate, width, height = (_setting(text, name) for name in ("frameRate", "imWidth", "imHeight"))
+            if rate is not None:
+                size = f" and images of {width} × {height}" if width and height else ""
+                return float(rate), (f"frame rate {rate} Hz{size} from seqinfo.ini",)
+    return DEFAULT_FPS, (f"no frame rate is given: {DEFAULT_FPS:g} Hz assumed",)
+
+
+def _setting(text: str, name: str) -> str | None:
+    """A number above 0 of a ``seqinfo.ini``, as it stands."""
+    match = re.search(rf"(?m)^{name}\s*=\s*(\d{{1,6}}(?:\.\d+)?)\s*$", text)
+    return match[1] if match is not None and float(match[1]) > 0.0 else None
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write rows with positions in metres in columns 8 and 9.
+
+    With a camera the box is that of a person 1.7 m tall and 0.41 times as wide whose foot point is the
+    position; 1.7 m are as many pixels upwards as sideways on the ground, so the homography is enough.
+    Without a camera, or behind it, the box is −1, −1, −1, −1. Frames and ids are those of the tracks.
+    """
+    lines = []
+    for track in tracks:
+        if track.track_id < 0:
+            raise InputError(f"track id {track.track_id}", "ids from 0 in MOT text")
+        lines.extend(_lines(track, _boxes(track, tracks)))
+    lines.sort(key=lambda line: line[:2])
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        stream.writelines(text + "\n" for _, _, text in lines)
+
+
+def _lines(track: Track, boxes: FloatArray) -> list[tuple[int, int, str]]:
+    result = []
+    for frame, box, position in zip(track.frame.tolist(), boxes, track.position, strict=True):
+        if np.isfinite(position).all():
+            cells = [repr(float(value)) for value in (*np.round(box, 3), 1.0, *position)]
+            text = ",".join(
+                [str(frame), str(track.track_id), *(cell.removesuffix(".0") for cell in cells), "0"]
+            )
+            result.append((frame, track.track_id, text))
+    return result
+
+
+def _boxes(track: Track, tracks: TrackSet) -> FloatArray:
+    """Boxes (n, 4) left, top, width, height."""
+    boxes = np.full((len(track), 4), -1.0)
+    if tracks.camera is None:
+        return boxes
+    camera = tracks.camera
+    foot = camera.ground_to_image(track.position)
+    bearing = camera.ray_bearing(track.position) + np.pi / 2.0
+    aside = 0.5 * PERSON_HEIGHT * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    height = np.linalg.norm(
+        camera.ground_to_image(track.position + aside) - camera.ground_to_image(track.position - aside),
+        axis=1,
+    )
+    width = 0.41 * height
+    seen = np.isfinite(foot).all(axis=1) & (height > 1e-3) & (np.abs(foot).max(axis=1) + height < 1e6)
+    made = np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
+    return np.where(seen[:, None], made, boxes)
+
+
+MOT = Format(
+    name="mot",
+    description="MOTChallenge text: frame,id,left,top,width,height,confidence,x,y,z",
+    suffixes=(".txt",),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+    beside=beside,
+    read_boxes=read_boxes,
+)

@@ -1,0 +1,664 @@
+"""Layout of tracks in a dataset: the dimensions of each variable.
+
+Position, body and head orientation of people from keypoints on the ground.
+
+Frames and times of a dataset.
+
+Rows of observations from a dataset of movement: poses, boxes, or tracks that were written as one.
+
+Tracks as a dataset of movement.
+
+netCDF files of datasets of the package movement.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, place_pixels
+from graphtrack.io.cells import numbered_names
+from graphtrack.io.foreign_tables import numbered_times
+from graphtrack.io.format import Format, steady_rate
+from graphtrack.io.options import METRES, Layout, ReadOptions
+from graphtrack.io.source import Source
+from graphtrack.packages import package
+from graphtrack.tracks.display import listed
+from graphtrack.tracks.schema import is_input_name, repeated
+from graphtrack.tracks.table import AsRead, Rows
+from graphtrack.tracks.time import TimeScale, from_dates
+from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.validation import FIELDS, INPUT, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
+
+TIME, SPACE, KEYPOINTS, INDIVIDUALS = "time", "space", "keypoints", "individuals"
+
+FURTHER: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    dict.fromkeys((name for name in FIELDS if name not in ("t", "position")), ())
+    | {
+        "pixel": ("image",),
+        "velocity": (SPACE,),
+        "true_position": (SPACE,),
+        "body_likelihood": ("body_class",),
+        "head_likelihood": ("head_class",),
+        "covariance": ("state", "other_state"),
+    }
+)
+"""Attribute of a `Track` → dimensions of its variable beside time and individuals; names are the same."""
+
+LENGTHS = ("position_std", "velocity", "true_position")
+"""Variables in the unit of the positions, or that a second."""
+
+HAS_ROW = "has_row"
+"""Variable (time, individuals) that says where a track has a row, where rows without a position are some."""
+
+SPACE_UNITS = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), "cm"),
+    **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
+    **dict.fromkeys(("ft", "feet", "foot"), "ft"),
+}
+"""Values of the positions' ``space_unit``, and the unit of each."""
+
+
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_SIDES = {"l": "left", "r": "right", "left": "left", "right": "right"}
+_SAME = {"snout": "nose"}
+_MIDDLES = ("centroid", "center", "centre", "position")
+
+_ON_THE_GROUND = ("hip", "shoulder", "ear", "ankle", "foot")
+_IN_AN_IMAGE = ("ankle", "heel", "foot", "hip", "shoulder", "ear")
+"""Pairs of points between which somebody stands; what is seen by a camera is where it touches the ground."""
+
+
+def places_of(names: Sequence[str]) -> dict[str, int]:
+    """Plain name, such as ``nose`` or ``left_shoulder`` → the place of that keypoint among the names.
+
+    Names may be written as ``LeftShoulder``, ``l-shoulder`` or ``shoulder_left``. Left and right are the
+    person's own.
+    """
+    found: dict[str, int] = {}
+    for place, name in enumerate(names):
+        found.setdefault(_plain(name), place)
+    return found
+
+
+def _plain(name: str) -> str:
+    words = [word.lower() for word in _WORD.findall(name)]
+    for side in ("left", "right"):
+        if len(words) == 1 and words[0].startswith(side):
+            words = [side, words[0].removeprefix(side)]
+    sides = [_SIDES[word] for word in words if word in _SIDES]
+    rest = [_SAME.get(word, word) for word in words if word and word not in _SIDES]
+    return "_".join([*sides[:1], *rest])
+
+
+def middle(points: FloatArray, names: Sequence[str], *, in_image: bool) -> tuple[FloatArray, str]:
+    """Positions (..., 2) of people by their keypoints (..., k, 2), and the keypoints used.
+
+    That is the middle of a pair, NaN where one of the two is missing, or of all points where no such pair is.
+
+    Parameters
+    ----------
+    in_image : whether the points are pixels, of which those at the feet are on the ground
+    """
+    places = places_of(names)
+    if len(names) == 1:
+        return points[..., 0, :], names[0]
+    for name in _MIDDLES:
+        if name in places:
+            return points[..., places[name], :], names[places[name]]
+    for part in _IN_AN_IMAGE if in_image else _ON_THE_GROUND:
+        left, right = (places.get(f"{side}_{part}") for side in ("left", "right"))
+        if left is not None and right is not None:
+            said = f"the middle of {names[left]} and {names[right]}"
+            return 0.5 * (points[..., left, :] + points[..., right, :]), said
+    seen = np.isfinite(points).all(axis=-1, keepdims=True)
+    count = seen.sum(axis=-2)
+    total = np.where(seen, points, 0.0).sum(axis=-2)
+    found = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return found, f"the middle of the {len(names)} keypoints that are seen"
+
+
+def orientations(
+    points: FloatArray, places: Mapping[str, int], *, mirrored: bool, nose_is_on_ground: bool
+) -> dict[str, FloatArray]:
+    """Orientations (...) of body and head in radians by points (..., k, 2) on a plane; NaN if unknown.
+
+    The body is square to the shoulders. The head is square to the ears, and points, in one vector with that,
+    from their middle to the nose. A camera's homography of the ground moves all points of one height along
+    alike, away from the camera's foot: it leaves the direction from one shoulder, or ear, to the other as it
+    is, but not that to a nose of another height.
+
+    Parameters
+    ----------
+    places : as `places_of` gives them
+    mirrored : whether the plane is left-handed as seen from above
+    nose_is_on_ground : whether all points are seen from straight above
+    """
+    found: dict[str, FloatArray] = {}
+    for name, part in (("body", "shoulder"), ("head", "ear")):
+        left, right = (places.get(f"{side}_{part}") for side in ("left", "right"))
+        if left is None or right is None:
+            continue
+        across = points[..., left, :] - points[..., right, :]
+        ahead = np.stack([across[..., 1], -across[..., 0]], axis=-1) * (-1.0 if mirrored else 1.0)
+        nose = places.get("nose") if name == "head" and nose_is_on_ground else None
+        if nose is not None:
+            to_nose = points[..., nose, :] - 0.5 * (points[..., left, :] + points[..., right, :])
+            ahead = ahead + np.where(np.isnan(to_nose), 0.0, to_nose)
+        angle = np.arctan2(ahead[..., 1], ahead[..., 0])
+        found[name] = np.where((ahead == 0.0).all(axis=-1), np.nan, angle)
+    return found
+
+
+def frames_and_times(
+    dataset: Any, options: ReadOptions, path: Path
+) -> tuple[NDArray[np.int64], FloatArray, TimeScale | None, list[str]]:
+    """Frames (n,) and seconds (n,) of the steps of a dataset, what dates they are, and notes.
+
+    Times are those of the coordinate ``time``: dates, seconds, or, where the attribute ``time_unit`` says so
+    or they are whole numbers without a frame rate, frames. Then the rate is ``fps`` of the options, or the
+    dataset's attribute of that name.
+    """
+    n = dataset.sizes[TIME]
+    values = dataset[TIME].to_numpy() if TIME in dataset.coords else np.arange(n)
+    rate = options.fps if options.fps is not None else _rate(dataset)
+    said = dataset.attrs.get("time_unit")
+    time: TimeScale | None = None
+    notes: list[str] = []
+    if values.dtype.kind == "M":
+        beside = None if options.beside is None else options.beside.time
+        values, time = from_dates(values, "", beside)
+    elif values.dtype.kind == "m":
+        values = values.astype("m8[ns]").astype(np.int64) / 1e9
+    elif values.dtype.kind not in "iuf":
+        raise InputError(f"times of type {values.dtype}", "seconds, or frames and --fps", path=path)
+    elif said == "frames" or (said is None and (values.dtype.kind in "iu") and "frame" not in dataset.coords):
+        if rate is None:
+            raise InputError("times in frames, and no frame rate", "frames a second (--fps)", path=path)
+        frame = _whole(values, path)
+        return frame, frame / rate, None, notes
+    t = np.asarray(values, dtype=float)
+    if not np.isfinite(t).all():
+        raise InputError("a time that is missing", "a time for each step", path=path)
+    if "frame" in dataset.coords and dataset["frame"].dims == (TIME,):
+        frame = _whole(dataset["frame"].to_numpy(), path)
+    elif rate is not None and np.abs(t * rate - np.rint(t * rate)).max(initial=0.0) < 0.25:
+        frame = _whole(np.rint(t * rate), path)
+    else:
+        known, place = np.unique(t, return_inverse=True)
+        numbers, how = numbered_times(known)
+        frame = numbers[place].astype(np.int64)
+        notes.append(f"no frames: {how}")
+    if options.fps is not None:
+        notes.append("the frame rate was not used: the file has times")
+    return frame, t, time, notes
+
+
+def _rate(dataset: Any) -> float | None:
+    given = dataset.attrs.get("fps")
+    try:
+        rate = float(given)
+    except (TypeError, ValueError):
+        return None
+    return rate if np.isfinite(rate) and 0.0 < rate <= 1e6 else None
+
+
+def _whole(values: NDArray[Any], path: Path) -> NDArray[np.int64]:
+    numbers = np.asarray(values, dtype=float)
+    bad = ~(np.abs(numbers) <= LARGEST_FRAME) | (numbers != np.rint(numbers))
+    if bad.any():
+        expected = f"a whole number within ±{LARGEST_FRAME}"
+        raise InputError(f"the frame {numbers[bad][0]:g}", expected, path=path)
+    return numbers.astype(np.int64)
+
+
+_SINGULAR = {"keypoint": KEYPOINTS, "individual": INDIVIDUALS}
+_NATIVE = ("position", "confidence", "shape", HAS_ROW)
+
+
+def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
+    """The rows of a dataset, checked, in metres and seconds.
+
+    Positions are metres if the variable's attribute ``space_unit`` or ``options.units`` says a unit of
+    length, and else pixels, which a camera or a scale of the options brings to the ground.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset with a variable ``position`` (time, space and perhaps keypoints and individuals,
+        in any order); variables that `to_movement` writes are read too
+    path : where it comes from, for messages
+    """
+    layout = options.layout() or Layout()
+    read = _Reading(dataset.rename({k: v for k, v in _SINGULAR.items() if k in dataset.dims}), path)
+    points = read.points(layout)
+    frame, t, time, notes = frames_and_times(read.dataset, options, path)
+    unit = read.unit(layout, options)
+    variables, ignored = read.variables()
+    if ignored:
+        notes.append(f"ignored variables {listed(ignored)}")
+    channels = dict(variables)
+    in_image = unit is None
+    if unit is not None:
+        metre = METRES[unit]
+        points = points * metre
+        channels |= {name: channels[name] * metre for name in LENGTHS if name in channels}
+    else:
+        channels = {name: values for name, values in channels.items() if name not in LENGTHS}
+    names = read.names(KEYPOINTS, "keypoint_")
+    standing, said = middle(points, names, in_image=in_image)
+    if in_image and "shape" in read.dataset.data_vars:
+        standing = standing + np.stack([np.zeros_like(read.height), 0.5 * read.height], axis=-1)
+        said = "the middle of each box's lower edge"
+    if len(names) > 1 or in_image:
+        notes.append(f"positions are {said}")
+    score = read.confidence()
+    if score is not None and "score" not in channels:
+        channels["score"] = score
+    channels["pixel" if in_image else "position"] = _both(standing)
+    kept = read.has_row(channels)
+    people, steps = np.nonzero(kept)
+    if not len(people):
+        raise read.fail("nobody who is anywhere", "at least one position")
+    ids, names_of = read.identities()
+    given = {name: values[people, steps] for name, values in channels.items()}
+    rows = Rows(
+        path,
+        "movement",
+        ids[people],
+        frame[steps],
+        {**given, "t": t[steps]},
+        lambda row: int(steps[row]) + 1,
+        names_of | read.labels(ids),
+        notes=tuple(notes),
+        as_read=AsRead(time=time, names=names_of),
+    )
+    if in_image:
+        camera, told_of = known_camera(options, rows.channels["pixel"])
+        if camera is None:
+            camera, told_of = camera_or_scale(options, rows.channels["pixel"], np.ones(1))
+        flat = points.reshape(-1, 2)
+        points = camera.image_to_ground(flat).reshape(points.shape)
+        mirrored, from_above = camera.is_mirrored, options.metres_per_pixel is not None
+    else:
+        camera, told_of, mirrored, from_above = None, (), False, True
+    facing = orientations(points, places_of(names), mirrored=mirrored, nose_is_on_ground=from_above)
+    for name, angles in facing.items():
+        if name not in rows.channels:
+            rows = rows.with_channels(**{name: angles[people, steps]})
+    return place_pixels(rows, options) if camera is None else on_ground(rows, camera, told_of)
+
+
+def _both(position: FloatArray) -> FloatArray:
+    """Positions (..., 2) with both coordinates or none."""
+    return np.where(np.isfinite(position).all(axis=-1, keepdims=True), position, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """A dataset that is read, arrays of it as (individuals, time, …), and what is wrong with it."""
+
+    dataset: Any
+    path: Path
+
+    def fail(self, found: str, expected: str) -> InputError:
+        return InputError(found, expected, path=self.path)
+
+    def array(self, name: str, *further: str) -> FloatArray:
+        """A variable (individuals, time, *further) as numbers."""
+        one = self.dataset[name]
+        if KEYPOINTS in one.dims and KEYPOINTS not in further:
+            one = one.isel({KEYPOINTS: 0})
+        missing = [INDIVIDUALS] if INDIVIDUALS not in one.dims else []
+        try:
+            found = one.expand_dims(missing).transpose(INDIVIDUALS, TIME, *further).to_numpy()
+            return np.asarray(found, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise self.fail(f"{name} that is no array of numbers", "numbers") from error
+
+    def points(self, layout: Layout) -> FloatArray:
+        """Positions (individuals, time, keypoints, 2) on the ground, or in the image."""
+        if "position" not in self.dataset.data_vars:
+            there = ", ".join(map(str, self.dataset.data_vars)) or "none"
+            raise self.fail(
+                f"no variable position (there are: {there})",
+                "a dataset as movement makes it: movement.io.load_dataset(file, …).to_netcdf('tracks.nc') "
+                "makes one of other software's files",
+            )
+        dims = self.dataset["position"].dims
+        lacking = [name for name in (TIME, SPACE) if name not in dims]
+        if lacking:
+            raise self.fail(f"position without the dimension {lacking[0]}", "time and space among them")
+        others = [str(name) for name in dims if name not in (TIME, SPACE, KEYPOINTS, INDIVIDUALS)]
+        if others:
+            expected = f"one of it: dataset.sel({others[0]}=…)"
+            raise self.fail(f"position with a dimension {others[0]}", expected)
+        axes = self.axes(layout)
+        if KEYPOINTS in dims:
+            return self.array("position", KEYPOINTS, SPACE)[..., axes]
+        return self.array("position", SPACE)[..., None, axes]
+
+    def axes(self, layout: Layout) -> list[int]:
+        """The places of the ground's two coordinates among those of space."""
+        if set(layout.columns) not in (set(), {"x", "y"}):
+            raise self.fail(
+                "columns of a dataset other than x and y", "coordinates of space: --columns x=x,y=z"
+            )
+        if layout.time_unit is not None or layout.crs is not None:
+            raise self.fail("a unit of time or a crs for a dataset", "--units, --fps or a camera")
+        there = self.names(SPACE, "")
+        if SPACE not in self.dataset.coords and len(there) == 2:
+            return [0, 1]
+        wanted = [layout.columns.get(name, name) for name in ("x", "y")]
+        if (len(there) > 2 and not layout.columns) or not set(wanted) <= set(there):
+            expected = "x and y on the ground; --columns says which two are, such as --columns x=z,y=x"
+            raise self.fail(f"space {', '.join(there)}", expected)
+        return [there.index(name) for name in wanted]
+
+    def names(self, dimension: str, prefix: str) -> list[str]:
+        """Coordinates of a dimension as text; numbers with a prefix where it has none."""
+        if dimension not in self.dataset.dims:
+            said = self.dataset.coords.get(dimension)
+            return [str(said.item()) if said is not None and said.ndim == 0 else f"{prefix}0"]
+        if dimension in self.dataset.coords:
+            return [str(name) for name in self.dataset[dimension].to_numpy().tolist()]
+        return [f"{prefix}{k}" for k in range(self.dataset.sizes[dimension])]
+
+    def identities(self) -> tuple[NDArray[np.int64], dict[int, str]]:
+        """The track ids of the individuals, and those of them that have names that are no numbers."""
+        names = self.names(INDIVIDUALS, "id_")
+        if len(set(names)) < len(names):
+            twice = repeated(names)
+            raise self.fail(f"the individual {twice!r} twice", "each once")
+        if "track_id" not in self.dataset.coords or self.dataset["track_id"].dims != (INDIVIDUALS,):
+            return numbered_names(names)
+        ids = np.asarray(self.dataset["track_id"].to_numpy(), dtype=float)
+        whole = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
+        if not whole.all() or len(np.unique(ids)) < len(ids):
+            raise self.fail("track_id that is no whole number, or comes twice", "one for each individual")
+        known = zip(ids.astype(np.int64).tolist(), names, strict=True)
+        return ids.astype(np.int64), {k: name for k, name in known if name != str(k)}
+
+    def labels(self, ids: NDArray[np.int64]) -> dict[int, str]:
+        """Labels of people, where the dataset has any."""
+        if "label" not in self.dataset.coords or self.dataset["label"].dims != (INDIVIDUALS,):
+            return {}
+        said = self.dataset["label"].to_numpy().tolist()
+        return {k: str(name) for k, name in zip(ids.tolist(), said, strict=True) if name}
+
+    def unit(self, layout: Layout, options: ReadOptions) -> str | None:
+        """The unit of length of the positions; None: they are pixels, and the options have a camera."""
+        attributes = {**self.dataset.attrs, **self.dataset["position"].attrs}
+        said = str(attributes.get("space_unit", attributes.get("units", ""))).strip().lower()
+        unit = SPACE_UNITS.get(said)
+        if unit is not None:
+            if layout.units not in (None, unit):
+                raise self.fail(f"--units {layout.units} of positions in {said}", f"--units {unit}, or none")
+            return unit
+        if layout.units is not None:
+            return layout.units
+        by_camera = (options.camera, options.homography, options.point_pairs, options.calibration)
+        if any(one is not None for one in (*by_camera, options.metres_per_pixel)):
+            return None
+        expected = "--units m (or cm, mm, ft) for lengths; --homography, --calibration, --point-pairs or "
+        expected += "--metres-per-pixel for pixels"
+        raise self.fail(f"positions in {said or 'an unknown unit'}", expected)
+
+    @property
+    def height(self) -> FloatArray:
+        """(individuals, time) of the boxes, in pixels."""
+        return self.array("shape", SPACE)[..., 1]
+
+    def confidence(self) -> FloatArray | None:
+        """(individuals, time) of what was found, over its keypoints; None where nothing is said."""
+        if "confidence" not in self.dataset.data_vars:
+            return None
+        poses = KEYPOINTS in self.dataset["confidence"].dims
+        found = self.array("confidence", *([KEYPOINTS] if poses else []))
+        if poses:
+            seen = np.isfinite(found)
+            total = np.where(seen, found, 0.0).sum(axis=-1)
+            found = np.where(seen.any(axis=-1), total / np.maximum(seen.sum(axis=-1), 1), np.nan)
+        return found if np.isfinite(found).any() and not (found < 0.0).any() else None
+
+    def variables(self) -> tuple[dict[str, FloatArray], list[str]]:
+        """Channel → (individuals, time, …) of variables that tracks have too, and the names of the others."""
+        found: dict[str, FloatArray] = {}
+        ignored: list[str] = []
+        for name in map(str, self.dataset.data_vars):
+            if name in _NATIVE:
+                continue
+            further = self._further(name)
+            if further is None:
+                ignored.append(name)
+                continue
+            values = self.array(name, *further)
+            n = values.shape[0] * values.shape[1]
+            empty = np.isnan(values).reshape(n, -1)
+            if name != "covariance" and (empty.any(axis=1) & ~empty.all(axis=1)).any():
+                raise self.fail(f"{name} of which a part is missing", "all of it, or none, in each frame")
+            if name in ("body", "head", "true_body", "true_head", "gait_offset"):
+                with np.errstate(invalid="ignore"):
+                    inside = (values > -np.pi) & (values <= np.pi)
+                    values = np.where(inside, values, wrap(values))
+            found[name] = values
+        return found, ignored
+
+    def _further(self, name: str) -> tuple[str, ...] | None:
+        """The dimensions of a variable beside those of all; None where it is none of a track."""
+        dims = [str(one) for one in self.dataset[name].dims]
+        if KEYPOINTS in dims and self.dataset.sizes[KEYPOINTS] == 1:
+            dims.remove(KEYPOINTS)
+        rest = [one for one in dims if one not in (TIME, INDIVIDUALS)]
+        if TIME not in dims or (INDIVIDUALS in self.dataset.dims and INDIVIDUALS not in dims):
+            return None
+        if name.startswith(INPUT) and is_input_name(name.removeprefix(INPUT)):
+            return tuple(rest) if len(rest) < 2 else None
+        wanted = FURTHER.get(name)
+        if wanted is None or set(rest) != set(wanted):
+            return None
+        return wanted if all(self.dataset.sizes[one] == size for one, size in _sizes(name)) else None
+
+    def has_row(self, channels: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
+        """(individuals, time) where somebody has a row."""
+        if HAS_ROW in self.dataset.data_vars:
+            return self.array(HAS_ROW) > 0.5
+        known = [np.isfinite(v).reshape(*v.shape[:2], -1).any(axis=2) for v in channels.values()]
+        return np.logical_or.reduce(known)
+
+
+def _sizes(name: str) -> list[tuple[str, int]]:
+    return list(zip(FURTHER[name], SHAPES[name], strict=True))
+
+
+EXTRA = "movement"
+_COORDINATES = {"image": ["u", "v"], "state": list(STATE), "other_state": list(STATE)}
+_STD = "std"
+
+
+def from_movement(dataset: Any, **options: Any) -> TrackSet:
+    """Tracks from a dataset of the package movement.
+
+    A person's position is a pair of keypoints' middle (hips, or ankles where a camera sees them), body and
+    head are where shoulders, ears and nose say that they point; see docs/formats.md.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset of poses or boxes, or one of `to_movement`
+    **options : fields of `ReadOptions`: ``units``, or a camera, where the positions do not say that they are
+        lengths; ``fps``, where they are of frames; ``columns`` with x and y, where space has other axes
+
+    Raises
+    ------
+    InputError
+        For what is none, and for options that are missing.
+    """
+    rows = rows_of_dataset(dataset, ReadOptions(**options), Path("dataset"))
+    return TrackSet.from_identified_rows(rows)
+
+
+def to_movement(tracks: TrackSet) -> Any:
+    """A dataset of the package movement: poses of one keypoint, metres and seconds.
+
+    Each attribute of a `Track` is a data variable of its name: ``body`` and ``head`` in radians,
+    ``covariance``, and so on. ``std`` (time, individuals, state) has its diagonal's roots. `from_movement`
+    gives the same tracks back, to the last bit.
+
+    Returns
+    -------
+    xarray.Dataset
+        Which ``to_netcdf`` writes.
+
+    Raises
+    ------
+    InputError
+        If the package xarray is not there.
+    """
+    xarray = package("xarray", EXTRA)
+    moments, places = _steps(tracks)
+    grid = _Grid(tracks, places, len(moments))
+    names = {} if tracks.as_read is None else tracks.as_read.names
+    ids = [track.track_id for track in tracks]
+    position = grid.filled("position", (2,))
+    if not len(position):
+        position = np.empty((len(moments), 0, 2))
+    variables: dict[str, Any] = {
+        "position": (
+            (TIME, SPACE, KEYPOINTS, INDIVIDUALS),
+            np.moveaxis(position, 2, 1)[:, :, None, :],
+            {"space_unit": "m"},
+        ),
+    }
+    score = grid.filled("score", ())
+    variables["confidence"] = ((TIME, KEYPOINTS, INDIVIDUALS), score[:, None, :])
+    for name, further in FURTHER.items():
+        if name != "score" and any(getattr(track, name) is not None for track in tracks):
+            shape = next(getattr(one, name).shape[1:] for one in tracks if getattr(one, name) is not None)
+            variables[name] = ((TIME, INDIVIDUALS, *further), grid.filled(name, shape))
+    if "covariance" in variables:
+        variance = np.diagonal(variables["covariance"][1], axis1=2, axis2=3)
+        variables[_STD] = ((TIME, INDIVIDUALS, "state"), np.sqrt(variance))
+    for name in sorted({*chain.from_iterable(track.inputs for track in tracks)}):
+        shape = next(track.inputs[name].shape[1:] for track in tracks if name in track.inputs)
+        further = (f"{name}_number",) if shape else ()
+        variables[f"{INPUT}{name}"] = ((TIME, INDIVIDUALS, *further), grid.filled(f"{INPUT}{name}", shape))
+    known = np.isfinite(position).all(axis=2)
+    if not np.array_equal(known, grid.there):
+        variables[HAS_ROW] = ((TIME, INDIVIDUALS), grid.there)
+    attributes: dict[str, Any] = {"ds_type": "poses", "source_software": "graphtrack", "time_unit": "seconds"}
+    rate = steady_rate(tracks)
+    if rate is not None:
+        attributes["fps"] = rate
+    further_dims = {one for dims, *_ in variables.values() for one in dims}
+    coordinates: dict[str, Any] = {
+        TIME: np.array([t for t, _ in moments]),
+        SPACE: ["x", "y"],
+        KEYPOINTS: ["centroid"],
+        INDIVIDUALS: [names.get(k, str(k)) for k in ids],
+        "frame": (TIME, np.array([frame for _, frame in moments], dtype=np.int64)),
+        "track_id": (INDIVIDUALS, np.array(ids, dtype=np.int64)),
+    }
+    if any(track.label != names.get(track.track_id, "") for track in tracks):
+        coordinates["label"] = (INDIVIDUALS, np.array([track.label for track in tracks], dtype=object))
+    coordinates |= {name: values for name, values in _COORDINATES.items() if name in further_dims}
+    return xarray.Dataset(variables, coordinates, attributes)
+
+
+def _steps(tracks: TrackSet) -> tuple[list[tuple[float, int]], list[NDArray[np.int64]]]:
+    """Times and frames of all rows, each pair once and in order, and the places of each track's rows."""
+    moments = sorted(
+        {pair for one in tracks for pair in zip(one.t.tolist(), one.frame.tolist(), strict=True)}
+    )
+    place = {pair: k for k, pair in enumerate(moments)}
+    return moments, [
+        np.array([place[pair] for pair in zip(one.t.tolist(), one.frame.tolist(), strict=True)])
+        for one in tracks
+    ]
+
+
+class _Grid:
+    """The rows of tracks on a grid of all steps and all people."""
+
+    def __init__(self, tracks: TrackSet, places: list[NDArray[np.int64]], steps: int) -> None:
+        self._tracks, self._places = tracks, places
+        self.there = np.zeros((steps, len(tracks)), dtype=bool)
+        for k, place in enumerate(places):
+            self.there[place, k] = True
+
+    def filled(self, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        """A channel (steps, people, *shape); NaN where there is no row, or it says nothing."""
+        found = np.full((*self.there.shape, *shape), np.nan)
+        for k, (track, place) in enumerate(zip(self._tracks, self._places, strict=True)):
+            values = (
+                track.inputs.get(name.removeprefix(INPUT)) if name.startswith(INPUT) else getattr(track, name)
+            )
+            if values is not None:
+                found[place, k] = values
+        return found
+
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_CLASSIC = (b"CDF\x01", b"CDF\x02")
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Return whether the file begins with the signature of netCDF, or of HDF5, which netCDF 4 is."""
+    return head.startswith((_HDF5, *_CLASSIC))
+
+
+def read(source: Source, options: ReadOptions) -> Rows:
+    """Read a dataset; see `rows_of_dataset`."""
+    xarray = package("xarray", EXTRA)
+    engine = "scipy" if source.data.startswith(_CLASSIC) else "h5netcdf"
+    if engine == "h5netcdf":
+        _check_packages()
+    return rows_of_dataset(_loaded(xarray, source, engine), options, source.path)
+
+
+def _check_packages() -> None:
+    for name in ("h5netcdf", "h5py"):
+        package(name, EXTRA)
+
+
+def _loaded(xarray: Any, source: Source, engine: str) -> Any:
+    try:
+        if engine == "h5netcdf":
+            # Which complains once more, at its end, of a file that cannot be opened.
+            with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
+                file.visititems(lambda name, item: list(item.attrs) and None)
+                list(file.attrs.items())
+        with xarray.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
+            return dataset.load()
+    except Exception as error:  # what HDF5 says of files that are none is of many kinds
+        said = " ".join(str(error).split()) or type(error).__name__
+        found = f"a netCDF file that cannot be read ({said[:200]})"
+        raise InputError(found, "a whole one, of movement's dataset.to_netcdf", path=source.path) from error
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write `to_movement`'s dataset as netCDF 4."""
+    _check_packages()
+    # In memory first: HDF5 ends the process where the disk is full as it closes a file.
+    path.write_bytes(to_movement(tracks).to_netcdf(engine="h5netcdf"))
+
+
+MOVEMENT = Format(
+    name="movement",
+    description="netCDF of the package movement (extra movement)",
+    suffixes=(".nc",),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+    takes=("columns", "units"),
+)

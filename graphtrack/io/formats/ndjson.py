@@ -1,0 +1,393 @@
+"""Lines of JSON that come and go by the thousand: what most of them are, read and written quickly.
+
+The native table as NDJSON: a JSON object a line, its keys the columns; null, or no key, is an empty cell.
+
+`graphtrack track -` reads the lines of a stream by the same functions as a file is read.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.io.cameras import place_pixels
+from graphtrack.io.format import Format
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source, mostly
+from graphtrack.tracks.schema import (
+    INTEGERS,
+    NO_CLASS,
+    Column,
+    expected_group,
+    expected_integer,
+    numeric,
+    repeated,
+    together,
+    unknown,
+)
+from graphtrack.tracks.table import Rows, from_columns, restored
+from graphtrack.tracks.time import date_texts
+from graphtrack.tracks.track import TrackSet, to_columns
+
+_ENCODED = json.JSONEncoder(allow_nan=False).encode
+
+
+def encoded(value: Any) -> str:
+    """A JSON-able value as ASCII text."""
+    try:
+        text = orjson.dumps(value)
+        if text.isascii():
+            return text.decode()
+    except TypeError:  # half a surrogate pair
+        pass
+    return _ENCODED(value)
+
+
+def plain_cells(line: bytes) -> dict[str, Any] | None:
+    """Result of `io.readers.ndjson.read_cells` for a simple line; None for others.
+
+    It is where all keys are columns of numbers, each stands there once, and all numbers are within bounds.
+    """
+    try:
+        given = orjson.loads(line)
+    except orjson.JSONDecodeError:
+        return None
+    # Each key has a colon, so that one that stands there twice is one too many, as is any in a text.
+    if type(given) is not dict or line.count(b":") != len(given):
+        return None
+    layout = _layout(tuple(given))
+    if layout is None:
+        return None
+    for name, low, high, is_whole in layout:
+        value = given[name]
+        kind = type(value)
+        if kind is float and not is_whole:
+            if not low <= value <= high:
+                return None
+        elif kind is int and low <= value <= high:
+            if not is_whole:
+                given[name] = float(value)
+        else:
+            return None
+    return given
+
+
+@lru_cache(64)
+def _layout(names: tuple[str, ...]) -> list[tuple[str, float, float, bool]] | None:
+    """Each key with its bounds, and whether it is a whole number; None where there is more to say."""
+    found: list[tuple[str, float, float, bool]] = []
+    for name in names:
+        column = numeric(name)
+        if name in INTEGERS:
+            found.append((name, -INTEGERS[name], INTEGERS[name], True))
+        elif column is None or name.endswith("_p0"):  # some class has to be likely
+            return None
+        else:
+            found.append((name, column.bounds.low, column.bounds.high, False))
+    groups = [name for group in together(names) for name in group]
+    return found if set(INTEGERS) <= set(names) >= set(groups) else None
+
+
+Pairs = tuple[tuple[str, Any], ...]
+"""Keys and values of a JSON object in their order; a key may stand there twice."""
+
+_LONGEST = 40
+"""Characters of a value that a message repeats."""
+
+# -- a line --------------------------------------------------------------------------------------------------
+
+
+class _Literal(str):
+    """A number that is none for us, as it was written: NaN, 1e999, or of thousands of digits."""
+
+
+def _integer(text: str) -> int | _Literal:
+    return int(text) if len(text) < 400 else _Literal(text)
+
+
+def _float(text: str) -> float | _Literal:
+    value = float(text)
+    return value if math.isfinite(value) else _Literal(text)
+
+
+_DECODER = json.JSONDecoder(object_pairs_hook=tuple, parse_constant=_Literal)
+_CAREFUL = json.JSONDecoder(
+    object_pairs_hook=tuple, parse_int=_integer, parse_float=_float, parse_constant=_Literal
+)
+_HUGE = re.compile(r"[eE]\+?\d{3}|\d{300}")
+"""Sign of a number that may be too large: the careful decoder takes half as long again."""
+
+
+def parse_line(text: str) -> Pairs:
+    """The keys and values of one line."""
+    try:
+        pairs = (_CAREFUL if _HUGE.search(text) else _DECODER).decode(text)
+    except json.JSONDecodeError as error:
+        raise _no_json(text, error.pos) from error
+    except RecursionError as error:
+        raise InputError("brackets within brackets without end", _EXPECTED) from error
+    if not isinstance(pairs, tuple):
+        raise InputError(_shown(pairs), _EXPECTED)
+    return pairs
+
+
+def _no_json(text: str, place: int) -> InputError:
+    """The error for a place where the decoder could not go on, with its key."""
+    if place >= len(text.rstrip()):
+        return InputError("the end of the line", _EXPECTED)
+    begin = place - len(_WORD_BEFORE.search(text[:place])[0])  # type: ignore[index]  # it always matches
+    word = _WORD.match(text, begin)[0]  # type: ignore[index]
+    key = _KEY_BEFORE.search(text[:begin])
+    found = f"{_cut(repr(word or text[begin]))} at character {begin + 1}"
+    return InputError(found, _EXPECTED, column=key and key[1])
+
+
+_EXPECTED = "one JSON object a line"
+_WORD, _WORD_BEFORE = re.compile(r"[^\s,:\[\]{}]*"), re.compile(r"[^\s,:\[\]{}]*$")
+_KEY_BEFORE = re.compile(r'"([^"\\]{1,40})"\s*:\s*$')
+
+
+def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
+    """Column of the native table → its value, checked; cells that are empty are left out.
+
+    Identity and frame are int, the label is text, all others are float, in the units of the table.
+
+    Parameters
+    ----------
+    pairs : of a line
+    optional : of the identity and the frame those that may be missing
+    """
+    given = dict(pairs)
+    if len(given) < len(pairs):
+        twice = repeated(name for name, _ in pairs)
+        raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
+    cells: dict[str, Any] = {
+        name: _whole(name, given.get(name))
+        for name in INTEGERS
+        if name not in optional or given.get(name) is not None
+    }
+    for name, value in pairs:
+        if value is None:
+            continue
+        column = numeric(name)
+        if column is not None:
+            within = type(value) is float and column.bounds.low < value < column.bounds.high
+            cells[name] = value if within else _number(column, value)
+        elif name == "label":
+            if not isinstance(value, str) or isinstance(value, _Literal):
+                raise InputError(_shown(value), "text or null", column=name)
+            cells[name] = value
+    for group in together(tuple(cells)):
+        _check_group(group, cells)
+    return cells
+
+
+def identity(pairs: Pairs) -> dict[str, int | None]:
+    """Track and frame of a line that cannot be used, as far as they can be read."""
+    found: dict[str, int | None] = {}
+    for name in INTEGERS:
+        values = [value for key, value in pairs if key == name]
+        try:
+            found[name] = _whole(name, values[0]) if len(values) == 1 else None
+        except InputError:
+            found[name] = None
+    return found
+
+
+def _whole(name: str, value: Any) -> int:
+    highest = INTEGERS[name]
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if type(value) is not int or abs(value) > highest:
+        found = "nothing" if value is None else _shown(value)
+        raise InputError(found, expected_integer(highest), column=name)
+    return value
+
+
+def _number(column: Column, value: Any) -> float:
+    if type(value) not in (float, int):
+        raise InputError(_shown(value), "a finite number or null", column=column.name)
+    if not column.bounds.low <= value <= column.bounds.high:
+        raise InputError(_shown(value), column.bounds.expected, column=column.name)
+    return float(value)
+
+
+def _check_group(group: tuple[str, ...], cells: dict[str, Any]) -> None:
+    missing = [name for name in group if name not in cells]
+    if missing and len(missing) < len(group):
+        raise InputError("an empty cell", expected_group(group), column=missing[0])
+    if not missing and group[0].endswith("_p0") and not any(cells[name] for name in group):
+        raise InputError(*NO_CLASS, column=group[0])
+
+
+def _shown(value: Any) -> str:
+    """A JSON value in a message."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, tuple):
+        return "an object"
+    if isinstance(value, list):
+        return "a list"
+    return "null" if value is None else _cut(repr(value))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+
+
+# -- a file --------------------------------------------------------------------------------------------------
+
+
+class _Row(NamedTuple):
+    line: int
+    cells: dict[str, Any]
+    status: Any  # what `graphtrack track -` says of its estimate; None in a file of observations
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Person and frame; a detection without identity has a place of its own."""
+        return self.cells.get("track_id", -self.line), self.cells["frame"]
+
+
+NOT_USED = "rows that 'track -' could not use"
+REPLACED = "estimates that a later row of the same frame replaces"
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Return whether most lines begin as an object does."""
+    return mostly(head, lambda line: line.startswith("{"))
+
+
+def read(source: Source, options: ReadOptions) -> Rows:
+    """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
+
+    Lines with the key ``end``, which end a frame of a stream, are no rows, nor is what is told of people when
+    their frame has ended. Of answers to one frame, as late and repeated rows bring them, the last one stands;
+    rows with an ``error`` are left out. The summary counts both.
+    """
+    rows: list[_Row] = []
+    keys: dict[str, None] = {}
+    errors = 0
+    for number, text in enumerate(source.lines, 1):
+        if not text.strip():
+            continue
+        try:
+            pairs = parse_line(text)
+            given = dict(pairs)
+            if "end" in given or _is_of_a_frame(given):
+                continue
+            if "error" in given:
+                errors += 1
+                continue
+            rows.append(_Row(number, read_cells(pairs, ["track_id"]), given.get("status")))
+            if not given.keys() <= keys.keys():
+                keys |= dict.fromkeys(given)
+        except InputError as error:
+            raise InputError(
+                error.found, error.expected, path=source.path, line=number, column=error.column
+            ) from error
+    kept = _last_answers(rows)
+    refused = {NOT_USED: errors, REPLACED: len(rows) - len(kept)}
+    refused = {reason: count for reason, count in refused.items() if count}
+    if not kept:
+        found = f"no rows but {errors} {NOT_USED}" if errors else "no rows"
+        raise InputError(found, "at least one row", path=source.path)
+    native = from_columns(
+        _columns(kept, keys),
+        path=source.path,
+        format="ndjson",
+        fps=options.fps,
+        line_of=lambda i: kept[i].line,
+        ignored=unknown(keys),
+    )
+    placed = place_pixels(native, options)
+    return replace(placed, refused={**placed.refused, **refused})
+
+
+def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
+    """Return whether a line tells of groups, looks or a forecast, and not of what was seen or estimated."""
+    if "status" in given or "x" in given or "u" in given:
+        return False
+    is_list = any(isinstance(given.get(name), list) for name in ("attention", "forecast"))
+    return is_list or {"group", "kind", "probability"} <= given.keys()
+
+
+def _last_answers(rows: list[_Row]) -> list[_Row]:
+    """Without the estimates that a later row of the same person and frame replaces.
+
+    An estimate is replaced by one after a row that was not "new", or by itself, said again.
+    """
+    kept: dict[int, _Row] = {}
+    newest: dict[tuple[int, int], _Row] = {}
+    for row in rows:
+        before = newest.get(row.place)
+        if before is not None and row.status is not None and before.status is not None:
+            said_again = row.status == before.status and row.cells == before.cells
+            if row.status != "new" or said_again:
+                del kept[before.line]
+        newest[row.place] = kept[row.line] = row
+    return list(kept.values())
+
+
+def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {}
+    for name in keys:
+        if name in INTEGERS:
+            columns[name] = np.array([row.cells.get(name, -1) for row in rows], dtype=np.int64)
+        elif name == "label":
+            columns[name] = np.array([row.cells.get(name) for row in rows], dtype=object)
+        elif numeric(name) is not None:
+            columns[name] = np.array([row.cells.get(name, np.nan) for row in rows], dtype=float)
+    return columns
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write the native table; numbers have the digits that read back to the same double."""
+    _write(restored(to_columns(tracks), tracks.as_read), path)
+
+
+def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write columns of the native table; without identities each object has the ``track_id`` −1."""
+    if "track_id" not in table:
+        table = {"track_id": np.full(len(table["frame"]), -1), **table}
+    _write(table, path)
+
+
+def _write(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    columns = {name: _values(cells) for name, cells in table.items()}
+    opened: Callable[..., Any] = gzip.open if path.name.lower().endswith(".gz") else open
+    with opened(path, "wt", encoding="ascii", newline="\n") as stream:
+        for row in zip(*columns.values(), strict=True):
+            stream.write(json.dumps(dict(zip(columns, row, strict=True)), allow_nan=False) + "\n")
+
+
+def _values(cells: NDArray[Any]) -> list[Any]:
+    """A column as JSON has it: null where a number is NaN or a label empty; dates are text."""
+    if cells.dtype.kind == "M":
+        cells = date_texts(cells)
+    return [None if value != value or value == "" else value for value in cells.tolist()]
+
+
+NDJSON = Format(
+    name="ndjson",
+    description="native table as NDJSON: a JSON object a line (also gzipped)",
+    suffixes=(".ndjson", ".jsonl", ".ndjson.gz", ".jsonl.gz"),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+    write_columns=write_columns,
+)

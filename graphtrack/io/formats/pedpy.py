@@ -1,0 +1,345 @@
+"""Trajectories of PedPy, in memory and as the text files of the Pedestrian Dynamics Data Archive.
+
+Text of the Pedestrian Dynamics Data Archive, as PedPy reads it: ``id frame x y`` below comments.
+
+Trajectories of JuPedSim: SQLite databases with trajectory_data, metadata, geometry and frame_data.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import zlib
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.format import Format, rate_to_write, times_told
+from graphtrack.io.options import METRES, ReadOptions
+from graphtrack.io.source import Source
+from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.packages import package
+from graphtrack.tracks.schema import is_column, unknown
+from graphtrack.tracks.table import Rows, frame_of, from_columns, rows_of_table
+from graphtrack.tracks.track import TrackSet, to_columns
+from graphtrack.tracks.validation import LARGEST_ID, check_frame_rate
+
+EXTRA = "pedpy"
+_IDENTITY, _POINT = "id", "point"
+
+
+def from_pedpy(trajectory: Any) -> TrackSet:
+    """Tracks from a ``pedpy.TrajectoryData``.
+
+    Columns of the native table that its data have besides, as those of `to_pedpy` do, are read too.
+
+    Raises
+    ------
+    InputError
+        If it is none, or a value cannot be used.
+    """
+    data, rate = getattr(trajectory, "data", None), getattr(trajectory, "frame_rate", None)
+    if data is None or rate is None:
+        raise InputError(f"a {type(trajectory).__name__}", "a pedpy.TrajectoryData: data and frame_rate")
+    check_frame_rate(float(rate))
+    table = frame_of(data).drop(columns=_POINT, errors="ignore").rename(columns={_IDENTITY: "track_id"})
+    rows = rows_of_table(table, None if "t" in table.columns else float(rate))
+    return TrackSet.from_identified_rows(replace(rows, format="pedpy"))
+
+
+def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> Any:
+    """A ``pedpy.TrajectoryData``: id, frame, x and y in metres, and beside them the native table's columns.
+
+    Rows without a position are left out. Times that frames and rate do not say are kept as the column ``t``.
+
+    Parameters
+    ----------
+    frame_rate : frames a second, for tracks of a single frame
+
+    Raises
+    ------
+    InputError
+        If the package pedpy is not there, or the times have no steady rate.
+    """
+    pedpy = package("pedpy", EXTRA)
+    import pandas as pd
+
+    columns, rate = trajectory_columns(tracks, frame_rate=frame_rate)
+    return pedpy.TrajectoryData(data=pd.DataFrame(columns), frame_rate=rate)
+
+
+def trajectory_columns(
+    tracks: TrackSet, *, path: Path | None = None, frame_rate: float | None = None
+) -> tuple[Mapping[str, NDArray[Any]], float]:
+    """Columns id, frame, x, y and the native table's others, of rows with a position, and their rate."""
+    rate = rate_to_write(tracks, path, frame_rate)
+    columns = to_columns(tracks)
+    known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
+    columns = {name: values[known] for name, values in columns.items()}
+    first = {_IDENTITY: columns.pop("track_id"), **{name: columns.pop(name) for name in ("frame", "x", "y")}}
+    if times_told(first["frame"].astype(float), columns["t"], rate):
+        del columns["t"]
+    return {**first, **columns}, rate
+
+
+_NAMES = ("id", "frame", "x", "y", "z")
+_RATE = re.compile(r"frame\s*_?rate\D*?(\d{1,6}(?:\.\d+)?)", re.IGNORECASE)
+_UNITS = {
+    "cm": re.compile(r"\bx/cm\b|\bin cm\b", re.IGNORECASE),
+    "m": re.compile(r"\bx/m\b|\bin m\b", re.IGNORECASE),
+}
+
+
+def _looks_like_text(head: bytes, path: Path) -> bool:
+    """Return whether comments come first, and below them rows of two whole numbers and two numbers."""
+    lines = [line.strip() for line in head.decode("utf-8-sig", errors="replace").split("\n")[:-1]]
+    lines = [line for line in lines if line]
+    rows = [line.split() for line in lines if not line.startswith("#")][:20]
+    if not lines or not lines[0].startswith("#") or not rows:
+        return False
+
+    def matches(cells: list[str]) -> bool:
+        numbers = [parse_number(cell) for cell in cells]
+        known = [number for number in numbers[:4] if number is not None]
+        return 4 <= len(cells) <= 6 and len(known) == 4 and all(float(n).is_integer() for n in known[:2])
+
+    return sum(map(matches, rows)) * 2 > len(rows)
+
+
+def _read_text(source: Source, options: ReadOptions) -> Rows:
+    """Read ``id frame x y``; more columns, such as a height, are passed over.
+
+    The frame rate is ``fps``, or that of a comment such as ``# framerate: 25``; the unit of x and y that of
+    a comment (``x/m``, ``in cm``), or ``units``.
+    """
+    header = []
+    for line in source.lines:
+        if line.strip() and not line.lstrip().startswith("#"):
+            break
+        header.append(line)
+    rate, notes = options.fps, []
+    if rate is None:
+        found = next((match for line in header if (match := _RATE.search(line)) is not None), None)
+        if found is None or float(found[1]) <= 0.0:
+            expected = "frames a second (--fps), or a line such as # framerate: 25"
+            raise InputError("no frame rate", expected, path=source.path)
+        rate = float(found[1])
+        notes.append(f"frame rate {found[1]} Hz from the file's header")
+    unit = _unit(header, options, source.path)
+    table = read_numbers(source, delimiter=None, widths=(4, 5, 6), names=_NAMES, comments=True)
+    position = METRES[unit] * np.column_stack([table.metres(2), table.metres(3)])
+    ids, frame = table.integers(0, LARGEST_ID), table.integers(1)
+    rows = Rows(source.path, "pedpy", ids, frame, {"position": position}, table.line_of)
+    return rows.with_times(rate).with_notes(*notes)
+
+
+def _unit(header: list[str], options: ReadOptions, path: Path) -> str:
+    said = [unit for unit, mark in _UNITS.items() if any(mark.search(line) for line in header)]
+    layout = options.layout()
+    given = None if layout is None else layout.units
+    if not said and given is None:
+        expected = "--units m or cm, or a header such as # id frame x/m y/m"
+        raise InputError("no unit of x and y", expected, path=path)
+    if len(said) > 1:
+        raise InputError("x in cm and in m in the header", "one of the two", path=path)
+    if said and given not in (None, said[0]):
+        raise InputError(f"--units {given}, and {said[0]} in the header", "one of the two", path=path)
+    return said[0] if given is None else given
+
+
+def _write_text(tracks: TrackSet, path: Path) -> None:
+    """Write ``id frame x/m y/m`` of the rows with a position, below the frame rate; nothing else is held."""
+    columns, rate = trajectory_columns(tracks, path=path)
+    cells = (columns[name].tolist() for name in _NAMES[:4])
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        stream.write(f"# framerate: {rate!r}\n# id frame x/m y/m\n")
+        stream.writelines(f"{k} {frame} {x!r} {y!r}\n" for k, frame, x, y in zip(*cells, strict=True))
+
+
+PEDPY = Format(
+    name="pedpy",
+    description="text of PedPy and the Pedestrian Dynamics Data Archive: id frame x y",
+    suffixes=(".pedpy.txt",),
+    looks_like=_looks_like_text,
+    read=_read_text,
+    write=_write_text,
+    takes=("units",),
+)
+
+
+SQLITE = b"SQLite format 3\0"
+_VERSION = 2
+_OWN = {"id": "track_id", "frame": "frame", "pos_x": "x", "pos_y": "y"}
+_FACING = ("ori_x", "ori_y")
+_AROUND = 1.0
+"""Metres of ground around everybody's positions, in the geometry that is written."""
+_WITH_A_LOG = 2
+
+
+def _looks_like_jupedsim(head: bytes, path: Path) -> bool:
+    """Return whether the file begins with SQLite's signature."""
+    return head.startswith(SQLITE)
+
+
+def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
+    """Read positions, and where agents point as the body; and native columns beside them.
+
+    The frame rate is ``fps``, or that of the table metadata.
+    """
+    data = source.data
+    if data[18:19] == bytes([_WITH_A_LOG]):
+        raise InputError(
+            "a database whose changes may lie beside it", "one that its writer has closed", path=source.path
+        )
+    try:
+        with closing(sqlite3.connect(":memory:")) as connection:
+            connection.deserialize(data)
+            tables = {name for (name,) in connection.execute("select name from sqlite_master")}
+            _check_tables(tables, source.path)
+            answer = connection.execute("select * from trajectory_data")
+            names = [one[0] for one in answer.description]
+            cells = answer.fetchall()
+            rate = options.fps if options.fps is not None else _rate(connection, tables)
+    except sqlite3.Error as error:
+        raise InputError(
+            f"a database that cannot be read ({error})", "a whole one", path=source.path
+        ) from error
+    missing = next((name for name in _OWN if name not in names), None)
+    if missing is not None:
+        raise InputError(f"a table trajectory_data without {missing}", "JuPedSim's", path=source.path)
+    table = {name: _numbers([row[k] for row in cells], name, source.path) for k, name in enumerate(names)
+             if name in _OWN or name in _FACING or is_column(name)}  # fmt: skip
+    columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
+    if rate is None and "t" not in columns:
+        raise InputError("no fps in the table metadata", "frames a second (--fps)", path=source.path)
+    # Of tracks that were written here those columns say what is known of the body.
+    if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
+        columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
+    ignored = unknown([name for name in names if name not in (*_OWN, *_FACING)])
+    return from_columns(
+        columns,
+        path=source.path,
+        format="jupedsim",
+        fps=None if "t" in columns else rate,
+        line_of=lambda row: row + 1,
+        ignored=ignored,
+    )
+
+
+def _check_tables(tables: set[str], path: Path) -> None:
+    if "trajectory_data" in tables:
+        return
+    if "gpkg_contents" in tables:
+        raise InputError("a GeoPackage", "a table: geopandas.read_file makes one of a layer", path=path)
+    found = f"a database without a table trajectory_data (there are: {', '.join(sorted(tables)) or 'none'})"
+    raise InputError(found, "JuPedSim's; pandas.read_sql makes a table of another", path=path)
+
+
+def _rate(connection: sqlite3.Connection, tables: set[str]) -> float | None:
+    if "metadata" not in tables:
+        return None
+    said = connection.execute("select value from metadata where key = 'fps'").fetchone()
+    try:
+        rate = float(said[0])
+    except (TypeError, ValueError):
+        return None
+    return rate if 0.0 < rate <= 1e6 else None
+
+
+def _numbers(cells: list[Any], name: str, path: Path) -> NDArray[Any]:
+    if name == "label":
+        return np.array([cell if isinstance(cell, str) else None for cell in cells], dtype=object)
+    found = np.full(len(cells), np.nan)
+    for row, cell in enumerate(cells):
+        if cell is None:
+            continue
+        if not isinstance(cell, int | float) or not np.isfinite(cell):
+            raise InputError(f"{str(cell)[:40]!r}", "a finite number", path=path, line=row + 1, column=name)
+        found[row] = cell
+    return found
+
+
+def _degrees(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Directions of vectors; NaN for those of no length."""
+    return np.where((x == 0.0) & (y == 0.0), np.nan, np.rad2deg(np.arctan2(y, x)))
+
+
+def _write_jupedsim(tracks: TrackSet, path: Path) -> None:
+    """Write a database of version 2, which JuPedSim and PedPy read.
+
+    Agents point where the body does, else where they go, else nowhere. The other columns of the native table
+    stand beside JuPedSim's, and the geometry is a rectangle around all positions. Rows without a position are
+    left out.
+    """
+    columns, rate = trajectory_columns(tracks, path=path)
+    columns = dict(columns)
+    own = {"frame": columns.pop("frame"), "id": columns.pop("id")}
+    own |= {"pos_x": columns.pop("x"), "pos_y": columns.pop("y")}
+    own["ori_x"], own["ori_y"] = _facing(columns, len(own["id"]))
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA synchronous=OFF")
+        _fill(connection, own, columns, rate)
+        connection.commit()
+
+
+def _facing(columns: Mapping[str, NDArray[Any]], n: int) -> tuple[FloatArray, FloatArray]:
+    angle = np.full(n, np.nan)
+    if "vx" in columns and "vy" in columns:
+        angle = np.deg2rad(_degrees(columns["vx"], columns["vy"]))
+    if "body_deg" in columns:
+        angle = np.where(np.isfinite(columns["body_deg"]), np.deg2rad(columns["body_deg"]), angle)
+    known = np.isfinite(angle)
+    return np.where(known, np.cos(angle), 0.0), np.where(known, np.sin(angle), 0.0)
+
+
+def _fill(
+    connection: sqlite3.Connection,
+    own: Mapping[str, NDArray[Any]],
+    others: Mapping[str, NDArray[Any]],
+    rate: float,
+) -> None:
+    kinds = {name: "INTEGER NOT NULL" if name in ("frame", "id") else "REAL NOT NULL" for name in own}
+    kinds |= {name: "TEXT" if values.dtype == object else "REAL" for name, values in others.items()}
+    said = ", ".join(f'"{name}" {kind}' for name, kind in kinds.items())
+    connection.execute(f"CREATE TABLE trajectory_data ({said})")
+    rows = zip(*(_cells(values) for values in (*own.values(), *others.values())), strict=True)
+    connection.executemany(f"INSERT INTO trajectory_data VALUES ({', '.join('?' * len(kinds))})", rows)
+    connection.execute("CREATE INDEX frame_id_idx ON trajectory_data(frame, id)")
+    x, y = own["pos_x"], own["pos_y"]
+    low = (float(x.min()) - _AROUND, float(y.min()) - _AROUND) if len(x) else (0.0, 0.0)
+    high = (float(x.max()) + _AROUND, float(y.max()) + _AROUND) if len(x) else (0.0, 0.0)
+    corners = [low, (high[0], low[1]), high, (low[0], high[1]), low]
+    wkt = f"POLYGON (({', '.join(f'{a!r} {b!r}' for a, b in corners)}))"
+    number = zlib.crc32(wkt.encode())
+    connection.execute("CREATE TABLE metadata(key TEXT NOT NULL UNIQUE PRIMARY KEY, value TEXT NOT NULL)")
+    bounds = {"xmin": low[0], "xmax": high[0], "ymin": low[1], "ymax": high[1]}
+    told = {"version": _VERSION, "fps": rate, **bounds}
+    connection.executemany("INSERT INTO metadata VALUES(?, ?)", [(key, str(v)) for key, v in told.items()])
+    connection.execute("CREATE TABLE geometry(hash INTEGER NOT NULL, wkt TEXT NOT NULL)")
+    connection.execute("CREATE UNIQUE INDEX geometry_hash ON geometry(hash)")
+    connection.execute("INSERT INTO geometry VALUES(?, ?)", (number, wkt))
+    connection.execute("CREATE TABLE frame_data(frame INTEGER NOT NULL, geometry_hash INTEGER NOT NULL)")
+    frames = [(frame, number) for frame in np.unique(own["frame"]).tolist()]
+    connection.executemany("INSERT INTO frame_data VALUES(?, ?)", frames)
+
+
+def _cells(values: NDArray[Any]) -> list[Any]:
+    """Cells as SQLite has them: nothing for a number that is missing."""
+    return [None if cell != cell or cell == "" else cell for cell in values.tolist()]
+
+
+JUPEDSIM = Format(
+    name="jupedsim",
+    description="trajectories of JuPedSim (SQLite)",
+    suffixes=(".sqlite",),
+    looks_like=_looks_like_jupedsim,
+    read=_read_jupedsim,
+    write=_write_jupedsim,
+)

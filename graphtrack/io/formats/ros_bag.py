@@ -1,0 +1,587 @@
+"""Orientations and spreads of ROS's poses, and what a ground plane keeps of them.
+
+Quaternions are x, y, z, w; covariances are those of ROS's poses: row by row 6×6 of x, y, z (metres) and of
+the rotations about the axes (radians).
+
+Messages to what they say of people. Of a message only its attributes are used, so that it may be rclpy's,
+rosbags' or anybody's.
+
+Definitions of the messages that are read and written, and the store that knows them (package rosbags).
+
+Choice of the topics of a recording to read.
+
+A recording, whatever holds it: an MCAP file, an SQLite file, or a folder of either.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.source import RemoteFile
+from graphtrack.packages import package
+from graphtrack.tracks.validation import LARGEST_CONCENTRATION
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+
+_AXES = {"x": [1.0, 0.0, 0.0], "z": [0.0, 0.0, 1.0]}
+
+_STEEP = 0.1
+"""Of an axis: the part along the ground (sine of its angle to the vertical) below which it has no heading."""
+
+
+def yaw_of(quaternion: FloatArray, axis: str = "x") -> FloatArray:
+    """Headings (n,) of an axis of rotated frames, in radians counter-clockwise from x.
+
+    Parameters
+    ----------
+    quaternion : (n, 4); of any length, for those who publish them often do not care
+    axis : "x" as for bodies and faces, "z" as for gazes and cameras
+
+    Returns
+    -------
+    (n,) NaN where the quaternion is 0 or not finite, or the axis stands upright
+    """
+    quaternion = np.asarray(quaternion, dtype=float).reshape(-1, 4)
+    known = _is_rotation(quaternion)
+    turned = np.full((len(quaternion), 3), np.nan)
+    if known.any():
+        turned[known] = Rotation.from_quat(quaternion[known]).apply(_AXES[axis])
+    # A comparison with NaN is false.
+    level = np.hypot(turned[:, 0], turned[:, 1]) > _STEEP
+    return np.where(level, np.arctan2(turned[:, 1], turned[:, 0]), np.nan)
+
+
+def _is_rotation(quaternion: FloatArray) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        length = np.linalg.norm(quaternion, axis=1)
+    return np.asarray((length > 0.0) & np.isfinite(length))
+
+
+def quaternion_of(yaw: FloatArray) -> FloatArray:
+    """Quaternions (n, 4) of rotations about the vertical by (n,) radians; no rotation for NaN."""
+    half = np.nan_to_num(np.asarray(yaw, dtype=float)) / 2.0
+    none = np.zeros_like(half)
+    return np.stack([none, none, np.sin(half), np.cos(half)], axis=-1)
+
+
+def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
+    """The quaternions (n, 4) of turning by the second, then by the first."""
+    known = _is_rotation(second)
+    found = np.zeros_like(second)
+    if known.any():
+        found[known] = (Rotation.from_quat(first[known]) * Rotation.from_quat(second[known])).as_quat()
+    return found
+
+
+def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Position and yaw spread on the ground plane by covariances of poses.
+
+    Parameters
+    ----------
+    covariance : (n, 36)
+    turn : (n, 3, 3) rotations into the frame whose plane is meant
+
+    Returns
+    -------
+    position_std : (n,) metres of each axis, as if both were alike: the root of the mean of both variances
+    yaw_variance : (n,) rad²
+
+    NaN where they are not positive: ROS says by zeros, or by −1, that they are unknown.
+    """
+    covariance = np.asarray(covariance, dtype=float).reshape(-1, 6, 6)
+    places, turns = covariance[:, :3, :3], covariance[:, 3:, 3:]
+    if turn is not None:
+        places, turns = (turn @ one @ turn.transpose(0, 2, 1) for one in (places, turns))
+    variance = (places[:, 0, 0] + places[:, 1, 1]) / 2.0
+    both = (covariance[:, 0, 0] > 0.0) & (covariance[:, 1, 1] > 0.0)
+    with np.errstate(invalid="ignore"):
+        std = np.where(both & (variance > 0.0), np.sqrt(variance), np.nan)
+        return std, np.where((covariance[:, 5, 5] > 0.0) & (turns[:, 2, 2] > 0.0), turns[:, 2, 2], np.nan)
+
+
+def kappa_of(variance: FloatArray) -> FloatArray:
+    """von Mises concentrations (n,) of variances in rad², NaN where unknown."""
+    with np.errstate(divide="ignore"):
+        return np.minimum(1.0 / np.asarray(variance, dtype=float), LARGEST_CONCENTRATION)
+
+
+def variance_of(kappa: FloatArray) -> FloatArray:
+    """Variances (n,), rad², of von Mises concentrations; NaN where unknown or where nothing is said (0)."""
+    kappa = np.asarray(kappa, dtype=float)
+    with np.errstate(divide="ignore"):
+        return np.where(kappa > 0.0, 1.0 / kappa, np.nan)
+
+
+PEOPLE = "people_msgs/msg/People"
+DETECTIONS = "vision_msgs/msg/Detection3DArray"
+POSES = "geometry_msgs/msg/PoseArray"
+POSE = "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+IDS = "hri_msgs/msg/IdsList"
+GAZE = "hri_msgs/msg/Gaze"
+GROUP = "hri_msgs/msg/Group"
+MARKERS = "visualization_msgs/msg/MarkerArray"
+SCENE = "foxglove_msgs/msg/SceneUpdate"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TEXT = "std_msgs/msg/String"
+
+OF_PEOPLE = (PEOPLE, DETECTIONS, POSES, POSE, POSE_WITH_COVARIANCE, IDS)
+"""Types of the topics that say where people are."""
+
+_PRIMITIVE = "foxglove_msgs/Color color"
+
+FIELDS: Mapping[str, str] = {
+    PEOPLE: "std_msgs/Header header; people_msgs/Person[] people",
+    "people_msgs/msg/Person": "string name; geometry_msgs/Point position; geometry_msgs/Point velocity; "
+    "float64 reliability; string[] tagnames; string[] tags",
+    DETECTIONS: "std_msgs/Header header; vision_msgs/Detection3D[] detections",
+    "vision_msgs/msg/Detection3D": "std_msgs/Header header; vision_msgs/ObjectHypothesisWithPose[] results; "
+    "vision_msgs/BoundingBox3D bbox; string id",
+    "vision_msgs/msg/ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis; "
+    "geometry_msgs/PoseWithCovariance pose",
+    "vision_msgs/msg/ObjectHypothesis": "string class_id; float64 score",
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center; geometry_msgs/Vector3 size",
+    IDS: "std_msgs/Header header; string[] ids",
+    GAZE: "std_msgs/Header header; string sender; string receiver",
+    GROUP: "std_msgs/Header header; string group_id; string[] members",
+    SCENE: "foxglove_msgs/SceneEntityDeletion[] deletions; foxglove_msgs/SceneEntity[] entities",
+    "foxglove_msgs/msg/SceneEntityDeletion": "uint8 MATCHING_ID=0; uint8 ALL=1; "
+    "builtin_interfaces/Time timestamp; uint8 type; string id",
+    "foxglove_msgs/msg/SceneEntity": "builtin_interfaces/Time timestamp; string frame_id; string id; "
+    "builtin_interfaces/Duration lifetime; bool frame_locked; foxglove_msgs/KeyValuePair[] metadata; "
+    "foxglove_msgs/ArrowPrimitive[] arrows; foxglove_msgs/CubePrimitive[] cubes; "
+    "foxglove_msgs/SpherePrimitive[] spheres; foxglove_msgs/CylinderPrimitive[] cylinders; "
+    "foxglove_msgs/LinePrimitive[] lines; foxglove_msgs/TriangleListPrimitive[] triangles; "
+    "foxglove_msgs/TextPrimitive[] texts; foxglove_msgs/ModelPrimitive[] models",
+    "foxglove_msgs/msg/KeyValuePair": "string key; string value",
+    "foxglove_msgs/msg/Color": "float64 r; float64 g; float64 b; float64 a",
+    "foxglove_msgs/msg/ArrowPrimitive": "geometry_msgs/Pose pose; float64 shaft_length; "
+    f"float64 shaft_diameter; float64 head_length; float64 head_diameter; {_PRIMITIVE}",
+    "foxglove_msgs/msg/CubePrimitive": f"geometry_msgs/Pose pose; geometry_msgs/Vector3 size; {_PRIMITIVE}",
+    "foxglove_msgs/msg/SpherePrimitive": f"geometry_msgs/Pose pose; geometry_msgs/Vector3 size; {_PRIMITIVE}",
+    "foxglove_msgs/msg/CylinderPrimitive": "geometry_msgs/Pose pose; geometry_msgs/Vector3 size; "
+    f"float64 bottom_scale; float64 top_scale; {_PRIMITIVE}",
+    "foxglove_msgs/msg/LinePrimitive": "uint8 LINE_STRIP=0; uint8 LINE_LOOP=1; uint8 LINE_LIST=2; "
+    "uint8 type; geometry_msgs/Pose pose; float64 thickness; bool scale_invariant; "
+    f"geometry_msgs/Point[] points; {_PRIMITIVE}; foxglove_msgs/Color[] colors; uint32[] indices",
+    "foxglove_msgs/msg/TriangleListPrimitive": "geometry_msgs/Pose pose; geometry_msgs/Point[] points; "
+    f"{_PRIMITIVE}; foxglove_msgs/Color[] colors; uint32[] indices",
+    "foxglove_msgs/msg/TextPrimitive": "geometry_msgs/Pose pose; bool billboard; float64 font_size; "
+    f"bool scale_invariant; {_PRIMITIVE}; string text",
+    "foxglove_msgs/msg/ModelPrimitive": "geometry_msgs/Pose pose; geometry_msgs/Vector3 scale; "
+    f"{_PRIMITIVE}; bool override_color; string url; string media_type; uint8[] data",
+}
+"""Type → its fields, for the types that are not among ROS's own common interfaces."""
+
+
+def need_rosbags() -> None:
+    """Raise InputError if the packages that read and write bags are not there."""
+    for name in ("mcap", "rosbags"):
+        package(name, "ros")
+
+
+@cache
+def own_types() -> dict[str, Any]:
+    """The definitions above as rosbags takes them."""
+    from rosbags.typesys import get_types_from_msg
+
+    found: dict[str, Any] = {}
+    for name, fields in FIELDS.items():
+        found |= get_types_from_msg("\n".join(fields.split("; ")), name)
+    return found
+
+
+def typestore(embedded: Mapping[str, Any] | None = None) -> Typestore:
+    """A store of ROS 2's common interfaces and of `FIELDS`.
+
+    Parameters
+    ----------
+    embedded : definitions that a bag has itself; they go before ours, not before ROS's own
+    """
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    given = {name: one for name, one in (embedded or {}).items() if name not in store.fielddefs}
+    store.register({**own_types(), **given})
+    return store
+
+
+SECOND = 10**9
+"""Nanoseconds, in which stamps are."""
+HEAD = "head"
+"""The class of a hypothesis of a detection whose pose is that of the head."""
+
+
+class Sighting(NamedTuple):
+    """Somebody who was seen.
+
+    Attributes
+    ----------
+    name : the identity; "" where there is none
+    place : x, y, z in metres; None: unknown, or told by tf
+    turn : quaternion x, y, z, w of the body; None: the message has none
+    covariance : 36 numbers of a pose's covariance, or None
+    head, head_covariance : the same of the head
+    score : how sure the detector was; 0 is taken for unsaid
+    kind : the class of a detection
+    """
+
+    name: str = ""
+    place: tuple[float, float, float] | None = None
+    turn: tuple[float, float, float, float] | None = None
+    covariance: Any = None
+    head: tuple[float, float, float, float] | None = None
+    head_covariance: Any = None
+    score: float = 0.0
+    kind: str = ""
+
+
+class Frame(NamedTuple):
+    """A message: when it was stamped (ns), in which frame of reference, and whom it tells of."""
+
+    stamp: int
+    frame_id: str
+    people: list[Sighting]
+
+
+def stamp_of(header: Any) -> int:
+    """Nanoseconds of a header's stamp."""
+    return int(header.stamp.sec) * SECOND + int(header.stamp.nanosec)
+
+
+def frame_of(message: Any, kind: str) -> Frame:
+    """Sightings of a message of one of the types `OF_PEOPLE`.
+
+    Parameters
+    ----------
+    kind : the name of its type, such as "people_msgs/msg/People"
+    """
+    header = message.header
+    return Frame(stamp_of(header), header.frame_id.lstrip("/"), list(_READERS[kind](message)))
+
+
+def _place(point: Any) -> tuple[float, float, float]:
+    return point.x, point.y, point.z
+
+
+def _turn(orientation: Any) -> tuple[float, float, float, float]:
+    return orientation.x, orientation.y, orientation.z, orientation.w
+
+
+def _of_people(message: Any) -> Iterator[Sighting]:
+    for one in message.people:
+        yield Sighting(one.name, _place(one.position), score=one.reliability)
+
+
+def _of_poses(message: Any) -> Iterator[Sighting]:
+    for pose in message.poses:
+        yield Sighting("", _place(pose.position), _turn(pose.orientation))
+
+
+def _of_pose(message: Any) -> Iterator[Sighting]:
+    yield Sighting("", _place(message.pose.position), _turn(message.pose.orientation))
+
+
+def _of_pose_with_covariance(message: Any) -> Iterator[Sighting]:
+    pose = message.pose.pose
+    yield Sighting("", _place(pose.position), _turn(pose.orientation), message.pose.covariance)
+
+
+def _of_detections(message: Any) -> Iterator[Sighting]:
+    for one in message.detections:
+        pose, covariance, score, kind = one.bbox.center, None, 0.0, ""
+        head = head_covariance = None
+        best = None
+        for result in one.results:
+            if result.hypothesis.class_id == HEAD:
+                head, head_covariance = _turn(result.pose.pose.orientation), result.pose.covariance
+            elif best is None or result.hypothesis.score > best.hypothesis.score:
+                best = result
+        if best is not None:
+            pose, covariance = best.pose.pose, best.pose.covariance
+            score, kind = best.hypothesis.score, best.hypothesis.class_id
+        yield Sighting(
+            one.id,
+            _place(pose.position),
+            _turn(pose.orientation),
+            covariance,
+            head,
+            head_covariance,
+            score,
+            kind,
+        )
+
+
+def _of_ids(message: Any) -> Iterator[Sighting]:
+    for name in message.ids:
+        yield Sighting(name)
+
+
+_READERS: Mapping[str, Callable[[Any], Iterator[Sighting]]] = {
+    PEOPLE: _of_people,
+    DETECTIONS: _of_detections,
+    POSES: _of_poses,
+    POSE: _of_pose,
+    POSE_WITH_COVARIANCE: _of_pose_with_covariance,
+    IDS: _of_ids,
+}
+
+
+OURS = "/graphtrack/"
+"""Prefix of the topics that are written."""
+
+OWN_INPUT = f"{OURS}detections"
+"""Of the topics that are written here, that which is read back: it says most."""
+
+_OF_ONE = (POSE, POSE_WITH_COVARIANCE)
+
+
+def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> list[str]:
+    """The topics to read, all of one type: one, or those of one person each.
+
+    Parameters
+    ----------
+    topics : of the recording, name → type
+    asked : a name, or a pattern for several of one person each; None: the one that tells of people
+    """
+    known = {name: kind for name, kind in sorted(topics.items()) if kind in OF_PEOPLE}
+    if asked is not None:
+        found = [name for name in known if name == asked or fnmatch.fnmatchcase(name, asked)]
+        if asked in topics and asked not in known:
+            types = ", ".join(OF_PEOPLE)
+            raise InputError(f"the topic {asked} of {topics[asked]}", f"one of {types}", path=path)
+        if not found:
+            raise InputError(f"no topic {asked}", f"one of {_listed(known or topics)}", path=path)
+    else:
+        # Whoever recorded what they observed and what was made of it means the former.
+        found = [name for name in known if not name.startswith(OURS)]
+        if not found:
+            found = [name for name in (OWN_INPUT,) if name in known] or list(known)
+        tracked = [name for name in found if topics[name] == IDS]
+        if len(found) == len(tracked) > 1:
+            # People who are tracked are among those who are known; their faces and bodies are parts of them.
+            first = [name for name in tracked if name.endswith("persons/tracked")]
+            found = first or found
+    if not known:
+        types = ", ".join(OF_PEOPLE)
+        expected = f"a topic of one of {types}; there are {_listed(topics)}"
+        raise InputError("no topic that tells of people", expected, path=path)
+    if len(found) > 1 and not (asked is not None and _is_of_each(topics, found)):
+        expected = f"--topic with one of {_listed({name: topics[name] for name in found})}"
+        raise InputError(f"{len(found)} topics that tell of people", expected, path=path)
+    return found
+
+
+def _is_of_each(topics: Mapping[str, str], found: list[str]) -> bool:
+    """Return whether topics are of one person each, and of one type."""
+    kinds = {topics[name] for name in found}
+    return len(kinds) == 1 and kinds <= {*_OF_ONE}
+
+
+def is_of_one(kind: str) -> bool:
+    """Return whether the messages of a type tell of one person."""
+    return kind in _OF_ONE
+
+
+def _listed(topics: Mapping[str, str]) -> str:
+    shown = [f"{name} ({kind})" for name, kind in sorted(topics.items())[:20]]
+    return ", ".join(shown) + (" …" if len(topics) > 20 else "") if shown else "no topics at all"
+
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+_SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+Read = TypeVar("Read")
+
+
+class Definition(NamedTuple):
+    """A type of messages, and how it is defined where the recording says so."""
+
+    kind: str
+    text: str = ""
+    language: str = ""
+
+
+class Recorded(NamedTuple):
+    """A message as it stands: topic, when it was recorded (ns), bytes, and its number in the topic."""
+
+    topic: str
+    logged: int
+    raw: bytes
+    number: int
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a recording lies at a path."""
+    try:
+        if isinstance(path, RemoteFile):
+            return str(path).lower().endswith(".mcap")
+        if path.is_dir():
+            return (path / "metadata.yaml").is_file() or bool(_mcap_files(path))
+        if not path.is_file():
+            return False
+        with path.open("rb") as stream:
+            head = stream.read(len(_SQLITE_MAGIC))
+    except (OSError, ValueError):
+        return False
+    magic = {".mcap": MCAP_MAGIC, ".db3": _SQLITE_MAGIC}.get(path.suffix.lower())
+    return magic is not None and head.startswith(magic)
+
+
+@dataclass(frozen=True, eq=False)
+class Bag:
+    """An open recording; see `open_bag`.
+
+    Attributes
+    ----------
+    topics : name → type
+    """
+
+    path: Path
+    topics: Mapping[str, str]
+    _parts: tuple[_Part, ...]
+    _definitions: Mapping[str, Definition]
+
+    def store(self, kinds: Collection[str]) -> Typestore:
+        """The typestore of messages of these types, by the recording's own definitions where it has them."""
+        from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+        embedded: dict[str, Any] = {}
+        with told(self.path, "a definition of messages"):
+            for one in self._definitions.values():
+                if one.kind in kinds and one.text:
+                    if one.language == "ros2msg":
+                        embedded |= get_types_from_msg(one.text, one.kind)
+                    elif one.language == "ros2idl":
+                        embedded |= get_types_from_idl(one.text)
+            return typestore(embedded)
+
+    def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
+        """The messages of some topics, in the order of the recording."""
+        numbers = dict.fromkeys(topics, 0)
+        with told(self.path, "a recording"):
+            for part in self._parts:
+                for topic, logged, raw in part.messages(topics):
+                    numbers[topic] += 1
+                    yield Recorded(topic, logged, raw, numbers[topic])
+
+    def decoded(
+        self, kind: str, topics: Collection[str], use: Callable[[Any], Read]
+    ) -> Iterator[tuple[Recorded, Read]]:
+        """The messages of topics of one type, and what is made of each.
+
+        Parameters
+        ----------
+        use : of a message what is wanted of it
+        """
+        store = self.store({kind})
+        for one in self.messages(topics):
+            try:
+                found = use(store.deserialize_cdr(one.raw, kind))
+            except InputError:
+                raise
+            except Exception as error:  # bytes and fields of any other kind
+                said = " ".join(str(error).split())[:100] or type(error).__name__
+                text = f"a message that is none of {kind} ({said})"
+                raise InputError(
+                    text, "one as its type is defined", path=self.path, line=one.number, column=one.topic
+                ) from error
+            yield one, found
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a recording."""
+    need_rosbags()
+    with ExitStack() as stack:
+        with told(path, "a recording"):
+            files = _mcap_files(path) if path.is_dir() else []
+            parts = [_Part(one, stack) for one in files or [path]]
+        definitions: dict[str, Definition] = {}
+        for part in parts:
+            for topic, one in part.topics.items():
+                definitions.setdefault(topic, one)
+        kinds = {topic: one.kind for topic, one in definitions.items()}
+        yield Bag(path, kinds, tuple(parts), definitions)
+
+
+@contextmanager
+def told(path: Path, what: str) -> Iterator[None]:
+    """Turn the exceptions of packages for what they cannot read into an `InputError`."""
+    try:
+        yield
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise InputError(error.found, error.expected, path=path, line=error.line) from error
+    except PermissionError as error:
+        raise InputError("a file without permission to read", "a readable file", path=path) from error
+    except Exception as error:  # two packages and what they stand on: zstd, lz4, SQLite, YAML, their parsers
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        found = f"{what} that is cut or damaged ({said})"
+        raise InputError(found, "a whole one of ROS 2 (ros2 bag reindex, mcap recover)", path=path) from error
+
+
+def _mcap_files(folder: Path) -> list[Path]:
+    """The MCAP files of a folder, those with lower numbers first."""
+
+    def number(path: Path) -> tuple[int, str]:
+        last = path.stem.rpartition("_")[2]
+        return (int(last) if last.isdecimal() else -1), path.name
+
+    return sorted((one for one in folder.glob("*.mcap") if one.is_file()), key=number)
+
+
+class _Part:
+    """One file of a recording, or a folder with its metadata, by rosbags."""
+
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
+        from rosbags.rosbag2 import Reader
+
+        self._reader = Reader(path)
+        self._reader.open()
+        stack.callback(self._close)
+        languages = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
+        self.topics: dict[str, Definition] = {}
+        for one in self._reader.connections:
+            assert isinstance(one.ext, ConnectionExtRosbag2)
+            encoding, definition = one.ext.serialization_format, one.msgdef
+            self.topics[one.topic] = (
+                Definition(_full(one.msgtype), definition.data, languages.get(definition.format, ""))
+                if encoding == "cdr"
+                else Definition(f"{encoding or 'unknown'} messages")
+            )
+
+    def _close(self) -> None:
+        with contextlib.suppress(Exception):  # what is only read loses nothing
+            self._reader.close()
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        connections = [one for one in self._reader.connections if one.topic in topics]
+        if not connections:
+            return
+        for connection, logged, raw in self._reader.messages(connections):
+            yield connection.topic, logged, raw
+
+
+def _full(name: str) -> str:
+    """The full name of a type, such as geometry_msgs/msg/Pose for geometry_msgs/Pose."""
+    package, _, last = name.partition("/")
+    return name if "/" in last or not last else f"{package}/msg/{last}"

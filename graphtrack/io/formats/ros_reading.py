@@ -1,0 +1,673 @@
+"""Transforms between frames of reference, as ``tf`` tells them over time.
+
+Positions of people who are known by name alone, by the frames of REP 155 (ROS4HRI).
+
+People of messages on the ground of one frame of reference.
+
+The rows of a recording: whom its messages tell of, on the ground of one frame of reference.
+
+ROS 2 bags and MCAP files: people, poses, detections; see `graphtrack.ros`.
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.cells import Cells
+from graphtrack.io.foreign_tables import rows_of_cells
+from graphtrack.io.format import Format
+from graphtrack.io.formats.ros_bag import (
+    DETECTIONS,
+    IDS,
+    TEXT,
+    TRANSFORMS,
+    Bag,
+    Frame,
+    Sighting,
+    chosen_topics,
+    frame_of,
+    is_of_one,
+    kappa_of,
+    multiplied,
+    open_bag,
+    spread_of,
+    stamp_of,
+    yaw_of,
+)
+from graphtrack.io.options import Layout, ReadOptions
+from graphtrack.io.source import Source
+from graphtrack.tracks.table import AsRead, Rows
+from graphtrack.tracks.time import TimeScale
+from graphtrack.tracks.track import TrackSet
+
+_LONGEST = 100
+"""Frames between one and the root, above which there must be a circle."""
+
+_FEW = 500
+"""Tellings of a frame that are kept however old they are."""
+
+_REACH = 500_000_000
+"""Nanoseconds by which a transform holds before its first and after its last telling."""
+
+
+@dataclass(eq=False)
+class _Link:
+    """Parent of a frame, and the frame's pose in it over time."""
+
+    parent: str
+    static: bool
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    poses: array[float] = field(default_factory=lambda: array("d"))
+    sorted: tuple[NDArray[np.int64], FloatArray] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Poses (n,) of one frame in another.
+
+    Attributes
+    ----------
+    quaternion : (n, 4)
+    translation : (n, 3) metres
+    known : (n,) whether tf tells of that time
+    """
+
+    quaternion: FloatArray
+    translation: FloatArray
+    known: NDArray[np.bool_]
+
+    def turn(self) -> FloatArray:
+        """(n, 3, 3) rotation matrices."""
+        return Rotation.from_quat(self.quaternion).as_matrix()
+
+    def after(self, inner: Placement) -> Placement:
+        """Placement, in the outer frame, of one that has a placement in this frame."""
+        outer = Rotation.from_quat(self.quaternion)
+        turned = outer * Rotation.from_quat(inner.quaternion)
+        place = outer.apply(inner.translation) + self.translation
+        return Placement(turned.as_quat(), place, self.known & inner.known)
+
+    def inverse(self) -> Placement:
+        """The pose of the other in the one."""
+        back = Rotation.from_quat(self.quaternion).inv()
+        return Placement(back.as_quat(), -back.apply(self.translation), self.known)
+
+
+class Transforms:
+    """All that a recording's ``tf`` and ``tf_static`` say."""
+
+    def __init__(self) -> None:
+        self._links: dict[str, _Link] = {}
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._links or any(link.parent == frame for link in self._links.values())
+
+    def __len__(self) -> int:
+        return len(self._links)
+
+    @property
+    def frames(self) -> list[str]:
+        """The names of all frames."""
+        return sorted({*self._links, *(link.parent for link in self._links.values())})
+
+    def add(self, transforms: Iterable[Any], *, static: bool) -> None:
+        """Take in the transforms of a message."""
+        for one in transforms:
+            child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
+            link = self._links.setdefault(child, _Link(parent, static))
+            if link.parent != parent:
+                found = f"tf of the frame {child!r} in {link.parent!r} and in {parent!r}"
+                raise InputError(found, "each frame with one parent")
+            turn, place = one.transform.rotation, one.transform.translation
+            pose = (turn.x, turn.y, turn.z, turn.w, place.x, place.y, place.z)
+            if not np.isfinite(pose).all() or not any(pose[:4]):
+                continue
+            link.sorted = None
+            link.stamps.append(stamp_of(one.header))
+            link.poses.extend(pose)
+
+    def forget(self, before: int) -> None:
+        """Drop what was told before a time (ns), as far as it is much, but not of what stands still."""
+        for link in self._links.values():
+            half = len(link.stamps) // 2
+            if not link.static and half >= _FEW and link.stamps[half] < before:
+                del link.stamps[:half], link.poses[: 7 * half]
+                link.sorted = None
+
+    def forget_after(self, now: int) -> None:
+        """Drop what was told of a time (ns) to come, by a clock that was set back since."""
+        for link in self._links.values():
+            if link.static:
+                continue
+            kept = [k for k, stamp in enumerate(link.stamps) if stamp <= now + _REACH]
+            link.poses = array("d", (v for k in kept for v in link.poses[7 * k : 7 * k + 7]))
+            link.stamps = array("q", (link.stamps[k] for k in kept))
+            link.sorted = None
+
+    def placement(self, frame: str, fixed: str, stamps: NDArray[np.int64]) -> Placement:
+        """The poses of a frame in another at some times (n,), in nanoseconds."""
+        up, other = self._to_root(frame), self._to_root(fixed)
+        shared = next((one for one in up if one in other), None)
+        if shared is None:
+            raise InputError(f"no tf between {frame!r} and {fixed!r}", f"one of {self._named()}")
+        found = self._along(up[: up.index(shared)], stamps)
+        return self._along(other[: other.index(shared)], stamps).inverse().after(found)
+
+    def _named(self) -> str:
+        frames = self.frames
+        return ", ".join(frames[:20]) + (" …" if len(frames) > 20 else "") if frames else "a bag with tf"
+
+    def _to_root(self, frame: str) -> list[str]:
+        path = [frame]
+        while path[-1] in self._links:
+            path.append(self._links[path[-1]].parent)
+            if len(path) > _LONGEST or path[-1] in path[:-1]:
+                raise InputError(f"tf in a circle, from {frame!r} to {path[-1]!r}", "a tree of frames")
+        return path
+
+    def _along(self, frames: list[str], stamps: NDArray[np.int64]) -> Placement:
+        """The pose of the first frame in the parent of the last."""
+        n = len(stamps)
+        found = Placement(np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 3)), np.ones(n, dtype=bool))
+        for frame in frames:
+            found = _at(self._links[frame], stamps).after(found)
+        return found
+
+
+def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
+    """A link's poses at some times, between those that were told."""
+    n = len(stamps)
+    told, poses = _in_order(link)
+    if not len(told):
+        return Placement(np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 3)), np.zeros(n, dtype=bool))
+    if link.static or len(told) == 1:
+        known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - told[0]) <= _REACH
+        return Placement(np.tile(poses[-1, :4], (n, 1)), np.tile(poses[-1, 4:], (n, 1)), known)
+    within = np.clip(stamps, told[0], told[-1])
+    # Relative to the first, for a double has not the digits of an epoch's nanoseconds.
+    since, at = (told - told[0]) / 1e9, (within - told[0]) / 1e9
+    turn = Slerp(since, Rotation.from_quat(poses[:, :4]))(at).as_quat()
+    place = np.column_stack([np.interp(at, since, poses[:, k]) for k in (4, 5, 6)])
+    return Placement(turn, place, np.abs(stamps - within) <= _REACH)
+
+
+def _in_order(link: _Link) -> tuple[NDArray[np.int64], FloatArray]:
+    """Stamps that increase, and the poses (m, 7) told at them; of several at one time the last."""
+    if link.sorted is None:
+        stamps = np.array(link.stamps, dtype=np.int64)
+        poses = np.array(link.poses, dtype=float).reshape(-1, 7)
+        order = np.argsort(stamps, kind="stable")
+        last = np.append(np.diff(stamps[order]) > 0, True) if len(order) else np.zeros(0, dtype=bool)
+        link.sorted = stamps[order][last], poses[order][last]
+    return link.sorted
+
+
+Part = Literal["person", "body", "face"]
+_PARTS: Mapping[str, Part] = {"persons": "person", "bodies": "body", "faces": "face"}
+_MATCH = re.compile(r"/humans/persons/([^/]+)/(face|body)_id")
+
+
+@dataclass(frozen=True)
+class Humans:
+    """Meaning of the names of people.
+
+    Attributes
+    ----------
+    part : what the names are of
+    matched : (person, "face" or "body") → the name of that, as last told
+    """
+
+    part: Part
+    matched: Mapping[tuple[str, str], str]
+
+    @classmethod
+    def of(cls, bag: Bag, topic: str) -> Humans:
+        """Meaning of the names of a topic such as /humans/persons/tracked."""
+        kind: Part = next((part for plural, part in _PARTS.items() if f"/{plural}/" in topic), "person")
+        matched: dict[tuple[str, str], str] = {}
+        if kind == "person":
+            told = {
+                name: m
+                for name, type_ in bag.topics.items()
+                if type_ == TEXT and (m := _MATCH.fullmatch(name))
+            }
+            for one, text in bag.decoded(TEXT, told, lambda message: str(message.data)):
+                if text:
+                    matched[told[one.topic][1], told[one.topic][2]] = text
+        return cls(kind, matched)
+
+    def placed(
+        self, name: str, fixed: str, stamps: NDArray[np.int64], transforms: Transforms
+    ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]] | None:
+        """Position (n, 2), body and head (n,), whether they are known (n,); None where no frame is theirs.
+
+        The position is that of the frame of the name; bodies look along x of ``body_``, heads along z of
+        ``gaze_``, else x of ``face_``, else x of ``head_``.
+        """
+        body = self.matched.get((name, "body"), name)
+        face = self.matched.get((name, "face"), name)
+        frames = {"person": f"person_{name}", "body": f"body_{body}", "face": f"face_{face}"}
+        of_place = [frames[self.part], *(frames[one] for one in ("body", "face") if one != self.part)]
+        where = next((one for one in of_place if one in transforms), None)
+        if where is None:
+            return None
+        pose = transforms.placement(where, fixed, stamps)
+
+        def looks(*candidates: tuple[str, str]) -> FloatArray:
+            for frame, axis in candidates:
+                if frame in transforms:
+                    try:
+                        turned = transforms.placement(frame, fixed, stamps)
+                    except InputError:  # what is not connected is not known
+                        continue
+                    return np.where(turned.known, yaw_of(turned.quaternion, axis), np.nan)
+            return np.full(len(stamps), np.nan)
+
+        head = looks((f"gaze_{face}", "z"), (frames["face"], "x"), (f"head_{body}", "x"))
+        return pose.translation[:, :2], looks((frames["body"], "x")), head, pose.known
+
+
+_USUAL = ("map", "odom", "world", "earth", "")
+"""Frames of reference that do not move, by REP 105."""
+
+_UNTOLD = (0.0, 0.0, 0.0, 0.0)
+_NOWHERE = (np.nan, np.nan, np.nan)
+_UNKNOWN = np.zeros(36)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """n sightings as arrays.
+
+    Attributes
+    ----------
+    stamp, number : (n,) nanoseconds, and the message of its topic, from 1
+    frame_id, name, kinds : (n,) text
+    place : (n, 3) metres
+    turn, head : (n, 4) quaternions, 0 where unknown
+    covariance, head_covariance : (n, 36)
+    score : (n,) 0 where unsaid
+    """
+
+    stamp: NDArray[np.int64]
+    number: NDArray[np.int64]
+    frame_id: NDArray[Any]
+    name: NDArray[Any]
+    kinds: list[str]
+    place: FloatArray
+    turn: FloatArray
+    head: FloatArray
+    covariance: FloatArray
+    head_covariance: FloatArray
+    score: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    @classmethod
+    def of(cls, frames: Sequence[tuple[Frame, int]]) -> Seen:
+        """The sightings of some messages."""
+        people: list[Sighting] = [one for frame, _ in frames for one in frame.people]
+        counts = [len(frame.people) for frame, _ in frames]
+
+        def table(name: str, missing: Any) -> FloatArray:
+            values = [missing if (v := getattr(one, name)) is None else v for one in people]
+            return np.array(values, dtype=float).reshape(len(people), len(missing))
+
+        def text(values: list[str]) -> NDArray[Any]:
+            found = np.empty(len(values), dtype=object)
+            found[:] = values
+            return found
+
+        frame_ids = [frame.frame_id for frame, _ in frames]
+        return cls(
+            stamp=np.repeat(np.array([frame.stamp for frame, _ in frames], dtype=np.int64), counts),
+            number=np.repeat([number for _, number in frames], counts),
+            frame_id=np.repeat(text(frame_ids), counts),
+            name=text([one.name.strip() for one in people]),
+            kinds=[one.kind for one in people],
+            place=table("place", _NOWHERE),
+            turn=table("turn", _UNTOLD),
+            head=table("head", _UNTOLD),
+            covariance=table("covariance", _UNKNOWN),
+            head_covariance=table("head_covariance", _UNKNOWN),
+            score=np.array([one.score for one in people], dtype=float),
+        )
+
+    def is_turned(self) -> bool:
+        """Return whether any orientation is told that is another than none at all."""
+        return bool((self.turn[:, :3] != 0.0).any())
+
+
+class Ground:
+    """Brings sightings to the ground of a frame of reference.
+
+    Parameters
+    ----------
+    fixed : its name; None: that of all messages
+    transforms : what tf says
+    humans : what places people of whom a message has the name alone
+    has_transforms : whether the recording has tf, read or not
+
+    Attributes
+    ----------
+    fixed, notes : the frame of reference, as it is known by now, and what was assumed
+    """
+
+    def __init__(
+        self, fixed: str | None, transforms: Transforms, humans: Humans | None, has_transforms: bool
+    ) -> None:
+        self.fixed, self._transforms, self._humans = fixed, transforms, humans
+        self._was_given, self._has_transforms = fixed is not None, has_transforms
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on assumptions."""
+        if self._was_given:
+            return [f"places are in the frame {self.fixed}"]
+        hint = "; --fixed-frame brings them to one that does not move" if self._may_move else ""
+        return [f"places are in the frame {self.fixed or 'that has no name'}, as they stand{hint}"]
+
+    @property
+    def _may_move(self) -> bool:
+        return self._has_transforms and self.fixed not in _USUAL
+
+    def placed(self, seen: Seen) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+        """Columns x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
+
+        Returns
+        -------
+        columns, known : name → (n,), and whether tf places a row (n,)
+        """
+        if self.fixed is None:
+            self.fixed = str(seen.frame_id[0])
+            if self._humans is not None and self.fixed not in self._transforms:
+                there = ", ".join(self._transforms.frames[:20]) or "none: the recording has no tf"
+                raise InputError("people whom tf places", f"--fixed-frame with one of {there}")
+        if self._humans is not None:
+            return self._placed_by_transforms(seen, self._humans)
+        place, turn, head = seen.place, seen.turn, seen.head
+        known = np.ones(len(seen), dtype=bool)
+        turns: FloatArray | None = None
+        for frame_id in sorted(set(seen.frame_id.tolist())):
+            if frame_id == self.fixed:
+                continue
+            if not self._was_given:
+                found = f"messages in the frames {self.fixed!r} and {frame_id!r}"
+                raise InputError(found, "--fixed-frame: the one that tf brings them to")
+            rows = np.flatnonzero(seen.frame_id == frame_id)
+            pose = self._transforms.placement(frame_id, self.fixed, seen.stamp[rows])
+            if turns is None:
+                turns = np.tile(np.eye(3), (len(seen), 1, 1))
+                place, turn, head = place.copy(), turn.copy(), head.copy()
+            turns[rows] = pose.turn()
+            place[rows] = np.einsum("nij,nj->ni", turns[rows], place[rows]) + pose.translation
+            turn[rows] = multiplied(pose.quaternion, turn[rows])
+            head[rows] = multiplied(pose.quaternion, head[rows])
+            known[rows] = pose.known
+        pos_std, body_variance = spread_of(seen.covariance, turns)
+        _, head_variance = spread_of(seen.head_covariance, turns)
+        found_place = np.where(np.isfinite(place[:, :2]).all(axis=1, keepdims=True), place[:, :2], np.nan)
+        return {
+            **_heading("body", yaw_of(turn), body_variance),
+            **_heading("head", yaw_of(head), head_variance),
+            **_of_anybody(seen, found_place),
+            "pos_std": pos_std,
+        }, known
+
+    def _placed_by_transforms(
+        self, seen: Seen, humans: Humans
+    ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+        assert self.fixed is not None
+        n = len(seen)
+        place, known = np.full((n, 2), np.nan), np.zeros(n, dtype=bool)
+        body, head = np.full(n, np.nan), np.full(n, np.nan)
+        for name in dict.fromkeys(seen.name.tolist()):
+            rows = np.flatnonzero(seen.name == name)
+            found = humans.placed(name, self.fixed, seen.stamp[rows], self._transforms)
+            if found is not None:
+                place[rows], body[rows], head[rows], known[rows] = found
+        unknown = np.full(n, np.nan)
+        return {
+            **_heading("body", body, unknown),
+            **_heading("head", head, unknown),
+            **_of_anybody(seen, place),
+            "pos_std": unknown,
+        }, known
+
+
+def _heading(name: str, angle: FloatArray, variance: FloatArray) -> dict[str, FloatArray]:
+    kappa = np.where(np.isfinite(angle), kappa_of(variance), np.nan)
+    return {f"{name}_rad": angle, f"{name}_kappa": kappa}
+
+
+def _of_anybody(seen: Seen, place: FloatArray) -> dict[str, NDArray[Any]]:
+    score = np.where(seen.score > 0.0, seen.score, np.nan)
+    return {
+        "stamp": seen.stamp,
+        "name": seen.name,
+        "number": seen.number,
+        "x": place[:, 0],
+        "y": place[:, 1],
+        "score": score,
+    }
+
+
+_AT_A_TIME = 2048
+"""Messages that are brought to the ground together."""
+
+_BACK, _AHEAD = 10**9, 86_400 * 10**9
+"""Nanoseconds by which stamps may go back, as messages overtake each other, and go ahead from the last."""
+
+_LAYOUT = Layout(
+    {"track_id": "name", "t": "stamp", "body_rad": "body_rad", "head_rad": "head_rad"}, time_unit="ns"
+)
+_STATIC = "tf_static"
+
+_AGAIN = "told again with the same stamp"
+_NO_TRANSFORM = "at a time without tf"
+_OTHER_CLASS = "of another class"
+
+
+@dataclass(eq=False)
+class _Columns:
+    """Content of the messages read so far, on the ground."""
+
+    parts: list[dict[str, NDArray[Any]]] = field(default_factory=list)
+    refused: Counter[str] = field(default_factory=Counter)
+    kinds: Counter[str] = field(default_factory=Counter)
+    turned: bool = False
+    """Return whether any orientation is another than that of the frame of reference."""
+
+
+def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
+    """Read whom a recording tells of.
+
+    Parameters
+    ----------
+    options : of them ``topic``, ``fixed_frame``, ``classes`` and ``beside`` count
+    """
+    with open_bag(path) as bag:
+        topics = chosen_topics(bag.topics, options.topic, path)
+        kind = bag.topics[topics[0]]
+        try:
+            ground = _ground(bag, kind, topics, options.fixed_frame)
+            columns = _columns(bag, kind, topics, ground, options.classes)
+        except InputError as error:
+            raise _placed(error, path) from error
+        notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
+        if len(columns.kinds) > 1 and not _is_given(options.classes):
+            notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class picks")
+        return _rows(path, columns, notes, options.beside, ground.fixed or "")
+
+
+def _placed(error: InputError, path: Path) -> InputError:
+    if error.path is not None:
+        return error
+    return InputError(error.found, error.expected, path=path, line=error.line, column=error.column)
+
+
+def _is_given(classes: tuple[str, ...]) -> bool:
+    """Return whether classes were asked for, rather than left at what KITTI calls people."""
+    return classes != ("Pedestrian",)
+
+
+def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int]]:
+    """The messages that tell of people, and their numbers; times are those of one clock."""
+    of_one = is_of_one(kind)
+    before: dict[str, int] = {}
+    unstamped = _is_unstamped(bag, kind, topics)
+    for (topic, logged, _, number), frame in bag.decoded(kind, topics, partial(frame_of, kind=kind)):
+        if unstamped:
+            frame = frame._replace(stamp=logged)
+        _check_clock(before.get(topic), frame.stamp, number, topic)
+        if of_one:
+            frame = frame._replace(people=[frame.people[0]._replace(name=topic)])
+        elif before.get(topic) == frame.stamp and not any(one.name for one in frame.people):
+            frame = frame._replace(people=[one._replace(kind=_AGAIN) for one in frame.people])
+        before[topic] = max(frame.stamp, before.get(topic, frame.stamp))
+        yield frame, number
+
+
+def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
+    """Return whether nobody stamped the messages: a simulation's first may be stamped 0, not the second."""
+    with open_bag(bag.path) as other:
+        frames = other.decoded(kind, topics[:1], partial(frame_of, kind=kind))
+        first = [frame.stamp for _, frame in islice(frames, 2)]
+    return bool(first) and not any(first)
+
+
+def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> None:
+    if before is None or -_BACK <= stamp - before <= _AHEAD:
+        return
+    found = f"a clock that jumps by {(stamp - before) / 1e9:+.6g} s"
+    expected = "stamps that go on; cut the recording where its clock was set (ros2 bag convert)"
+    raise InputError(found, expected, line=number, column=topic)
+
+
+def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground:
+    """The conversion to the ground; tf is read where it may be needed."""
+    humans = Humans.of(bag, topics[0]) if kind == IDS else None
+    fixed = None if fixed is None else fixed.lstrip("/")
+    transforms = Transforms()
+    if fixed is not None or humans is not None:
+        of_tf = [name for name, type_ in bag.topics.items() if type_ == TRANSFORMS]
+        for one, told in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
+            transforms.add(told, static=one.topic.endswith(_STATIC))
+    has_transforms = TRANSFORMS in bag.topics.values()
+    return Ground(fixed, transforms, humans, has_transforms)
+
+
+def _columns(bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tuple[str, ...]) -> _Columns:
+    columns = _Columns()
+    frames = _frames(bag, kind, topics)
+    while some := list(islice(frames, _AT_A_TIME)):
+        seen = Seen.of(some)
+        if not len(seen):
+            continue
+        keep = np.ones(len(seen), dtype=bool)
+        for row, said in enumerate(seen.kinds):
+            if said == _AGAIN:
+                keep[row] = False
+                columns.refused[_AGAIN] += 1
+            elif kind == DETECTIONS and _is_given(classes) and said not in classes:
+                keep[row] = False
+                columns.refused[_OTHER_CLASS] += 1
+            elif said:
+                columns.kinds[said] += 1
+        columns.turned |= kind == IDS or seen.is_turned()
+        found, known = ground.placed(seen)
+        columns.refused[_NO_TRANSFORM] += int((keep & ~known).sum())
+        keep &= known
+        columns.parts.append({name: values[keep] for name, values in found.items()})
+    return columns
+
+
+def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None, frame: str) -> Rows:
+    refused = +columns.refused
+    joined: dict[str, NDArray[Any]] = {}
+    if columns.parts:
+        joined = {name: np.concatenate([one[name] for one in columns.parts]) for name in columns.parts[0]}
+    columns.parts.clear()
+    if not len(joined.get("stamp", ())):
+        reasons = "; ".join(f"{count} {reason}" for reason, count in refused.items())
+        found = f"nobody in the messages ({reasons})" if reasons else "nobody in any message"
+        raise InputError(found, "people", path=path)
+    if (joined["name"] != "").any():
+        first = _first_of_each(joined)
+        refused[_AGAIN] += int(len(first) - first.sum())
+        joined = {name: values[first] for name, values in joined.items()}
+    else:
+        del joined["name"]
+    if not columns.turned and np.isfinite(joined["body_rad"]).any():
+        joined["body_rad"][:] = np.nan
+        notes.append("orientations are all those of the frame of reference, and were taken for unsaid")
+    number = joined.pop("number")
+    said = {name: values for name, values in joined.items() if not _is_void(values)}
+    layout = replace(_LAYOUT, columns={k: v for k, v in _LAYOUT.columns.items() if v in said})
+    cells = Cells(path, "bag", said, lambda row: int(number[row]), {})
+    rows = rows_of_cells(cells, layout, beside=beside)
+    told = rows.as_read
+    assert told is not None and told.time is not None
+    # As a table, seconds of the same clock, which read back as they stand.
+    as_read = AsRead({}, TimeScale("number", origin=told.time.origin), names=told.names, frame=frame)
+    notes = [*notes, *(note for note in rows.notes if note not in notes)]
+    return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
+
+
+def _is_void(values: NDArray[Any]) -> bool:
+    return values.dtype.kind == "f" and bool(np.isnan(values).all())
+
+
+def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    """The rows in which somebody is told of for the first time at a stamp."""
+    _, who = np.unique(joined["name"].astype(str), return_inverse=True)
+    order = np.lexsort((np.arange(len(who)), joined["stamp"], who))
+    again = (np.diff(who[order]) == 0) & (np.diff(joined["stamp"][order]) == 0)
+    first = np.ones(len(who), dtype=bool)
+    first[order[1:][again]] = joined["name"][order[1:][again]] == ""
+    return first
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Return whether a recording lies at the path, which may be a folder."""
+    from graphtrack.io.formats.ros_bag import is_bag
+
+    return is_bag(path)
+
+
+def read(source: Source, options: ReadOptions) -> Rows:
+    """Read whom the messages of a topic tell of; see `graphtrack.io.formats.ros_reading.rows_of_bag`."""
+
+    return rows_of_bag(source.path, options)
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write an MCAP file of messages and of what Foxglove and RViz draw."""
+    from graphtrack.io.formats.ros_writing import write_mcap
+
+    write_mcap(tracks, path)
+
+
+BAG = Format(
+    name="bag",
+    description="ROS 2 bag or MCAP: People, Detection3DArray, PoseArray, PoseStamped, IdsList",
+    suffixes=(".mcap",),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+)

@@ -1,0 +1,100 @@
+"""Oxford Town Centre: boxes ``frame,id,left,top,width,height`` and the camera's calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
+from graphtrack.io.format import Format
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source, mostly
+from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.validation import LARGEST_ID
+
+FPS = 25.0
+
+_NAMES = ("frame", "id", "left", "top", "width", "height")
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Return whether the lines are six numbers between commas."""
+
+    def matches(line: str) -> bool:
+        cells = line.split(",")
+        return len(cells) == 6 and all(parse_number(cell) is not None for cell in cells)
+
+    return mostly(head, matches)
+
+
+def beside(path: Path) -> tuple[Path, ...]:
+    """Path of the camera's calibration."""
+    return (path.parent / "calibration.ci",)
+
+
+def read(source: Source, options: ReadOptions) -> Rows:
+    """Read boxes and put their bottom centres on the ground.
+
+    The calibration is the one of the options or ``calibration.ci`` beside the file. The boxes may be
+    those of an image of half the calibrated size: that is recognised when all of them begin within it, or
+    told by ``image_scale``. 25 frames a second unless ``fps`` is given.
+    """
+    rows = read_boxes(source)
+    left, top, width, height = rows.channels["box"].T
+    pixel = np.column_stack([left + width / 2.0, top + height])
+    camera, notes = _camera(source, options, pixel, height)
+    rows = rows.with_channels(pixel=pixel).without("box")
+    return on_ground(rows, camera, notes).with_times(options.fps or FPS)
+
+
+def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
+    """Rows with the channel ``box`` (n, 4), left, top, width and height in the file's own pixels."""
+    table = read_numbers(source, delimiter=",", widths=(6,), names=_NAMES)
+    box = np.column_stack([table.pixels(2), table.pixels(3), table.sizes(4), table.sizes(5)])
+    track_id, frame = table.integers(1, LARGEST_ID), table.integers(0)
+    return Rows(source.path, "towncentre", track_id, frame, {"box": box}, table.line_of)
+
+
+def _camera(
+    source: Source, options: ReadOptions, pixel: FloatArray, height: FloatArray
+) -> tuple[GroundCamera, tuple[str, ...]]:
+    camera, notes = known_camera(options, pixel)
+    (found,) = beside(source.path)
+    if camera is None and options.metres_per_pixel is None and found.is_file():
+        camera, notes = read_calibration(found), ("calibration from calibration.ci beside the file",)
+    if camera is None:
+        return camera_or_scale(options, pixel, height)
+    scale, why = _image_scale(options, camera, pixel - np.column_stack([np.zeros_like(height), height]))
+    if scale != 1.0:
+        camera, notes = camera.resized(1.0 / scale), (*notes, why)
+    return camera, notes
+
+
+def _image_scale(options: ReadOptions, camera: GroundCamera, top_centre: FloatArray) -> tuple[float, str]:
+    """Factor from the file's pixels to those of the calibrated image, and why."""
+    if options.image_scale is not None:
+        scale = options.image_scale
+        return scale, f"the file's pixels are multiplied by {scale:g}, as told"
+    if camera.intrinsics is None:
+        return 1.0, ""
+    # The principal point is the middle of the calibrated image; half the image ends there. Boxes of people
+    # who are cut reach out below the image, so it is their upper edges that must lie within.
+    half = camera.intrinsics[:2, 2] + 0.5
+    if np.all(top_centre <= half):
+        return 2.0, "the boxes fit into half of the calibrated image: their pixels are doubled"
+    return 1.0, ""
+
+
+TOWNCENTRE = Format(
+    name="towncentre",
+    description="Oxford Town Centre boxes: frame,id,left,top,width,height",
+    suffixes=(),
+    looks_like=looks_like,
+    read=read,
+    beside=beside,
+    read_boxes=read_boxes,
+)

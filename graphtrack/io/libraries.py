@@ -1,0 +1,235 @@
+"""Detections and tracks of other libraries (supervision, Ultralytics), none of which is imported.
+
+Points for geographers (extra ``geo``): GeoDataFrame, GeoPackage and GeoParquet, which are only written.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.cameras import placed_boxes, with_scores
+from graphtrack.io.format import Format
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source
+from graphtrack.packages import package
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.validation import LARGEST_ID
+
+
+@dataclass(frozen=True, eq=False)
+class FoundBoxes:
+    """The people of one image.
+
+    Attributes
+    ----------
+    box : (n, 4) left, top, width and height in pixels
+    confidence : (n,) of the detector, from 0 to 1; None: not known
+    track_id : (n,) from 0 on; None: nobody says who is who
+    place : (n,) where they stood among all that was found
+    among : how many were found, of any class
+    """
+
+    box: FloatArray
+    confidence: FloatArray | None
+    track_id: NDArray[np.int64] | None
+    place: NDArray[np.int64]
+    among: int
+
+
+def boxes_of_supervision(detections: Any, person: int | None = 0) -> FoundBoxes:
+    """The people of a ``supervision.Detections``, as detectors and the trackers of ``trackers`` give it.
+
+    Left out are other classes, boxes without a size, and those whom a tracker does not follow yet (−1).
+
+    Parameters
+    ----------
+    detections : with ``xyxy`` (n, 4) and perhaps ``confidence``, ``class_id`` and ``tracker_id``
+    person : the class of people; None: all are people
+    """
+    corners = array_of(detections, "xyxy", "a supervision.Detections")
+    names = ("confidence", "class_id", "tracker_id")
+    return _found(person, corners, *(array_of(detections, name) for name in names))
+
+
+def boxes_of_ultralytics(results: Any, person: int | None = None) -> FoundBoxes:
+    """The people of Ultralytics' ``Results`` of one image; see `boxes_of_supervision`.
+
+    Parameters
+    ----------
+    results : with ``boxes`` (``xyxy``, ``conf``, ``cls``, ``id``)
+    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
+    """
+    boxes = getattr(results, "boxes", None)
+    corners = array_of(boxes, "xyxy", "Ultralytics Results with boxes")
+    if person is None:
+        names = getattr(results, "names", None) or {}
+        person = next((int(key) for key, name in dict(names).items() if str(name).lower() == "person"), 0)
+    return _found(person, corners, *(array_of(boxes, name) for name in ("conf", "cls", "id")))
+
+
+def array_of(holder: Any, name: str, expected: str | None = None) -> Any:
+    """An attribute as an array of numbers; tensors are brought to the processor.
+
+    None if it is not there, unless it is ``expected``: then an InputError says so.
+    """
+    value = getattr(holder, name, None)
+    if value is None:
+        if expected is not None:
+            raise InputError(f"{type(holder).__name__} without {name}", expected)
+        return None
+    for step in ("detach", "cpu", "numpy"):
+        value = getattr(value, step)() if hasattr(value, step) else value
+    try:
+        return np.array(value, float)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{name} that is no array of numbers", expected or "numbers") from error
+
+
+def _found(
+    person: int | None,
+    corners: FloatArray,
+    confidence: FloatArray | None,
+    of_class: FloatArray | None,
+    ids: FloatArray | None,
+) -> FoundBoxes:
+    corners = corners.reshape(-1, 4) if corners.size else np.empty((0, 4))
+    n = len(corners)
+    for name, values in (("confidences", confidence), ("classes", of_class), ("ids", ids)):
+        if values is not None and values.size != n:
+            raise InputError(f"{values.size} {name} of {n} boxes", "as many as boxes")
+    finite, ordered = np.isfinite(corners).all(axis=1), (corners[:, 2:] > corners[:, :2]).all(axis=1)
+    kept: NDArray[np.bool_] = np.logical_and(finite, ordered)
+    if of_class is not None and person is not None:
+        kept &= of_class.ravel() == person
+    if ids is not None:
+        whole = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
+        if not whole.all():
+            raise InputError(f"the id {ids[~whole][0]:g}", "whole numbers")
+        kept &= ids.ravel() >= 0.0  # trackers give −1 to those whom they do not follow yet
+    place = np.flatnonzero(kept)
+    box = np.concatenate([corners[place, :2], corners[place, 2:] - corners[place, :2]], axis=1)
+    sure = None if confidence is None else np.clip(confidence.ravel()[place], 0.0, 1.0)
+    return FoundBoxes(box, sure, None if ids is None else ids.ravel()[place].astype(np.int64), place, n)
+
+
+def rows_of_supervision(
+    detections: Iterable[Any] | Mapping[int, Any], options: ReadOptions, person: int | None = 0
+) -> Rows:
+    """Return the rows of ``supervision.Detections`` of frames, on the ground; see `boxes_of_supervision`.
+
+    Parameters
+    ----------
+    detections : one for each frame, from 0 on, or frame → one
+    options : with the frame rate
+    """
+    found = {k: boxes_of_supervision(one, person) for k, one in _numbered(detections)}
+    return _rows(found, "supervision", options)
+
+
+def rows_of_ultralytics(
+    results: Iterable[Any] | Mapping[int, Any], options: ReadOptions, person: int | None = None
+) -> Rows:
+    """Return the rows of Ultralytics' ``Results`` of frames, on the ground; as `rows_of_supervision`."""
+    found = {k: boxes_of_ultralytics(one, person) for k, one in _numbered(results)}
+    return _rows(found, "ultralytics", options)
+
+
+def _numbered(given: Iterable[Any] | Mapping[int, Any]) -> Iterable[tuple[int, Any]]:
+    if isinstance(given, Mapping):
+        return given.items()
+    if hasattr(given, "xyxy") or hasattr(given, "boxes"):
+        raise InputError(f"a {type(given).__name__}", "a list of them, one for each frame")
+    return enumerate(given)
+
+
+def _rows(found: Mapping[int, FoundBoxes], format: str, options: ReadOptions) -> Rows:
+    some = {frame: one for frame, one in found.items() if len(one.box)}
+    if not some:
+        raise InputError(f"nobody in {len(found)} frames", "at least one person")
+    of_nobody = [frame for frame, one in some.items() if one.track_id is None]
+    if 0 < len(of_nobody) < len(some):
+        raise InputError(
+            f"no ids in frame {of_nobody[0]}, which others have", "ids in all frames, or in none"
+        )
+    counts = [len(one.box) for one in some.values()]
+    frame = np.repeat(np.array(list(some), dtype=np.int64), counts)
+    ids = [np.full(len(one.box), -1) if one.track_id is None else one.track_id for one in some.values()]
+    sure = [one.confidence for one in some.values() if one.confidence is not None]
+    known = np.concatenate(sure) if len(sure) == len(some) else np.full(sum(counts), -1.0)
+    channels = {"box": np.concatenate([one.box for one in some.values()]), "confidence": known}
+    rows = Rows(
+        Path(format),
+        format,
+        np.concatenate(ids).astype(np.int64),
+        frame,
+        channels,
+        lambda row: int(frame[row]),
+        has_identity=not of_nobody,
+    )
+    assert options.fps is not None
+    return with_scores(placed_boxes(rows, options).with_times(options.fps)).without("box", "confidence")
+
+
+def to_geopandas(tracks: TrackSet) -> Any:
+    """Return a GeoDataFrame with a point for each person and frame, which writes GeoPackage and GeoParquet.
+
+    The other columns are those of ``tracks.to_table(as_read=True)``; ``time`` has the dates (UTC), where the
+    table that was read had any. Places are of the coordinate reference system that was read, if there was
+    one. Rows without a position are left out.
+
+    Raises
+    ------
+    InputError
+        If the package geopandas is not there.
+    """
+    geopandas = package("geopandas", "geo")
+    table = tracks.to_table(as_read=True)
+    x, y, t = (
+        np.concatenate([values(track) for track in tracks]) if len(tracks) else np.empty(0)
+        for values in (lambda one: one.position[:, 0], lambda one: one.position[:, 1], lambda one: one.t)
+    )
+    known = np.isfinite(x)
+    as_read = tracks.as_read
+    time, plane = (None, None) if as_read is None else (as_read.time, as_read.plane)
+    if time is not None and (time.kind != "number" or time.origin != 0):
+        table["time"] = (time.origin + np.rint(t * 1e9).astype(np.int64)).astype("M8[ns]")
+    first, second = (x, y) if plane is None else plane.back(x, y)
+    points = geopandas.points_from_xy(first, second)
+    return geopandas.GeoDataFrame(table, geometry=points, crs=None if plane is None else plane.crs).loc[known]
+
+
+def _unread(source: Source, options: ReadOptions) -> Rows:
+    expected = "a table, such as GeoParquet (.geoparquet); geopandas.read_file makes one of a GeoPackage"
+    raise InputError("a format that is only written", expected, path=source.path)
+
+
+def _write_geopackage(tracks: TrackSet, path: Path) -> None:
+    """Write points as the layer of the file's name."""
+    with warnings.catch_warnings():
+        # A local ground has no coordinate reference system.
+        warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
+        to_geopandas(tracks).to_file(path, driver="GPKG", layer=path.stem, engine="pyogrio")
+
+
+def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
+    """Write points as Parquet, with the native table's columns."""
+    to_geopandas(tracks).to_parquet(path, index=False)
+
+
+GEOPACKAGE, GEOPARQUET = (
+    Format(name, description, (suffix,), lambda head, path: False, _unread, write, is_read=False)
+    for name, description, suffix, write in (
+        ("geopackage", "points of a GeoPackage (extra geo)", ".gpkg", _write_geopackage),
+        ("geoparquet", "points as GeoParquet (extra geo)", ".geoparquet", _write_geoparquet),
+    )
+)

@@ -1,1 +1,0 @@
-"""Datasets of the package movement: xarray, with the dimensions time, space, keypoints and individuals."""

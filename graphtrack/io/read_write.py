@@ -1,0 +1,509 @@
+"""The tracks of several files as one set.
+
+`read` and `write`: any format, one call.
+
+Tracks from a file, a table or tracks.
+
+Files on two sides that belong together, such as estimates and the truth of several sequences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.atomic import atomic_path, check_read_once, read_errors
+from graphtrack.io.cameras import read_homography
+from graphtrack.io.format import Format
+from graphtrack.io.formats.native import has_moments
+from graphtrack.io.formats.ros_bag import is_bag
+from graphtrack.io.options import Layout, ReadOptions
+from graphtrack.io.registry import (
+    FORMATS,
+    detect,
+    files_beside,
+    format_for_writing,
+    format_named,
+    format_taking,
+    hinted,
+)
+from graphtrack.io.source import Source, place_of, sequence_file, table_in
+from graphtrack.io.text import as_told, other_delimiter
+from graphtrack.tracks.display import counted, listed
+from graphtrack.tracks.table import Rows, check_identities, check_rows, merged
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import LARGEST_ID
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from graphtrack.io.cells import Cells
+
+    Scene: TypeAlias = (
+        TrackSet | Sequence[Track] | str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any]
+    )
+    Given: TypeAlias = Track | Scene
+
+
+def merged_tracks(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
+    """The tracks of several files, each with an id of its own, and a label if it has none."""
+    tracks: list[Track] = []
+    taken: set[int] = set()
+    numbered: list[dict[int, int]] = []
+    renumbered = 0
+    _check_kinds(sets, paths)
+    for tracks_of_file, path in zip(sets, paths, strict=True):
+        # The file's own ids stay with it, so that a new one never takes the place of one to come.
+        numbered.append({})
+        free = _free_ids(taken | {track.track_id for track in tracks_of_file}, len(tracks_of_file))
+        for track in tracks_of_file:
+            identity = track.track_id
+            if identity in taken:
+                identity = next(free)
+                renumbered += 1
+            taken.add(identity)
+            numbered[-1][track.track_id] = identity
+            tracks.append(replace(track, track_id=identity, label=track.label or _stem(path)))
+    summary = sets[0].summary
+    for other in sets[1:]:
+        summary = summary.merged(other.summary)
+    notes = list(summary.notes)
+    if renumbered:
+        notes.append(f"{renumbered} tracks renumbered because files use the same ids")
+    as_read = merged([(one.as_read, ids) for one, ids in zip(sets, numbered, strict=True)])
+    camera = sets[0].camera
+    if any(other.camera != camera for other in sets[1:]):
+        camera = None
+        notes.append("the files have different cameras, so none is kept")
+    return TrackSet(tuple(tracks), camera, replace(summary, notes=tuple(notes)), as_read)
+
+
+def _check_kinds(sets: Sequence[TrackSet], paths: Sequence[Path]) -> None:
+    """Refuse files of one table each of which some have numbers for identities and others text."""
+    kinds = [bool(one.as_read.names) for one in sets if one.as_read is not None]
+    if len(kinds) == len(sets) and len({*kinds}) > 1:
+        number, text = paths[kinds.index(False)], paths[kinds.index(True)]
+        found = f"identities that are numbers in {number} and text in {text}"
+        raise InputError(found, "one kind in all files", path=text)
+
+
+def _free_ids(used: Set[int], most: int) -> Iterator[int]:
+    """Ids that are not used: those after the highest, or where they would end too soon, from 0 on."""
+    first = max(used) + 1
+    return (k for k in count(first if first + most <= LARGEST_ID else 0) if k not in used)
+
+
+def _stem(path: Path) -> str:
+    # A name need not be UTF-8, but what is written of it must.
+    name = path.name.encode(errors="surrogateescape").decode(errors="replace")
+    return name.split(".")[0] or name
+
+
+BAG = "bag"
+"""The format of recordings, which are not read whole."""
+
+ToTracks = Callable[[Rows, ReadOptions], TrackSet]
+"""Makes tracks of the rows of one file."""
+
+
+def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
+    """The tracks of a file's rows, which have identities."""
+    return TrackSet.from_identified_rows(rows)
+
+
+def read(
+    path: str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any],
+    *,
+    format: str | None = None,
+    to_tracks: ToTracks = tracks_of_rows,
+    **options: Any,
+) -> TrackSet:
+    """Read tracks whose rows have identities; `graphtrack.read` also associates rows that have none.
+
+    Parameters
+    ----------
+    path, format, **options : as in `graphtrack.read`
+    to_tracks : (rows of a file, options) → tracks
+
+    Raises
+    ------
+    InputError
+        With path, line and column, what was found there and what was expected.
+    """
+    try:
+        read_options = ReadOptions(**options)
+    except TypeError as error:
+        known = ReadOptions.__dataclass_fields__
+        unknown = ", ".join(name for name in options if name not in known)
+        raise InputError(f"unknown options {unknown}", f"some of {', '.join(known)}") from error
+    if is_table(path):
+        if format is not None:
+            raise InputError(f"format {format!r} of a table", "a file, or no format")
+        return to_tracks(rows_of_frame(path, read_options), read_options)
+    paths = [path] if isinstance(path, str | Path) else path
+    if not are_paths(paths):
+        raise InputError(f"a {type(path).__name__}", "a path, several paths, or a table")
+    return read_with(list(paths), format, read_options, to_tracks)
+
+
+def are_paths(given: object) -> TypeGuard[Sequence[str | Path]]:
+    """Return whether something is a list or tuple of paths."""
+    return isinstance(given, list | tuple) and all(isinstance(one, str | Path) for one in given)
+
+
+def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
+    """Return whether something is a table in memory: a DataFrame, what speaks Arrow, or name → column."""
+    return isinstance(given, Mapping) or hasattr(given, "columns") or hasattr(given, "__arrow_c_stream__")
+
+
+def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
+    """The rows of a table in memory; see `read`."""
+    from graphtrack.io.cells import cells_of_frame
+
+    return rows_of_table(cells_of_frame(table), options)
+
+
+def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
+    """The rows of a table's cells, in metres and with times."""
+    from graphtrack.io.cameras import place_pixels
+    from graphtrack.io.column_names import unit_notes, with_synonyms
+    from graphtrack.io.foreign_tables import rows_of_cells
+
+    found, notes = with_synonyms(list(cells.columns), options, cells.path)
+    rows = rows_of_cells(cells, found.layout() or Layout(), fps=found.fps, beside=found.beside)
+    if found is not options:
+        notes += unit_notes(found, rows.channels["t"])
+    return place_pixels(rows.with_notes(*notes), found)
+
+
+def read_with(
+    paths: Sequence[str | Path],
+    format: str | None,
+    options: ReadOptions,
+    to_tracks: ToTracks = tracks_of_rows,
+) -> TrackSet:
+    """`read`, where the options stand together."""
+    if not paths:
+        raise InputError("no paths", "at least one")
+    sets: list[TrackSet] = []
+    check_read_once([place_of(one) for one in paths])
+    for one in paths:
+        sets.append(to_tracks(rows_of_file(one, format, options), options))
+        options = replace(options, beside=options.beside or sets[0].as_read)
+    if len(sets) == 1:
+        return sets[0]
+    return merged_tracks(sets, [place_of(one) for one in paths])
+
+
+def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
+    """Write columns of the native table, such as detections without identities; whole, or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file's name has not the ending of a table, or the place cannot be written to.
+    """
+    path = Path(path)
+    write = check_table_name(path)
+    with atomic_path(path) as temporary:
+        write(columns, temporary)
+
+
+def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path], None]:
+    """The function that writes columns to a file of that name."""
+    write = format_for_writing(path).write_columns
+    if write is None:
+        names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)
+        found = f"detections without identities for {path.name}"
+        raise InputError(found, f"a name that ends with one of {names}", path=path)
+    return write
+
+
+def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions = ReadOptions()) -> Rows:
+    """Read the boxes of a file, in its order, where its format holds any.
+
+    Returns
+    -------
+    Rows
+        With the channel ``box`` (n, 4), left, top, width and height in the file's pixels, NaN where a row has
+        none.
+
+    Raises
+    ------
+    InputError
+        With path, line and column, what was found there and what was expected.
+    """
+    rows = boxes_of_file(path, format, options)
+    if rows is None:
+        chosen = _chosen(_opened(path, options), format)
+        names = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
+        found = f"the format {chosen.name}, of which no boxes are read"
+        raise InputError(found, f"a format with boxes: {names}", path=path)
+    check_identities(rows)
+    check_rows(rows)
+    return rows
+
+
+def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows | None:
+    """The rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
+    source = _opened(path, options)
+    chosen = _chosen(source, format)
+    if options.layout() is not None:
+        raise InputError("columns or units with boxes", "boxes as their format has them", path=path)
+    return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
+
+
+def _chosen(source: Source, format: str | None) -> Format:
+    return detect(source) if format is None else format_named(format)
+
+
+def _opened(path: str | Path, options: ReadOptions) -> Source:
+    """A file whose text is UTF-8 with commas and points, as far as the options say; of a bag the place."""
+    place = table_in(place_of(path))
+    if is_bag(place):
+        return Source(place, b"")
+    if place.is_dir():
+        expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
+        raise InputError("a directory", expected, path=path)
+    if options.topic is not None or options.fixed_frame is not None:
+        found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
+        raise InputError(found, "a bag or MCAP file", path=path)
+    with read_errors(place):
+        return as_told(Source.open(place), options.delimiter, options.decimal, options.encoding)
+
+
+def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
+    """The rows of a file, as its reader makes them, in metres and with times.
+
+    Parameters
+    ----------
+    path : of the file, or of a folder that stands for one, such as a sequence of MOTChallenge
+    """
+    rows = _rows_of_file(path, format, options)
+    file = sequence_file(place_of(path))
+    return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
+
+
+def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
+    source = _opened(path, options)
+    layout = options.layout()
+    if layout is None:
+        table = _table_with_synonyms(source, format, options)
+        if table is not None:
+            with read_errors(source.path):
+                return rows_of_table(_cells(source, table, Layout()), options)
+        chosen = _chosen(source, format)
+        if not source.data and chosen.name != BAG:
+            raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
+        try:
+            with read_errors(source.path):
+                if chosen.name == "parquet" and has_moments(source):
+                    return rows_of_table(_cells(source, "parquet", Layout()), options)
+                return chosen.read(source, options)
+        except InputError as error:
+            if chosen.write_columns is None:  # what other formats hold cannot be told otherwise
+                raise
+            raise hinted(error) from error
+    taking = format_taking(source, format)
+    if taking is not None:
+        _check_taken(taking, options, source.path)
+        with read_errors(source.path):
+            return taking.read(source, options)
+    return rows_of_table(_cells(source, format, layout), options)
+
+
+def _table_with_synonyms(source: Source, format: str | None, options: ReadOptions) -> str | None:
+    """The format of a table whose columns have well-known names that are not the native ones; else None."""
+    from graphtrack.io.column_names import names_in, says_places, with_synonyms
+
+    known = format
+    if known is None:
+        known = next((one.name for one in FORMATS if one.looks_like(source.head, source.path)), "csv")
+    if not source.data or known not in ("csv", "ndjson", "parquet"):
+        return None
+    names = names_in(source, known)
+    found, notes = with_synonyms(names, options, source.path)
+    return known if notes and says_places(found.columns, names) else None
+
+
+def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
+    """Refuse options of tables that a format does not know."""
+    for name in ("columns", "time_unit", "units", "crs"):
+        if getattr(options, name) is not None and name not in taking.takes:
+            known = " or ".join(f"--{one}" for one in taking.takes)
+            raise InputError(f"--{name.replace('_', '-')} for the format {taking.name}", known, path=path)
+
+
+def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
+    """The cells of a file that is a table, as they stand."""
+    return _cells(_opened(path, options), None, options.layout() or Layout())
+
+
+def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
+    """The cells of a file that is a table, whatever its columns are called."""
+    from graphtrack.io.cells import cells_of_csv, cells_of_ndjson, cells_of_parquet
+
+    tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
+    chosen = format
+    if chosen is None and not source.data:
+        chosen = BAG
+    if chosen is None:
+        chosen = next((n for n in tables if format_named(n).looks_like(source.head, source.path)), "csv")
+    elif format_named(chosen).write_columns is None:
+        found = f"columns, units or a crs for the format {chosen}"
+        raise InputError(found, "a table: csv, parquet or ndjson")
+    if layout.by_number and chosen != "csv":
+        raise InputError("numbers for columns", "their names", path=source.path)
+    if chosen != "csv":
+        return tables[chosen](source)
+    cells = cells_of_csv(source, header=not layout.by_number)
+    if len(cells.columns) < 2:
+        other = other_delimiter(source, set(layout.columns.values()))
+        if other is not None:
+            raise other
+    return cells
+
+
+def write(
+    tracks: TrackSet | Track,
+    path: str | Path,
+    *,
+    format: str | None = None,
+    homography: FloatArray | str | Path | None = None,
+) -> None:
+    """Write tracks; the file is there whole or, on any failure, not at all.
+
+    Parameters
+    ----------
+    tracks : to be written; a track stands for a set of one
+    format : name of the format; None: by the ending of the file name
+    homography : (3, 3) image → ground, or the path of its nine numbers, for formats with boxes; it replaces
+        the camera of the tracks
+
+    Raises
+    ------
+    InputError
+        If the format cannot be written, the tracks lack what it needs, or the place cannot be written to.
+    """
+    if not isinstance(path, str | Path):
+        raise InputError(f"a {type(path).__name__} to write to", "the path of a file")
+    path, tracks = Path(path), TrackSet((tracks,)) if isinstance(tracks, Track) else tracks
+    if not isinstance(tracks, TrackSet):
+        expected = "a TrackSet or a Track; gt.read makes one of a table"
+        raise InputError(f"a {type(tracks).__name__} to write", expected, path=path)
+    chosen = format_for_writing(path) if format is None else format_named(format)
+    if chosen.write is None:
+        names = ", ".join(one.name for one in FORMATS if one.write is not None)
+        raise InputError(f"format {chosen.name!r}", f"a format that can be written: {names}")
+    if homography is not None:
+        matrix = read_homography(homography) if isinstance(homography, str | Path) else homography
+        tracks = replace(tracks, camera=GroundCamera.from_homography(matrix))
+    with atomic_path(path) as temporary:
+        chosen.write(tracks, temporary)
+
+
+def tracks_of(given: Given, read: Callable[..., TrackSet] = read, **reading: Any) -> TrackSet:
+    """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
+
+    Parameters
+    ----------
+    read : what reads files, and tables with options
+    **reading : its options
+    """
+    if isinstance(given, str | Path) or (are_paths(given) and given):
+        return read(given, **reading)
+    if is_table(given):
+        return read(given, **reading) if reading else TrackSet.from_table(given)
+    if reading:
+        found = f"{', '.join(reading)} with a {type(given).__name__}"
+        raise InputError(found, "options of reading with a path or a table")
+    if isinstance(given, TrackSet):
+        return given
+    if isinstance(given, Track):
+        return TrackSet((given,))
+    if isinstance(given, list | tuple) and given and all(isinstance(one, Track) for one in given):
+        return TrackSet(tuple(given))
+    shape = _shape(given)
+    found = f"a {type(given).__name__}" + (f" of shape {shape}" if shape else "")
+    raise InputError(found, f"a TrackSet, a Track, a table or the path of a file{_hint(shape)}")
+
+
+def _hint(shape: tuple[int, ...]) -> str:
+    """Advice to make a track of an array of positions."""
+    if len(shape) != 2 or shape[1] != 2:
+        return ""
+    n = shape[0]
+    return (
+        "; positions have no times of their own: "
+        f"Track(0, frame=np.arange({n}), t=np.arange({n}) / fps, position=positions)"
+    )
+
+
+def _shape(given: Any) -> tuple[int, ...]:
+    try:
+        return np.shape(given)
+    except ValueError:  # rows of different lengths
+        return ()
+
+
+def paired_files(estimates: Sequence[Path], truth: Sequence[Path]) -> dict[str, tuple[Path, Path]]:
+    """Pairs of files by the name of their sequence, which is that of the file without its ending.
+
+    One file on either side is a pair, whatever its name. A folder stands for the files in it, without hidden
+    ones, and without what a reader finds beside a file by itself, such as a calibration; but one that is a
+    sequence of MOTChallenge, or is in such a folder, for itself.
+
+    Raises
+    ------
+    InputError
+        If a folder has no files, two files on one side have the same name, or one has no partner.
+    """
+    first, second = _files(estimates), _files(truth)
+    if len(first) == len(second) == 1:
+        return {_name(first[0]): (first[0], second[0])}
+    named, true = _by_name(first), _by_name(second)
+    for mine, others, what in ((named, true, "the truth"), (true, named, "estimates")):
+        alone = [path for name, path in mine.items() if name not in others]
+        if alone:
+            count = f"{counted(len(first), 'file')} of estimates and {len(second)} of the truth"
+            raise InputError(
+                f"{count}, and nothing to go with {listed(path.name for path in alone)}",
+                f"{what} of each in a file of the same name",
+            )
+    return {name: (path, true[name]) for name, path in named.items()}
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    return [file for path in paths for file in (_files_in(path) if table_in(path).is_dir() else [path])]
+
+
+def _files_in(folder: Path) -> list[Path]:
+    files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    files += sorted(path for path in folder.iterdir() if sequence_file(path) is not None)
+    beside = {place for path in files for place in files_beside(path)}
+    found = [path for path in files if path not in beside]
+    if not found:
+        raise InputError("a folder without files", "files with tracks", path=folder)
+    return found
+
+
+def _by_name(paths: Sequence[Path]) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in paths:
+        other = found.setdefault(_name(path), path)
+        if other is not path:
+            raise InputError(f"{other} and {path}", "a name for each sequence")
+    return found
+
+
+def _name(path: Path) -> str:
+    return Path(path.name.removesuffix(".gz")).stem

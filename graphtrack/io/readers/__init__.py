@@ -1,1 +1,0 @@
-"""The formats that are read and written, one module each."""

@@ -1,1 +1,0 @@
-"""Tables with other names, units and kinds of values than the native one, as their owner says they are."""

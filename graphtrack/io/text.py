@@ -1,0 +1,341 @@
+"""Delimiters: rows of CSV, and the error for a table with other marks than commas between its cells.
+
+Text files with other marks or another encoding than the readers expect, as their owner says they are.
+
+Strict reading of text files that are nothing but numbers.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import math
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.source import Source
+from graphtrack.tracks.schema import NAMES
+from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_METRES, LARGEST_PIXELS
+
+_MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
+_TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}
+"""The mark as typed after ``--delimiter``."""
+SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
+"""Excel's line before a header."""
+_NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_LOOKED_AT = 20
+_FEWEST = 4
+"""Numbers in a row from which a table without a header is one."""
+
+
+def other_delimiter(source: Source, names: Collection[str] = NAMES) -> InputError | None:
+    """The error for a table of the native columns, or of numbers alone, whose cells are not between commas.
+
+    Parameters
+    ----------
+    names : columns of which it has two at least, or all
+
+    Returns
+    -------
+    InputError or None
+        With the marks that are there, what is expected, and the options that read it; None for all else.
+    """
+    lines = [(number, line.strip(" ")) for number, line in enumerate(source.lines, 1) if line.strip()]
+    lines = lines[: _LOOKED_AT + 2]
+    told = SEP_LINE.fullmatch(lines[0][1]) if lines else None
+    lines = lines[1:] if told else lines
+    if not lines:
+        return None
+    number, first = lines[0]
+    for mark, name in _MARKS.items():
+        has_header = len(set(_cells(first, mark)) & set(names)) >= min(2, len(names))
+        rows = [_cells(line, mark) for _, line in lines[1 if has_header else 0 :]]
+        if has_header or (mark != " " and _are_numbers(rows)):
+            decimal = any("," in cell and _NUMBER.fullmatch(cell) for row in rows for cell in row)
+            return _error(source, number, mark, name, decimal=decimal)
+    if told and len(set(_cells(first, ",")) & set(NAMES)) >= 2:
+        found = f"the line {told[0]!r}"
+        expected = "the header in the first line; --delimiter , reads it"
+        return InputError(found, expected, path=source.path, line=1)
+    return None
+
+
+def _error(source: Source, line: int, mark: str, name: str, *, decimal: bool) -> InputError:
+    options = f"--delimiter {_TYPED[mark]}" + (" --decimal ," if decimal else "")
+    return InputError(
+        f"{name} between the cells" + (" and decimal commas" if decimal else ""),
+        f"commas between the cells{' and decimal points' if decimal else ''}; {options} reads it",
+        path=source.path,
+        line=line,
+    )
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    cells = line.split() if mark == " " else line.split(mark)
+    return [cell.strip().strip("\"'").strip() for cell in cells]
+
+
+def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether most rows are at least `_FEWEST` numbers, with decimal points or commas."""
+    good = sum(len(row) >= _FEWEST and all(_NUMBER.fullmatch(cell) for cell in row if cell) for row in rows)
+    return 2 * good > len(rows)
+
+
+def csv_rows(
+    path: Path, lines: Sequence[str], mark: str = ",", first: int = 1
+) -> Iterator[tuple[int, list[str]]]:
+    """The rows of lines of text with a mark between their cells, each with the number of its first line.
+
+    Parameters
+    ----------
+    first : number of the first of the lines in the file
+    """
+    reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=mark, strict=True)
+    while True:
+        line = first + reader.line_num
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            found = str(error) if mark == "," else f"{error} with {mark!r} between cells"
+            raise InputError(found, "a CSV row", path=path, line=line) from error
+        if row is None:
+            return
+        yield line, row
+
+
+def is_blank(row: Sequence[str]) -> bool:
+    """Return whether a row of a text file holds nothing."""
+    return len(row) <= 1 and not any(cell.strip() for cell in row)
+
+
+DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "bar": "|"}
+"""Words for marks that are hard to type."""
+
+_DECIMAL = re.compile(r"\s*[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?\s*", re.ASCII)
+
+
+def delimiter_of(given: str | None) -> str | None:
+    """The mark that is meant, one character."""
+    if given is None:
+        return None
+    mark = DELIMITERS.get(given.lower(), given)
+    if len(mark) != 1 or mark in "\"'\r\n\0" or mark.isalnum():
+        raise InputError(f"delimiter {given!r}", "one mark, such as ; or |, or one of tab, space")
+    return mark
+
+
+def check_decimal(given: str | None) -> None:
+    """Raise InputError for what separates no decimals."""
+    if given not in (None, ".", ","):
+        raise InputError(f"decimal {given!r}", "a point or a comma")
+
+
+def check_encoding(given: str | None) -> None:
+    """Raise InputError for what is no encoding of text."""
+    if given is None:
+        return
+    try:
+        codecs.lookup(given)
+        "".encode(given)
+    except (LookupError, TypeError, ValueError, AttributeError, UnicodeError) as error:
+        raise InputError(f"encoding {given!r}", "one of text, such as utf-16 or cp1252") from error
+
+
+def as_told(source: Source, delimiter: str | None, decimal: str | None, encoding: str | None) -> Source:
+    """The file in UTF-8, with commas between its cells and decimal points; lines stay lines."""
+    if encoding is not None:
+        source = _decoded(source, encoding)
+    mark = delimiter_of(delimiter)
+    if mark is None and decimal != ",":
+        return source
+    return replace(source, data=_with_commas(source, mark or ",", decimal).encode())
+
+
+def _decoded(source: Source, encoding: str) -> Source:
+    try:
+        text = source.data.decode(encoding)
+    except UnicodeError as error:
+        place = getattr(error, "start", 0)
+        line = source.data.count(b"\n", 0, place) + 1
+        found = f"bytes that are not {encoding}"
+        raise InputError(found, "another encoding", path=source.path, line=line) from error
+    return replace(source, data=text.removeprefix("\ufeff").encode(errors="replace"))
+
+
+def _with_commas(source: Source, mark: str, decimal: str | None) -> str:
+    lines = list(source.lines)
+    filled = next((k for k, line in enumerate(lines) if line.strip()), 0)
+    if lines and SEP_LINE.fullmatch(lines[filled].strip(" ")):
+        lines[filled] = ""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+
+    rows = (
+        (line.split() for line in lines)
+        if mark == " "
+        else (row for _, row in csv_rows(source.path, lines, mark))
+    )
+    for row in rows:
+        if is_blank(row):
+            out.write("\n")
+        elif decimal == ",":
+            writer.writerow([cell.replace(",", ".") if _DECIMAL.fullmatch(cell) else cell for cell in row])
+        else:
+            writer.writerow(row)
+    return out.getvalue()
+
+
+def parse_number(text: str) -> float | None:
+    """A finite decimal number, or None; no ``nan``, ``inf``, ``1_000`` or other digits as ``float`` has."""
+    if "_" in text or not text.isascii():
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def expected_number(text: str) -> str:
+    """Description of the number expected where `parse_number` finds none."""
+    decimal_comma = parse_number(text.replace(",", ".")) is not None
+    return "a finite number with a decimal point" if decimal_comma else "a finite number"
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """A table of numbers that was read from text.
+
+    Attributes
+    ----------
+    source : the file
+    values : (n, k)
+    line : (n,) line of each row, from 1
+    names : k names of the columns, for messages; numbers from 1 where there is none
+    """
+
+    source: Source
+    values: FloatArray
+    line: NDArray[np.int64]
+    names: tuple[str, ...] = ()
+
+    def line_of(self, row: int) -> int:
+        """Line in the file of a row."""
+        return int(self.line[row])
+
+    def fail(self, row: int, column: int, expected: str) -> InputError:
+        """The error for one cell."""
+        return InputError(
+            f"{self.values[row, column]:.16g}",
+            expected,
+            path=self.source.path,
+            line=self.line_of(row),
+            column=_column_name(self.names, column),
+        )
+
+    def integers(self, column: int, highest: int = LARGEST_FRAME) -> NDArray[np.int64]:
+        """A column of whole numbers within ±``highest``; whole floats such as 1.0e+00 will do."""
+        values = self.values[:, column]
+        bad = (np.abs(values) > highest) | (values != np.floor(values))
+        if bad.any():
+            raise self.fail(int(np.argmax(bad)), column, f"a whole number within ±{highest}")
+        return values.astype(np.int64)
+
+    def bounded(self, column: int, low: float, high: float, *, strict: bool = False) -> FloatArray:
+        """A column of numbers from ``low`` (above it if ``strict``) to ``high``."""
+        values = self.values[:, column]
+        bad = (values < low) | (values > high) | (strict & (values == low))
+        if bad.any():
+            limit = "above" if strict else "from"
+            raise self.fail(int(np.argmax(bad)), column, f"a number {limit} {low:g} to {high:g}")
+        return values
+
+    def metres(self, column: int) -> FloatArray:
+        """A column of coordinates in metres."""
+        return self.bounded(column, -LARGEST_METRES, LARGEST_METRES)
+
+    def pixels(self, column: int) -> FloatArray:
+        """A column of image coordinates."""
+        return self.bounded(column, -LARGEST_PIXELS, LARGEST_PIXELS)
+
+    def sizes(self, column: int) -> FloatArray:
+        """A column of sizes in pixels, above 0."""
+        return self.bounded(column, 0.0, LARGEST_PIXELS, strict=True)
+
+
+def read_numbers(
+    source: Source,
+    *,
+    delimiter: str | None,
+    widths: tuple[int, ...],
+    names: tuple[str, ...],
+    comments: bool = False,
+) -> Numbers:
+    """All rows of a text file as numbers.
+
+    Parameters
+    ----------
+    delimiter : between the cells; None for white space (or commas, where ``comments`` are allowed)
+    widths : the numbers of columns that a row may have; all rows have the same
+    names : names of the columns, for messages
+    comments : whether ``#`` begins a comment
+    """
+    rows: list[list[str]] = []
+    line_numbers: list[int] = []
+    for number, line in enumerate(source.lines, 1):
+        if comments:
+            line = line.partition("#")[0].replace(",", " ")
+        if not line.strip():
+            continue
+        cells = line.split(delimiter)
+        if len(cells) not in widths or (rows and len(cells) != len(rows[0])):
+            if delimiter == "," and (error := other_delimiter(source)) is not None:
+                raise error
+            wanted = (len(rows[0]),) if rows else widths
+            raise InputError(
+                f"{len(cells)} columns",
+                " or ".join(map(str, wanted)),
+                path=source.path,
+                line=number,
+            )
+        rows.append(cells)
+        line_numbers.append(number)
+    if not rows:
+        raise InputError("no rows", "at least one row", path=source.path)
+    return Numbers(source, _convert(source, rows, line_numbers, names), np.array(line_numbers), names)
+
+
+def _convert(source: Source, rows: list[list[str]], lines: list[int], names: tuple[str, ...]) -> FloatArray:
+    # float() takes a little more than is wanted; whatever that could be is looked at cell by cell.
+    if source.text.isascii() and "_" not in source.text:
+        try:
+            values = np.array([[float(cell) for cell in cells] for cells in rows])
+        except ValueError:
+            pass
+        else:
+            if np.isfinite(values).all():
+                return values
+    parsed = []
+    for cells, line in zip(rows, lines, strict=True):
+        parsed.append([_cell(source, cell, line, _column_name(names, j)) for j, cell in enumerate(cells)])
+    return np.array(parsed)
+
+
+def _cell(source: Source, text: str, line: int, column: str | int) -> float:
+    value = parse_number(text)
+    if value is None:
+        found = repr(text.strip()[:40]) if text.strip() else "an empty cell"
+        raise InputError(found, expected_number(text), path=source.path, line=line, column=column)
+    return value
+
+
+def _column_name(names: tuple[str, ...], column: int) -> str | int:
+    return names[column] if column < len(names) else column + 1

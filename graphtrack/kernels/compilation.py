@@ -1,0 +1,208 @@
+"""How functions are compiled: by numba's public decorator, cached on disk, without the interpreter's lock.
+
+A function is declared by `compiled`, or by `allocating` where it makes arrays.
+
+Machine code before it is needed, and what is logged while it is compiled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numba
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.tracks.track import Track
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+OPTIONS = {
+    "nogil": True,
+    "error_model": "numpy",
+    # Sums may be reordered and fused; NaN and infinity keep their meaning ("nnan" would break isnan).
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "no_cfunc_wrapper": True,  # nobody calls them from C
+}
+INNER = {"_nrt": False, "no_cpython_wrapper": True}
+"""Options of what compiled code alone calls and makes no arrays."""
+
+_NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
+"""Annotations of numbers; "Any": floats or `lanes`."""
+
+_DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
+"""Found in sources that declare compiled functions."""
+
+_CACHE_DIR = threading.Lock()
+"""Held while numba's setting of the cache folder is another."""
+
+
+def compiled(function: Function, **options: bool) -> Function:
+    """Compile a function that makes no arrays and hands none back.
+
+    Numba then leaves out the counting of references to arrays, which at every call and every view of a row
+    took as long as a term of the model. A function that does make arrays fails to compile ("NRT required but
+    not enabled"): it is to be `allocating`.
+
+    Raises
+    ------
+    TypeError
+        If the annotation says that anything but numbers is returned: numba would not find that out, and
+        would free an array that is still in use.
+    """
+    annotation = getattr(function, "__annotations__", {}).get("return")
+    returned = str(getattr(annotation, "__name__", annotation))
+    if not _NUMBERS.fullmatch(returned):
+        raise TypeError(f"{function.__name__} returns {returned}, expected numbers, or @allocating")
+    return _declared(function, **{"_nrt": False, **options})
+
+
+def inner(function: Function) -> Function:
+    """`compiled`, for what compiled code alone calls: without the wrapper that Python calls.
+
+    Where arguments are tuples of dozens of arrays the wrapper takes longer to compile than the function.
+    """
+    return compiled(function, **INNER)
+
+
+def merged(function: Function) -> Function:
+    """`compiled`, for a function that one other calls: its statements become part of that function's.
+
+    Whatever a function calls is optimised again with it; each level of calls costs that once more.
+    """
+    return _declared(function, inline="always")
+
+
+def allocating(function: Function) -> Function:
+    """Compile a function that makes arrays, or hands some back."""
+    return _declared(function, _nrt=True)  # else it would be as its first caller is
+
+
+def inner_allocating(function: Function) -> Function:
+    """`allocating`, for what compiled code alone calls."""
+    return _declared(function, _nrt=True, no_cpython_wrapper=True)
+
+
+def _declared(function: Function, **options: bool | str) -> Function:
+    if numba.config.DISABLE_JIT:
+        expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
+        raise InputError("a numba that is told not to compile", expected)
+    home = machine_code_folder()
+    if home is not None:
+        # Numba reads the folder when a function is declared.
+        with _CACHE_DIR:
+            given, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(home)
+            try:
+                return cast(Function, numba.njit(cache=True, **OPTIONS, **options)(function))
+            except RuntimeError:  # of a function without a file: from the prompt, or `exec`
+                pass
+            finally:
+                numba.config.CACHE_DIR = given
+    return cast(Function, numba.njit(**OPTIONS, **options)(function))
+
+
+def machine_code_folder() -> Path | None:
+    """The folder in which machine code is kept; None where there is none that can be written to.
+
+    It lies in ``NUMBA_CACHE_DIR``, or else in the user's cache folder, and is another one for other sources:
+    numba alone would look whether the function's own file has changed, but not those of what it calls.
+    """
+    try:
+        user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
+        folder = Path(numba.config.CACHE_DIR or user) / _digest()
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # RuntimeError: a user without a home
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+@cache
+def _digest() -> str:
+    """A digest of numba's version and of the sources in this package that declare compiled functions."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    package = next(folder for folder in Path(__file__).parents if folder.name == "graphtrack")
+    for path in sorted(package.rglob("*.py")):
+        source = path.read_bytes()
+        if path.parent == Path(__file__).parent or _DECLARES.search(source):
+            digest.update(source)
+    return digest.hexdigest()[:16]
+
+
+logger = logging.getLogger("graphtrack")
+
+UNNOTICED = 3.0
+"""Seconds of compiling up to which nothing is logged."""
+
+TRACK = Track(0, np.arange(4), np.linspace(0.0, 0.3, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
+"""Synthetic track, 0.1 s a frame, with which compiled functions are called the first time."""
+
+_READY = set[str]()
+"""Names of the rehearsals that this process has run: machine code is the process's."""
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """A small job with made-up data that calls every compiled function of some kind of work.
+
+    Attributes
+    ----------
+    name : of the kind; of several rehearsals with one name the first is run
+    run : does the job
+    seconds : processor time that compiling takes, about
+    """
+
+    name: str
+    run: Callable[[], object]
+    seconds: float
+
+    def mark(self) -> Path | None:
+        """The file that says that the machine code is on disk; None where it can be kept in no folder."""
+        home = machine_code_folder()
+        return None if home is None else home / f"{self.name.replace(' ', '-')}.compiled"
+
+    def is_cold(self) -> bool:
+        """Whether nothing is compiled yet, neither in this process nor on disk."""
+        mark = self.mark()
+        return self.name not in _READY and (mark is None or not mark.exists())
+
+
+def make_ready(what: str, *rehearsals: Rehearsal) -> None:
+    """Run the rehearsals that this process has not run; a long compilation is logged before and after.
+
+    Parameters
+    ----------
+    what : is compiled, in words
+    """
+    waiting = [one for one in rehearsals if one.name not in _READY]
+    expected = sum(one.seconds for one in waiting if one.is_cold())
+    if expected >= UNNOTICED:
+        kept = machine_code_folder() is not None
+        when = "once on this machine" if kept else "in every process: it can be kept in no folder"
+        logger.warning("compiling %s, %s: about %d s …", what, when, 5 * max(1, round(expected / 5)))
+    start = time.perf_counter()
+    for one in waiting:
+        one.run()
+        _READY.add(one.name)
+        mark = one.mark()
+        if mark is not None:
+            mark.touch()
+    if expected >= UNNOTICED:
+        logger.warning("compiled in %.0f s", time.perf_counter() - start)
+
+
+def processors() -> int:
+    """The number of processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1

@@ -1,0 +1,431 @@
+"""Vectors with a number of each of several tracks, which compiled functions take in place of floats.
+
+`Lanes` is a vector of `LANES` floats, which the processor adds, multiplies … at once; comparisons of them
+give a `LaneMask`. A function that asks `choose` and `any_of` where it would write ``if`` is compiled for
+floats and for lanes from one source. `lane_array` makes an array of floats, whose last axis is that of the
+lanes, into one that is indexed as if its elements were floats: ``a[k]``, ``a[k, i]``, ``a[k, i] += x``.
+`lane_records` does the same for records: ``frame.x``.
+
+It stands on what numba documents for extensions: types, models, intrinsics and lowering.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import impl_ret_borrowed
+from numba.core.typing import signature
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global
+from numba.extending import (
+    infer_getattr,
+    intrinsic,
+    lower_builtin,
+    lower_cast,
+    lower_getattr_generic,
+    lower_setattr_generic,
+    models,
+    overload,
+    register_model,
+)
+
+from graphtrack.kernels.layout import LANES
+
+_FLAGS = ("contract", "reassoc", "nsz", "arcp")
+_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
+_BITS = ir.VectorType(ir.IntType(1), LANES)
+
+
+class _LanesType(types.Type):
+    def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
+        return numba.core.typeconv.Conversion.safe if isinstance(other, types.Number) else None
+
+    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
+        return self if isinstance(other, types.Number) else None
+
+
+class _MaskType(types.Type):
+    def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
+        return numba.core.typeconv.Conversion.safe if other == types.boolean else None
+
+    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
+        return self if other == types.boolean else None
+
+
+class LaneArrayType(types.Type):
+    """An array (n, *dims) of lanes; ``masked``: what is put there reaches some lanes alone."""
+
+    def __init__(self, dims: tuple[int, ...], masked: bool) -> None:
+        self.dims, self.masked = dims, masked
+        super().__init__(name=f"LaneArray({dims}, {masked})")
+
+
+class LaneRecordsType(types.Type):
+    """An array (n,) of records, or one record, of lanes; ``places`` of their fields, by name."""
+
+    def __init__(self, dtype: np.dtype, *, one: bool) -> None:
+        self.dtype, self.one = dtype, one
+        fields: Any = dtype.fields
+        self.places = {name: known[1] // 8 for name, known in fields.items()}
+        super().__init__(name=f"LaneRecords({dtype}, {one})")
+
+
+Lanes, LaneMask = _LanesType(name="Lanes"), _MaskType(name="LaneMask")
+
+
+@register_model(_LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, _DOUBLES)
+
+
+@register_model(_MaskType)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, _BITS)
+
+
+@register_model(LaneArrayType)
+class _ArrayModel(models.StructModel):
+    def __init__(self, manager: Any, kind: LaneArrayType) -> None:
+        members = [("data", types.CPointer(types.float64))]
+        super().__init__(manager, kind, [*members, ("mask", LaneMask)] if kind.masked else members)
+
+
+@register_model(LaneRecordsType)
+class _RecordsModel(models.StructModel):
+    def __init__(self, manager: Any, kind: LaneRecordsType) -> None:
+        super().__init__(manager, kind, [("data", types.CPointer(types.float64))])
+
+
+# -- arithmetic --------------------------------------------------------------------------------------------
+
+
+def _in_all(builder: Any, value: Any) -> Any:
+    """One number in all lanes."""
+    vector = ir.VectorType(value.type, LANES)
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return builder.shuffle_vector(first, first, zeros)
+
+
+@lower_cast(types.Number, Lanes)
+def _number_to_lanes(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
+    return _in_all(builder, context.cast(builder, value, given, types.float64))
+
+
+@lower_cast(types.boolean, LaneMask)
+def _flag_to_mask(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
+    return _in_all(builder, value)
+
+
+def _binary(
+    operators: tuple[Callable[..., Any], ...], emit: Callable[[Any, Any, Any], Any], of: Any, to: Any
+) -> None:
+    """Have operators of two such numbers, or of one and a plain one."""
+    plain = types.Boolean if of == LaneMask else types.Number
+
+    class Template(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            known = all(arg == of or isinstance(arg, plain) for arg in args)
+            return signature(to, of, of) if len(args) == 2 and of in args and known else None
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return emit(builder, *args)
+
+    for one in operators:
+        infer_global(one)(type(f"Lanes_{one.__name__}", (Template,), {}))
+        lower_builtin(one, of, of)(lower)
+
+
+def _arithmetic(name: str) -> Callable[[Any, Any, Any], Any]:
+    return lambda builder, x, y: getattr(builder, name)(x, y, flags=_FLAGS)
+
+
+def _comparison(sign: str) -> Callable[[Any, Any, Any], Any]:
+    return lambda builder, x, y: builder.fcmp_ordered(sign, x, y)
+
+
+for _operators, _name in (
+    ((operator.add, operator.iadd), "fadd"),
+    ((operator.sub, operator.isub), "fsub"),
+    ((operator.mul, operator.imul), "fmul"),
+    ((operator.truediv, operator.itruediv), "fdiv"),
+):
+    _binary(_operators, _arithmetic(_name), Lanes, Lanes)
+for _operator, _sign in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
+    _binary((_operator,), _comparison(_sign), Lanes, LaneMask)
+_binary((operator.and_, operator.iand), lambda builder, x, y: builder.and_(x, y), LaneMask, LaneMask)
+_binary((operator.or_, operator.ior), lambda builder, x, y: builder.or_(x, y), LaneMask, LaneMask)
+
+
+@infer_global(operator.neg)
+class _Negative(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(Lanes, Lanes) if args == (Lanes,) else None
+
+
+@lower_builtin(operator.neg, Lanes)
+def _negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.fsub(ir.Constant(_DOUBLES, [-0.0] * LANES), args[0])
+
+
+def _unary(name: str) -> Any:
+    """An LLVM intrinsic."""
+
+    @intrinsic
+    def call(_context: Any, x: Any) -> Any:
+        def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+            function = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(_DOUBLES, [_DOUBLES]), f"llvm.{name}.v{LANES}f64"
+            )
+            return builder.call(function, args)
+
+        return Lanes(Lanes), emit
+
+    return call
+
+
+def of_lanes(function: Callable[..., Any], own: Callable[..., Any]) -> None:
+    """Have compiled code call ``own`` where a function of Python's library is given lanes."""
+    # Without annotations, which numba compares.
+    overload(function)(lambda x: (lambda x: own(x)) if x == Lanes else None)
+
+
+for _known, _own in ((math.sqrt, _unary("sqrt")), (abs, _unary("fabs"))):
+    of_lanes(_known, _own)
+
+
+# -- in place of branches ----------------------------------------------------------------------------------
+
+
+@intrinsic
+def choose(_context: Any, condition: Any, one: Any, other: Any) -> Any:
+    """``one`` where the condition holds, else the other: of floats, or in each lane."""
+    if condition == LaneMask:
+        return Lanes(condition, Lanes, Lanes), lambda _c, builder, _s, args: builder.select(*args)
+    kind = Lanes if Lanes in (one, other) else types.float64
+    return kind(condition, kind, kind), lambda _c, builder, _s, args: builder.select(*args)
+
+
+@intrinsic
+def any_of(_context: Any, condition: Any) -> Any:
+    """Whether a condition holds, in any lane."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        if condition == types.boolean:
+            return args[0]
+        bits = ir.IntType(LANES)
+        return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
+
+    return types.boolean(condition), emit
+
+
+@intrinsic
+def negate(_context: Any, condition: Any) -> Any:
+    """Where a condition does not hold."""
+    return condition(condition), lambda _c, builder, _s, args: builder.not_(args[0])
+
+
+# -- one lane ----------------------------------------------------------------------------------------------
+
+
+@intrinsic
+def lane_count(_context: Any, value: Any) -> Any:
+    """The number of lanes of a number or a condition: 1 of floats."""
+    count = LANES if value in (Lanes, LaneMask) else 1
+    return types.intp(value), lambda _c, _b, _s, _a: ir.Constant(ir.IntType(types.intp.bitwidth), count)
+
+
+@intrinsic
+def lane_of(_context: Any, value: Any, lane: Any) -> Any:
+    """What one lane has of a number or a condition; a float itself."""
+    one = {Lanes: types.float64, LaneMask: types.boolean}.get(value, value)
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        return args[0] if one == value else builder.extract_element(*args)
+
+    return one(value, types.intp), emit
+
+
+@intrinsic
+def only_lane(_context: Any, condition: Any, lane: Any) -> Any:
+    """A condition of the same type that holds in one lane alone; of floats it holds."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        holds = ir.Constant(ir.IntType(1), 1)
+        if condition == types.boolean:
+            return holds
+        return builder.insert_element(ir.Constant(_BITS, [0] * LANES), holds, args[1])
+
+    return condition(condition, types.intp), emit
+
+
+# -- memory ------------------------------------------------------------------------------------------------
+
+
+def _made(context: Any, builder: Any, kind: Any, data: Any) -> Any:
+    made = cgutils.create_struct_proxy(kind)(context, builder)
+    made.data = data
+    return made
+
+
+def _lanes_at(builder: Any, data: Any) -> Any:
+    return builder.bitcast(data, _DOUBLES.as_pointer())
+
+
+@intrinsic
+def lane_array(_context: Any, array: Any) -> Any:
+    """An array of floats (n, LANES), (n, 6, LANES) or (n, 6, 6, LANES) as one of lanes."""
+    return _viewed(array, LaneArrayType((6,) * (array.ndim - 2), False))
+
+
+@intrinsic(prefer_literal=True)
+def lane_rows(_context: Any, array: Any, size: Any) -> Any:
+    """An array of floats (n, size, LANES) as one of lanes; the size is a constant."""
+    return _viewed(array, LaneArrayType((size.literal_value,), False), size)
+
+
+def _viewed(array: Any, to: Any, *others: Any) -> Any:
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        return _made(context, builder, to, data)._getvalue()
+
+    return to(array, *others), emit
+
+
+@intrinsic
+def lane_records(_context: Any, array: Any, records: Any) -> Any:
+    """Floats (n, fields, LANES) as records of lanes, of the type of other ``records``."""
+    return _viewed(array, LaneRecordsType(numba.np.numpy_support.as_dtype(records.dtype), one=False), records)
+
+
+@intrinsic
+def masked(_context: Any, array: Any, mask: Any) -> Any:
+    """The same array, but what is put there reaches the mask's lanes alone; of floats, the array itself."""
+    if not isinstance(array, LaneArrayType):
+        return array(array, mask), lambda context, builder, sig, args: impl_ret_borrowed(
+            context, builder, array, args[0]
+        )
+    to = LaneArrayType(array.dims, True)
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        given = cgutils.create_struct_proxy(array)(context, builder, value=args[0])
+        made = _made(context, builder, to, given.data)
+        made.mask = args[1]
+        return made._getvalue()
+
+    return to(array, LaneMask), emit
+
+
+def _index_of(kind: LaneArrayType, index: Any) -> Any:
+    """The type that an index is converted to."""
+    if isinstance(index, types.Integer):
+        return types.intp
+    if isinstance(index, types.BaseTuple) and 1 < len(index) <= 1 + len(kind.dims):
+        return types.UniTuple(types.intp, len(index))
+    return None
+
+
+def _rest(kind: LaneArrayType, index: Any) -> tuple[int, ...] | None:
+    """The dimensions of an element or part; None: the numbers of all lanes."""
+    used = 1 if index == types.intp else len(index)
+    return None if used == 1 + len(kind.dims) else kind.dims[used:]
+
+
+@infer_global(operator.getitem)
+class _Get(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        kind, index = args
+        if isinstance(kind, LaneRecordsType) and isinstance(index, types.Integer) and not kind.one:
+            return signature(LaneRecordsType(kind.dtype, one=True), kind, types.intp)
+        to = _index_of(kind, index) if isinstance(kind, LaneArrayType) else None
+        if to is None:
+            return None
+        dims = _rest(kind, to)
+        return signature(Lanes if dims is None else LaneArrayType(dims, kind.masked), kind, to)
+
+
+@infer_global(operator.setitem)
+class _Set(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        to = _index_of(args[0], args[1]) if isinstance(args[0], LaneArrayType) else None
+        if to is None or _rest(args[0], to) is not None:
+            return None
+        return signature(types.void, args[0], to, Lanes)
+
+
+def _pointer(builder: Any, data: Any, kind: LaneArrayType, index: Any, given: Any) -> Any:
+    """Where an element or a part begins."""
+    places = [given] if index == types.intp else [builder.extract_value(given, i) for i in range(len(index))]
+    place = places[0]
+    for size, another in zip(kind.dims, places[1:], strict=False):
+        place = builder.add(builder.mul(place, ir.Constant(place.type, size)), another)
+    step = LANES * math.prod(kind.dims[len(places) - 1 :])
+    return builder.gep(data, [builder.mul(place, ir.Constant(place.type, step))])
+
+
+@lower_builtin(operator.getitem, LaneArrayType, types.intp)
+@lower_builtin(operator.getitem, LaneArrayType, types.UniTuple)
+def _get(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    kind, index = sig.args
+    given = cgutils.create_struct_proxy(kind)(context, builder, value=args[0])
+    data = _pointer(builder, given.data, kind, index, args[1])
+    if sig.return_type == Lanes:
+        return builder.load(_lanes_at(builder, data), align=8)
+    made = _made(context, builder, sig.return_type, data)
+    if kind.masked:
+        made.mask = given.mask
+    return made._getvalue()
+
+
+@lower_builtin(operator.setitem, LaneArrayType, types.intp, Lanes)
+@lower_builtin(operator.setitem, LaneArrayType, types.UniTuple, Lanes)
+def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    kind, index, _ = sig.args
+    given = cgutils.create_struct_proxy(kind)(context, builder, value=args[0])
+    pointer = _lanes_at(builder, _pointer(builder, given.data, kind, index, args[1]))
+    value = args[2]
+    if kind.masked:
+        value = builder.select(given.mask, value, builder.load(pointer, align=8))
+    builder.store(value, pointer, align=8)
+    return context.get_dummy_value()
+
+
+@lower_builtin(operator.getitem, LaneRecordsType, types.intp)
+def _get_record(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    given = cgutils.create_struct_proxy(sig.args[0])(context, builder, value=args[0])
+    step = ir.Constant(args[1].type, LANES * (sig.args[0].dtype.itemsize // 8))
+    data = builder.gep(given.data, [builder.mul(args[1], step)])
+    return _made(context, builder, sig.return_type, data)._getvalue()
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = LaneRecordsType
+
+    def generic_resolve(self, kind: LaneRecordsType, name: str) -> Any:
+        return Lanes if kind.one and name in kind.places else None
+
+
+def _field_pointer(context: Any, builder: Any, kind: LaneRecordsType, value: Any, name: str) -> Any:
+    given = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+    place = ir.Constant(ir.IntType(64), LANES * kind.places[name])
+    return _lanes_at(builder, builder.gep(given.data, [place]))
+
+
+@lower_getattr_generic(LaneRecordsType)
+def _get_field(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
+    return builder.load(_field_pointer(context, builder, kind, value, name), align=8)
+
+
+@lower_setattr_generic(LaneRecordsType)
+def _set_field(context: Any, builder: Any, sig: Any, args: Any, name: str) -> None:
+    builder.store(args[1], _field_pointer(context, builder, sig.args[0], args[0], name), align=8)

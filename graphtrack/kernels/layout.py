@@ -1,0 +1,159 @@
+"""Where things stand: in the state of a frame, in what its kernels add to, and in records.
+
+What the compiled chain engine is given: arrays of some tracks end to end.
+
+What a term hands to the compiled engine: functions that add up its cost, and when they are called.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+
+X, Y, VX, VY, BODY, HEAD = range(6)
+"""Places in the state."""
+
+N = 6
+"""Degrees of freedom of a frame."""
+
+LANES = 8
+"""Tracks that are solved at once, each in a lane of a vector."""
+
+TIME_TOLERANCE = 1e-6
+"""Seconds up to which two durations are equal: times of 10⁹ s are rounded to 10⁻⁷ s."""
+
+PLACES: dict[str, slice] = {
+    "position": slice(X, Y + 1),
+    "velocity": slice(VX, VY + 1),
+    "body": slice(BODY, BODY + 1),
+    "head": slice(HEAD, HEAD + 1),
+}
+"""Variables of a frame, by name, and where they stand in its state."""
+
+
+class Field(NamedTuple):
+    """Numbers that a term packs: of each frame, or shared by all frames.
+
+    Attributes
+    ----------
+    name : by which kernels are given it; unique among all terms
+    meaning : what it is, with its unit
+    shape : (): one number
+    """
+
+    name: str
+    meaning: str
+    shape: tuple[int, ...] = ()
+
+
+DT = Field("dt", "seconds since the person's frame before; 0 at the first")
+"""What every record has."""
+
+
+def record_type(fields: Iterable[Field]) -> np.dtype:
+    """Records of floats with such fields, each once."""
+    return np.dtype([(f.name, float, f.shape) for f in dict.fromkeys(fields)])
+
+
+def number_rows(records: np.ndarray) -> np.ndarray:
+    """The same records (n,) as rows (n, numbers) of floats, in the same memory."""
+    return records.view(float).reshape(len(records), -1)
+
+
+def place_in_row(field: str, record: np.dtype) -> int:
+    """Where a number stands in such a row."""
+    assert record.fields is not None
+    return int(record.fields[field][1]) // 8
+
+
+class Problem(NamedTuple):
+    """Some tracks end to end, as the kernels see them: N frames, m tracks."""
+
+    records: np.ndarray  # (N,) of the program's FRAME
+    shared: np.ndarray  # (1,) of its SHARED
+    body_heights: FloatArray  # (N, classes + 1), or no rows without class likelihoods
+    head_heights: FloatArray
+    body_directions: FloatArray  # (classes, 2) cosines and sines of the centres
+    head_directions: FloatArray
+    origin: FloatArray  # (m, 2) metres, what a track's positions are counted from
+    offsets: NDArray[np.int64]  # (m + 1,)
+    prior: FloatArray  # (8, 6) on the first frame: rows Λ, then η and the point d = 0; no rows: there is none
+
+
+VariableName = Literal["position", "velocity", "body", "head"]
+Function = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A function that adds a term's part at one frame to the gradient and the Hessian, and returns its cost.
+
+    The names of the function's parameters say what it is given:
+
+    ``state``, ``before``
+        (6,) of the frame and of the one before; places as in `layout`. Positions count from the origin
+    ``origin_x``, ``origin_y``
+        metres, where that is in the world
+    ``body_cos``, ``body_sin``, ``head_cos``, ``head_sin``, and the same with ``_before``
+        of the orientations; a kernel that reads them so takes part in the search for other basins
+    ``gradient``, ``hessian``
+        (6,) and (6, 6) of the frame, to be added to; of the Hessian, the lower triangle
+    ``gradient_before``, ``hessian_before``, ``transition``
+        those of the frame before, and ∂²/∂before_i ∂state_j
+    ``exact``
+        whether to add the true second derivative, or one that is never negative, of Gauss–Newton's kind: with
+        it, ½·gᵀ·H⁻¹·g is no more than the cost
+    ``start``
+        (6,) the state of the track's first frame where the descent began
+    any field
+        of the frame's record, or shared by all frames
+
+    Attributes
+    ----------
+    function : compiled
+    gate : field of the record that is greater than 0 where the kernel is to be called
+    variables, before : variables of the frame, and of the frame before, whose derivatives it adds
+    unless : field that keeps it from being called where that is greater than 0
+    names : parameter → what it is given, where that is not its own name
+    switched : whether the modes of the couplings switch it; see `gait.GaitOffsets`
+    add_quarter_turns : compiled; a quicker way, if there is one, to look its cost up in four directions. Adds
+        to ``cost`` (4,) what the kernel costs at its orientation, and one, two and three quarters on
+    """
+
+    function: Function
+    gate: str
+    variables: tuple[VariableName, ...]
+    before: tuple[VariableName, ...] = ()
+    unless: str | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+    switched: bool = False
+    add_quarter_turns: Function | None = None
+
+    @cached_property
+    def arguments(self) -> tuple[str, ...]:
+        """What the function is given, in order."""
+        return arguments_of(self.function, self.names)
+
+    @property
+    def orientation(self) -> Literal["body", "head"] | None:
+        """The one orientation that the cost of the frame alone depends on; None for none, or for both."""
+        if self.before:
+            return None
+        turned = {name for name in ("body", "head") if f"{name}_cos" in self.arguments}
+        if turned == {"body"}:
+            return "body"
+        return "head" if turned == {"head"} else None
+
+
+def arguments_of(function: Function, names: Mapping[str, str]) -> tuple[str, ...]:
+    """The names of a function's parameters, or what stands for them."""
+    parameters = inspect.signature(getattr(function, "py_func", function)).parameters
+    return tuple(names.get(name, name) for name in parameters)

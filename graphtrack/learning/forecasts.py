@@ -1,0 +1,489 @@
+"""Learning the parameters of forecasts from recordings, and the errors of a whole recording at once.
+
+`errors_at_once` says what `Forecaster` would, frame by frame, at a fraction of the time: what a search needs.
+
+The parameters of forecasts from recordings: `fit_forecast`.
+
+Four parts, each from what it decides: standing, company and places by the mean errors of forecasts, the
+head's lead by the errors a second ahead of people whose head is seen, the spread by the density of where
+people were, and how soon a scene's own errors are trusted by what circles hold in it. Recordings with heads
+teach the lead of the head alone, if there are others: they are of laboratories, where nobody goes anywhere.
+Scenes count equally, whatever their size. The search begins at `START` and in the middle of its lists, so
+that nothing depends on what was learned before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.forecasting.forecaster import JUDGED, Expected, Forecaster, lead, mean_turn, spreads, together
+from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, standing
+from graphtrack.forecasting.paths import EVERY, LAGS
+from graphtrack.forecasting.recorded import SeenFrame, frames_of
+from graphtrack.forecasting.spread import LEVELS, log_density
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.track import Track, TrackSet
+
+_LEAST = np.float32(-40.0)
+"""Logarithm of the least weight: less counts for nothing, and denormal numbers are slow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A scene, and what came of its people.
+
+    Attributes
+    ----------
+    frames : who was seen when
+    actual : of each frame, where its n people were (n, G) at the times ahead, complex; NaN: not known
+    straight : and where the velocity of the last step would have led them
+    """
+
+    frames: tuple[SeenFrame, ...]
+    actual: tuple[ComplexArray, ...]
+    straight: tuple[ComplexArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """All people at all times `EVERY` seconds apart, in the order of time.
+
+    Attributes
+    ----------
+    t : (N,) seconds
+    position, velocity : (N,) complex, of people on their own
+    actual, straight : (N, G) complex, as of a `Recording`
+    judged : (N,) whether they had been seen for long enough
+    """
+
+    t: FloatArray
+    position: ComplexArray
+    velocity: ComplexArray
+    actual: ComplexArray
+    straight: ComplexArray
+    judged: NDArray[np.bool_]
+
+
+def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
+    """What there is to learn from; ``times`` (G,) ahead."""
+    paths = {one.track_id: (one.t, one.position[:, 0] + 1j * one.position[:, 1]) for one in tracks}
+    around = np.concatenate([[-EVERY, 0.0], times])
+    frames, actual, straight = [], [], []
+    of_person = {
+        name: _places_at(t, place, (t[:, None] + around).ravel()).reshape(len(t), -1)
+        for name, (t, place) in paths.items()
+    }
+    for seen in frames_of(tracks):
+        rows = [int(np.searchsorted(paths[one][0], seen.t - 1e-6)) for one in seen.track_id.tolist()]
+        found = np.array([of_person[one][k] for one, k in zip(seen.track_id.tolist(), rows, strict=True)])
+        frames.append(seen)
+        actual.append(found[:, 2:])
+        straight.append(found[:, 1:2] + (found[:, 1:2] - found[:, :1]) * times / EVERY)
+    return Recording(tuple(frames), tuple(actual), tuple(straight))
+
+
+def _places_at(t: FloatArray, place: ComplexArray, at: FloatArray) -> ComplexArray:
+    """Where a person was, between two sightings that are not far apart; NaN elsewhere."""
+    seen = np.isfinite(place)
+    if not seen.any():
+        return np.full(len(at), complex(np.nan, np.nan))
+    t, place = t[seen], place[seen]
+    after = np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)
+    before = np.maximum(after - 1, 0)
+    span = t[after] - t[before]
+    share = np.where(span > 0, (at - t[before]) / np.where(span > 0, span, 1.0), 1.0)
+    found = place[before] + np.clip(share, 0.0, 1.0) * (place[after] - place[before])
+    inside = (at >= t[0] - 1e-6) & (at <= t[-1] + 1e-6) & (span <= 1.0)
+    return np.where(inside, found, np.nan)
+
+
+def forecasts(
+    of: Recording, parameters: ForecastParameters, history: float = 2.0 * EVERY
+) -> Iterator[tuple[Forecaster, NDArray[np.int64], ComplexArray, ComplexArray]]:
+    """Every `EVERY` seconds a forecaster, who was seen for long enough, and what came of them."""
+    forecaster, last = Forecaster(parameters), -np.inf
+    for seen, actual, straight in zip(of.frames, of.actual, of.straight, strict=True):
+        forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
+        people = forecaster.people(history)
+        if seen.t - last < EVERY - 1e-6 or not len(people):
+            continue
+        last = seen.t
+        rows = np.searchsorted(seen.track_id, people)
+        yield forecaster, people, actual[rows], straight[rows]
+
+
+def rows_of(of: Recording) -> Rows:
+    """A recording's people, filtered.
+
+    Raise InputError if nobody was seen for long enough after a forecast.
+    """
+    alone = replace(ForecastParameters(), stop_speed=0.0, companion_weight=0.0)
+    parts: list[tuple[NDArray[np.complex128] | FloatArray | NDArray[np.bool_], ...]] = []
+    for forecaster, people, actual, straight in forecasts(of, alone, 0.0):
+        position, velocity, _ = forecaster.going(people)
+        judged = np.isin(people, forecaster.people(2.0 * EVERY))
+        t = np.full(len(people), forecaster.t)
+        parts.append((t, position, velocity, actual, straight, judged))
+    found = Rows(*(np.concatenate(one) for one in zip(*parts, strict=True))) if parts else None
+    if found is None or not np.isfinite(found.actual[found.judged]).any():
+        raise InputError("nobody who was seen after a forecast", f"tracks longer than {3 * EVERY:g} s")
+    return found
+
+
+def errors_at_once(of: Rows, parameters: ForecastParameters) -> tuple[float, float]:
+    """`relative_errors` of the means that `Forecaster` gives where everything is kept and no head is seen."""
+    edges = np.append(np.flatnonzero(np.diff(of.t, prepend=-np.inf)), len(of.t))
+    velocity = standing(of.velocity, parameters.stop_speed)
+    for a, b in pairwise(edges.tolist()):
+        velocity[a:b] = together(of.position[a:b], velocity[a:b], np.arange(b - a), parameters)
+    straight = of.position[:, None] + velocity[:, None] * LAGS
+    deviation = of.actual - straight
+    known = np.isfinite(deviation)
+    deviation = np.where(known, deviation, 0.0)
+    outcome = np.concatenate([deviation.real, deviation.imag, known], axis=1).astype(np.float32)
+    near, alike = parameters.place_distance, parameters.place_velocity
+    columns = (of.position.real / near, of.position.imag / near, velocity.real / alike, velocity.imag / alike)
+    where = np.stack(columns, axis=1).astype(np.float32)
+    size, mean = len(LAGS), straight
+    whole = of.judged & (known.all(axis=1) if (of.judged & known.all(axis=1)).any() else known[:, 0])
+    for a, b in pairwise(edges.tolist()):
+        rows = a + np.flatnonzero(whole[a:b])
+        # Of earlier people that is known by now which came before now.
+        ends = np.searchsorted(of.t, of.t[a] - LAGS + 1e-3)
+        first, last = ends[-1], ends[0]
+        if not len(rows) or not last:
+            continue
+        weight = nearness(where[rows], where[:last])
+        newer = outcome[first:last] * np.tile(np.arange(first, last)[:, None] < ends, 3)
+        total = (weight[:, :first] @ outcome[:first] + weight[:, first:] @ newer).astype(float)
+        real, imaginary, count = total[:, :size], total[:, size : 2 * size], total[:, 2 * size :]
+        mean[rows] += (real + 1j * imaginary) / (count + parameters.place_prior)
+    return relative_errors((of.actual - mean)[whole], (of.actual - of.straight)[whole])
+
+
+def nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights (n, m) of points (m, 4) for points (n, 4): of a Gaussian kernel of width 1."""
+    logs = here @ there.T
+    logs -= 0.5 * (here**2).sum(axis=1)[:, None]
+    logs -= 0.5 * (there**2).sum(axis=1)
+    np.maximum(logs, _LEAST, out=logs)
+    return np.exp(logs, out=logs)
+
+
+def relative_errors(error: ComplexArray, straight: ComplexArray) -> tuple[float, float]:
+    """Mean error (n, G) of whole paths and of their ends, over those of the last step's velocity."""
+    whole = np.isfinite(error).all(axis=1) & np.isfinite(straight).all(axis=1)
+    if not whole.any():
+        whole = np.isfinite(error[:, 0]) & np.isfinite(straight[:, 0])
+    own, other = np.abs(error[whole]), np.abs(straight[whole])
+    if not whole.any():
+        return float("nan"), float("nan")
+    ends = np.isfinite(own[:, -1]).any()
+    return float(np.nanmean(own) / np.nanmean(other)), float(
+        np.nanmean(own[:, -1]) / np.nanmean(other[:, -1]) if ends else np.nan
+    )
+
+
+PLACE_STEPS: Mapping[str, tuple[float, ...]] = {
+    "stop_speed": (0.0, 0.05, 0.1, 0.2, 0.3, 0.45),
+    "companion_weight": (0.0, 0.5, 1.0, 2.0, 4.0),
+    "companion_distance": (0.7, 1.0, 1.5, 2.2, 3.3),
+    "companion_velocity": (0.1, 0.15, 0.2, 0.3, 0.45),
+    "place_distance": (0.8, 1.2, 1.8, 2.7, 4.0),
+    "place_velocity": (0.07, 0.1, 0.15, 0.22, 0.33),
+    "place_prior": (0.3, 1.0, 3.0, 10.0),
+}
+"""Values to choose from: from the middle ones on, neighbours are tried until none helps."""
+HEAD_STEPS: Mapping[str, tuple[float, ...]] = {
+    "head_share": (0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2),
+    "head_seconds": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2),
+    "head_limit": (0.6, 0.8, 1.0, 1.2, 1.6, 2.4, 4.0),
+}
+SCENE_STEPS: Mapping[str, tuple[float, ...]] = {"scene_prior": (10.0, 30.0, 100.0, 300.0, 1000.0)}
+SPREAD = (
+    "spread_standing",
+    "spread_walking",
+    "spread_power",
+    "spread_along",
+    "spread_prior",
+    "tail_share",
+    "tail_scale",
+)
+
+START = ForecastParameters(
+    spread_standing=0.1,
+    spread_walking=0.2,
+    spread_power=1.5,
+    spread_along=1.0,
+    spread_prior=3.0,
+    tail_share=0.2,
+    tail_scale=2.5,
+    scene_prior=36.0,
+)
+"""Where the search for the spread begins; of the parameters of the lists it is of no account.
+
+`scene_prior` stays as it is here where there is one scene alone: as many forecasts as it takes to know what a
+circle of 90 % holds to 5 % (a binomial's 0.9 · 0.1 / 0.05²).
+"""
+
+_MOST = 4000
+"""Forecasts of a scene that the spread is learned from."""
+_HEAD_TIMES = np.array([0.4, 0.8, 1.0])
+_ROUNDS = 3
+"""Times that the lists are gone through, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """Forecasts of a scene and what came of them.
+
+    Attributes
+    ----------
+    expected : of n forecasts at `LAGS`
+    error : (n, G) complex, from the mean to where people were; NaN where they were not seen any more
+    straight : (n, G) error of the last step's velocity
+    """
+
+    expected: Expected
+    error: ComplexArray
+    straight: ComplexArray
+
+
+@dataclass(frozen=True)
+class ForecastFit:
+    """Learned parameters, and the errors of their forecasts.
+
+    Attributes
+    ----------
+    parameters : what was learned
+    start : the defaults
+    errors : scene → mean error over all times ahead and at the last, over those of the last step's velocity
+    density : scene → mean log density before and after
+    """
+
+    parameters: ForecastParameters
+    start: ForecastParameters
+    errors: Mapping[str, tuple[float, float]]
+    density: Mapping[str, tuple[float, float]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
+    """Forecasts of a recording every `EVERY` seconds, beside what came of them.
+
+    Raise InputError if nobody was seen for long enough after a forecast.
+    """
+    random = np.random.default_rng(0)
+    parts: list[tuple[Expected, ComplexArray, ComplexArray]] = []
+    for forecaster, people, actual, straight in forecasts(of, parameters):
+        expected = forecaster.expected(people, LAGS)
+        parts.append((expected, actual - expected.mean, actual - straight))
+    known = sum(int(np.isfinite(error).sum()) for _, error, _ in parts)
+    if not known:
+        raise InputError("nobody who was seen after a forecast", f"tracks longer than {3 * EVERY:g} s")
+    names = Expected.__dataclass_fields__
+    joined = Expected(**{name: np.concatenate([getattr(one[0], name) for one in parts]) for name in names})
+    error, straight = (np.concatenate([one[k] for one in parts]) for k in (1, 2))
+    chosen = random.permutation(len(error))
+    return _some(Outcomes(joined, error, straight), chosen)
+
+
+def calibration_error(of: Recording, parameters: ForecastParameters) -> float:
+    """Mean difference, over times ahead, between what circles hold and what they should.
+
+    Of people seen for as long as those whose outcomes correct the circles: see `Calibration`.
+    """
+    parts = []
+    for forecaster, people, actual, _ in forecasts(of, parameters, JUDGED + EVERY):
+        told = forecaster.forecast(LAGS, people)
+        error = np.abs(actual - told.position[..., 0] - 1j * told.position[..., 1])
+        held = np.stack([error <= told.radius_50, error <= told.radius_90], axis=2)
+        parts.append(np.where(np.isfinite(error)[..., None], held, np.nan))
+    shares = np.nanmean(np.concatenate(parts), axis=0)
+    return float(np.nanmean(np.abs(shares - LEVELS)))
+
+
+def _some(of: Outcomes, chosen: np.ndarray[Any, Any]) -> Outcomes:
+    expected = Expected(
+        **{name: getattr(of.expected, name)[chosen] for name in Expected.__dataclass_fields__}
+    )
+    return Outcomes(expected, of.error[chosen], of.straight[chosen])
+
+
+def density(found: Outcomes, parameters: ForecastParameters) -> float:
+    """Mean log density of where people were, in a scene like others."""
+    few = _some(found, np.arange(min(_MOST, len(found.error))))
+    expected = few.expected
+    along, across = spreads(parameters, expected, LAGS)
+    off = few.error * expected.direction.conj()[:, None]
+    known = np.isfinite(off)
+    off = np.where(known, off, 0.0)
+    values = log_density(off.real, off.imag, along, across, parameters)
+    return float(values[known].mean())
+
+
+def fit_forecast(
+    scenes: Mapping[str, TrackSet],
+    progress: Callable[[str], None] = lambda what: None,
+) -> ForecastFit:
+    """Learn how people go on.
+
+    Parameters
+    ----------
+    scenes : name → recording, each of people who share a place and its times; where heads are seen they need
+        not, if there are recordings without
+    progress : is told what is being learned
+
+    Raises
+    ------
+    InputError
+        If nothing can be learned from a scene.
+    """
+    if not scenes:
+        raise InputError("no recordings", "at least one")
+    before = ForecastParameters()
+    with_heads = {name: one for name, tracks in scenes.items() if (one := head_recording(tracks)) is not None}
+    scenes = {name: tracks for name, tracks in scenes.items() if name not in with_heads} or scenes
+    recordings = {name: recording(tracks) for name, tracks in scenes.items()}
+
+    rows = [rows_of(one) for one in recordings.values()]
+
+    def mean_error(one: ForecastParameters) -> float:
+        return float(np.mean([np.nanmean(errors_at_once(of, one)) for of in rows]))
+
+    best = _search(START, PLACE_STEPS, mean_error, progress)
+    # Heads lead a motion that is found with the parameters of motion.
+    heads = [seen for one in with_heads.values() if (seen := heads_of(one, best)) is not None]
+    if heads:
+        best = _search(
+            best, HEAD_STEPS, lambda one: float(np.mean([of.error(one) for of in heads])), progress
+        )
+    progress("spread")
+    found = {name: outcomes(of, best) for name, of in recordings.items()}
+    best = _fit_spread(list(found.values()), best)
+    best = _fit_scene_prior(recordings, found, best, progress)
+    return ForecastFit(
+        parameters=best,
+        start=before,
+        errors={name: relative_errors(one.error, one.straight) for name, one in found.items()},
+        density={name: (density(one, before), density(one, best)) for name, one in found.items()},
+    )
+
+
+def _search(
+    start: ForecastParameters,
+    steps: Mapping[str, tuple[float, ...]],
+    cost: Callable[[ForecastParameters], float],
+    progress: Callable[[str], None],
+) -> ForecastParameters:
+    """From the middle of the lists to whichever neighbour costs less, one parameter after the other."""
+    cost = cache(cost)
+    best = replace(start, **{name: values[len(values) // 2] for name, values in steps.items()})
+    for _ in range(_ROUNDS):
+        before = best
+        for name, values in steps.items():
+            progress(name.replace("_", " "))
+            while True:
+                place = values.index(getattr(best, name))
+                beside = values[max(place - 1, 0) : place] + values[place + 1 : place + 2]
+                tried = [replace(best, **{name: value}) for value in beside]
+                nearer = min([best, *tried], key=cost)
+                if nearer == best:
+                    break
+                best = nearer
+        if best == before:
+            break
+    return best
+
+
+def _fit_spread(found: Sequence[Outcomes], start: ForecastParameters) -> ForecastParameters:
+    from scipy.optimize import minimize
+
+    ranges = {name: ForecastParameters.__dataclass_fields__[name].metadata["range"] for name in SPREAD}
+
+    def parameters(at: FloatArray) -> ForecastParameters:
+        values = {
+            name: float(np.clip(np.exp(one), *ranges[name])) for name, one in zip(SPREAD, at, strict=True)
+        }
+        return replace(start, **values)
+
+    def cost(at: FloatArray) -> float:
+        return -float(np.mean([density(one, parameters(at)) for one in found]))
+
+    begin = np.log([getattr(start, name) for name in SPREAD])
+    solved = minimize(cost, begin, method="L-BFGS-B", options={"maxiter": 60}, tol=1e-6)
+    return parameters(solved.x)
+
+
+def _fit_scene_prior(
+    recordings: Mapping[str, Recording],
+    found: Mapping[str, Outcomes],
+    start: ForecastParameters,
+    progress: Callable[[str], None],
+) -> ForecastParameters:
+    """Learn how soon a scene's own errors are trusted, by its circles with the spread of the others."""
+    if len(found) < 2:
+        return start  # one scene says nothing of how scenes differ
+    others = {
+        name: _fit_spread([one for other, one in found.items() if other != name], start) for name in found
+    }
+
+    def cost(tried: ForecastParameters) -> float:
+        elsewhere = {name: replace(one, scene_prior=tried.scene_prior) for name, one in others.items()}
+        return float(np.mean([calibration_error(of, elsewhere[name]) for name, of in recordings.items()]))
+
+    return _search(start, SCENE_STEPS, cost, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class Heads:
+    """People who walk and whose head is seen.
+
+    Attributes
+    ----------
+    velocity : (n,) complex
+    angle, sure : (n,) as `lead` takes them
+    moved : (n, H) complex, where they went from where they were, at the times that are judged
+    """
+
+    velocity: ComplexArray
+    angle: FloatArray
+    sure: FloatArray
+    moved: ComplexArray
+
+    def error(self, parameters: ForecastParameters) -> float:
+        """Mean error, metres."""
+        turned = lead(self.angle, self.sure, parameters)[:, None] * mean_turn(_HEAD_TIMES, parameters)
+        going = self.velocity[:, None] * _HEAD_TIMES * np.exp(1j * turned)
+        return float(np.abs(self.moved - going).mean())
+
+
+def head_recording(tracks: TrackSet) -> Recording | None:
+    """Those whose head is seen; None: there is none."""
+    seen = [one for one in tracks if one.head is not None]
+    return recording(seen, _HEAD_TIMES) if seen else None
+
+
+def heads_of(of: Recording, parameters: ForecastParameters) -> Heads | None:
+    """What there is to learn of heads; None: nothing. People need not have been there together."""
+    parameters = replace(parameters, companion_weight=0.0)
+    parts: list[tuple[ComplexArray, FloatArray, FloatArray, ComplexArray]] = []
+    for forecaster, people, actual, _ in forecasts(of, parameters):
+        position, velocity, head = forecaster.going(people)
+        parts.append((velocity, np.angle(head * velocity.conj()), np.abs(head), actual - position[:, None]))
+    if not parts:
+        return None
+    velocity, angle, sure, moved = (np.concatenate(one) for one in zip(*parts, strict=True))
+    known = np.isfinite(moved).all(axis=1) & (sure > 0)
+    return Heads(velocity[known], angle[known], sure[known], moved[known]) if known.any() else None

@@ -1,1 +1,0 @@
-"""GTSAM's factors: custom ones, native ones under the model's names, and those derived from kernels."""

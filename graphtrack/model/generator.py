@@ -1,0 +1,400 @@
+"""Frame programs: the kernels of some terms, called one after another, and which one a problem has.
+
+Compiled code calls `add_frame`, `cut` and `set_quarter_turns`. Their implementation is
+chosen where the call is compiled, by the type of the problem's records: that of the package's terms in
+`program`, or one that was generated for terms of a user's own. So the solver is compiled once more for such
+terms, from the same source.
+
+The frame program of a model: that of the package's terms, or one generated for terms of a user's own.
+
+Writes the frame program: the kernels of a list of terms, called one after another, for floats and lanes.
+
+Functions that looped over kernels could not be inlined, nor their machine code be kept: so every call is
+written out. ``python -m graphtrack.model.generator`` writes `program` again; a test compares.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+import textwrap
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+
+from graphtrack.errors import InputError
+from graphtrack.kernels.compilation import INNER, OPTIONS
+from graphtrack.kernels.lanes import LaneRecordsType
+from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of
+from graphtrack.model import Model, Term, program
+from graphtrack.model.model import every_term
+from graphtrack.model.packing import RecordTypes
+
+if TYPE_CHECKING:
+    from graphtrack.model.term import Term
+
+
+_FUNCTIONS: dict[tuple[str, ...], Any] = {}
+"""Names of the fields of a record → the functions of its program."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameProgram:
+    """A frame program, for whoever packs records or reads them.
+
+    Attributes
+    ----------
+    types : of the records
+    links, switched : gates of what links a frame to the one before, and of what the coupling modes switch
+    """
+
+    types: RecordTypes
+    links: tuple[str, ...]
+    switched: tuple[str, ...]
+
+    @classmethod
+    def of(cls, functions: Any) -> FrameProgram:
+        """The program whose functions and types are the attributes of a module or a namespace."""
+        _FUNCTIONS[functions.FRAME.names] = functions
+        return cls(RecordTypes(functions.FRAME, functions.SHARED), functions.LINKS, functions.SWITCHED)
+
+    @classmethod
+    def from_source(cls, source: str, name: str) -> FrameProgram:
+        """The program of a source from `generator.Program`."""
+        # Machine code on disk names the module of each function, which is imported when it is loaded.
+        module = sys.modules[name] = ModuleType(name)
+        exec(compile(source, f"<{name}>", "exec"), vars(module))
+        return cls.of(module)
+
+
+OF_PRESETS = FrameProgram.of(program)
+"""The program of the package's terms."""
+
+
+def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of compiled code that is, for each type of records, that of their program.
+
+    ``records_of`` takes the types of the arguments to that of the records.
+    """
+
+    def stub(*_arguments: Any) -> Any:
+        raise NotImplementedError(f"{name} is called by compiled code alone")
+
+    def implementation(*arguments: Any) -> Any:
+        kind = records_of(*arguments)
+        if isinstance(kind, LaneRecordsType):
+            fields = kind.places
+        else:
+            fields = (kind.dtype if isinstance(kind, types.Array) else kind).fields
+        return getattr(_FUNCTIONS[tuple(fields)], name).py_func
+
+    # Numba compares the parameters' names.
+    implementation.__signature__ = inspect.signature(getattr(program, name).py_func)  # type: ignore[attr-defined]
+    # As `inner`: else numba would compile them once more for callers that make arrays.
+    overload(stub, jit_options={**OPTIONS, **INNER})(implementation)
+    return stub
+
+
+def _of_problem(problem: Any, *_others: Any) -> Any:
+    return problem.types[problem.instance_class._fields.index("records")]
+
+
+add_frame = _chosen("add_frame", _of_problem)
+set_quarter_turns = _chosen("set_quarter_turns", _of_problem)
+cut = _chosen("cut", lambda frame: frame)
+
+
+_TURNS = ("body_cos", "body_sin", "head_cos", "head_sin")
+_GIVEN = {
+    **{name: name for name in ("state", "before", "start", "exact", *_TURNS)},
+    **{f"{name}_before": f"{name}_before" for name in _TURNS},
+    **{
+        name: f"masked({name}, gate)"
+        for name in ("gradient", "hessian", "gradient_before", "hessian_before", "transition")
+    },
+    "origin_x": "problem.origin[track, 0]",
+    "origin_y": "problem.origin[track, 1]",
+    "body_heights": "problem.body_heights[place]",
+    "head_heights": "problem.head_heights[place]",
+    "body_directions": "problem.body_directions",
+    "head_directions": "problem.head_directions",
+    "BODY": "at_body",
+    "HEAD": "at_head",
+}
+"""Parameters of kernels that are no fields → the expressions that they are given."""
+
+_HEADER = '''"""The frame program of {title}.
+
+Written by `graphtrack.model.generator`; not to be edited.
+"""
+# fmt: off
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+{imports}
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.lanes import any_of, choose, masked, negate
+from graphtrack.kernels.layout import BODY, HEAD
+from graphtrack.kernels.layout import Problem
+
+'''
+
+_FRAME = '''
+@compiled
+def add_frame(
+    problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
+    turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
+) -> Any:
+    """Add the terms that arrive with frame k of a track; returns their cost.
+
+    ``links``: those between the frame and the one before; ``own``: those of the frame alone. ``turns`` (n, 4)
+    must have been noted of the frame before, and are noted of frame k.
+    """
+    place = problem.offsets[track] + k
+    frame, state, shared = problem.records[place], states[k], problem.shared[0]
+    # Sums: kernels are compiled once more for each constant that they are given.
+    at_body, at_head = BODY + 0, HEAD + 0
+    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
+    cost = 0.0 * body_cos
+    if links and k > 0:
+        before = states[k - 1]
+        body_cos_before, body_sin_before = turns[k - 1, 0], turns[k - 1, 1]
+        head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
+'''
+
+_CUT = '''
+@compiled
+def cut(frame: Any) -> None:
+    """Take a frame's links to the one before out of its record."""
+'''
+
+_QUARTERS = '''
+@compiled
+def set_quarter_turns(
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
+    body: Any, head: Any,
+) -> None:
+    """Find what frame k costs with body or head at the directions ``turns``, and a quarter, two and three on.
+
+    ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
+    filled in. ``gradient`` and ``hessian`` are memory.
+    """
+    place = problem.offsets[track] + k
+    frame, shared = problem.records[place], problem.shared[0]
+    at_body, at_head = BODY + 0, HEAD + 0
+    body_cos, body_sin, head_cos, head_sin = turns[0], turns[1], turns[2], turns[3]
+    for q in range(4):
+        body[q] = head[q] = 0.0 * body_cos
+'''
+
+
+class Program:
+    """The source of the frame program of some terms.
+
+    Parameters
+    ----------
+    terms : whose fields and kernels it has, each once
+    title : of what
+    others : terms of which it has the fields alone, since other functions read them
+    *fields : other fields of the record
+
+    Raises
+    ------
+    ValueError
+        For kernels whose parameters or gates are unknown, and for two fields of one name.
+    """
+
+    def __init__(
+        self, terms: Iterable[type[Term]], title: str, others: Iterable[type[Term]] = (), *fields: Field
+    ) -> None:
+        terms = list(terms)
+        every = [*others, *terms]
+        self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields]))
+        self.shared = tuple(dict.fromkeys(f for term in every for f in term.shared))
+        self.kernels: tuple[Kernel, ...] = tuple({id(k): k for term in terms for k in term.kernels}.values())
+        self._modules: dict[str, str] = {}
+        self._frame_names = {f.name for f in self.fields}
+        names = [f.name for f in (*self.fields, *self.shared)]
+        double = {name for name in names if names.count(name) > 1}
+        if double:
+            raise ValueError(f"found two fields named {', '.join(sorted(double))}, expected other names")
+        self._known = {name: f"shared.{name}" for name in names} | _GIVEN
+        self._known |= {name: f"frame.{name}" for name in self._frame_names}
+        body = self._types() + self._frame() + self._cut() + self._quarter_turns()
+        aliases = sorted(self._modules.items(), key=lambda alias: alias[1])
+        imports = "\n".join(f"import {module} as {alias}" for alias, module in aliases)
+        self.source = _HEADER.format(title=title, imports=imports) + body
+
+    def _name(self, function: Function) -> str:
+        """The name of a function in the program, which imports its module."""
+        module, name = function.__module__, getattr(function, "py_func", function).__name__
+        alias = f"{module.rpartition('.')[2]}_kernels"
+        while self._modules.setdefault(alias, module) != module:
+            alias += "_"
+        return f"{alias}.{name}"
+
+    def _call(
+        self, indent: int, begin: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]
+    ) -> str:
+        """A call of a function, whose parameters have other ``names``, with what they stand for ``here``."""
+        known, given = {**self._known, **here}, arguments_of(function, names)
+        for name in given:
+            if name not in known:
+                expected = "a field or one that `Kernel` names"
+                raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
+        line = f"{begin}{self._name(function)}({', '.join(known[name] for name in given)})"
+        space = " " * indent
+        return textwrap.fill(line, 110, initial_indent=space, subsequent_indent=space + "    ") + "\n"
+
+    def _opened(self, kernel: Kernel, indent: int) -> str:
+        """The condition under which a kernel is called."""
+        if kernel.gate not in self._frame_names:
+            raise ValueError(f"found the gate {kernel.gate!r}, expected a field of the record")
+        gate = f"frame.{kernel.gate} > 0.0"
+        if kernel.unless in self._frame_names:
+            gate = f"({gate}) & negate(frame.{kernel.unless} > 0.0)"
+        return textwrap.indent(f"gate = {gate}\nif any_of(gate):\n", " " * indent)
+
+    def _types(self) -> str:
+        text = ""
+        for name, fields, what in (
+            ("FRAME", self.fields, "One frame. A gate is 0 where its kernel is not called."),
+            ("SHARED", self.shared, "What all frames of a job share."),
+        ):
+            text += f"{name} = np.dtype([\n"
+            for f in fields:
+                shape, meaning = f", {f.shape}" if f.shape else "", f"  # {f.meaning}" if f.meaning else ""
+                text += f'    ("{f.name}", float{shape}),{meaning}\n'
+            text += f'])\n"""{what}"""\n\n'
+        links = [kernel.gate for kernel in self.kernels if kernel.before]
+        switched = [kernel.gate for kernel in self.kernels if kernel.switched]
+        for name, gates, what in (
+            ("LINKS", links, "Gates of what links a frame to the one before."),
+            ("SWITCHED", switched, "Gates of what the coupling modes switch."),
+        ):
+            quoted = "".join(f'"{gate}", ' for gate in dict.fromkeys(gates)).strip()
+            text += f'{name} = ({quoted})\n"""{what}"""\n\n'
+        return text
+
+    def _frame(self) -> str:
+        text = _FRAME
+        for links in (True, False):
+            text += "" if links else "    if own:\n"
+            for kernel in self.kernels:
+                if bool(kernel.before) is links:
+                    text += self._opened(kernel, 8)
+                    text += self._call(12, "found = ", kernel.function, kernel.names, {})
+                    text += "            cost += choose(gate, found, 0.0)\n"
+        return text + "    return cost\n\n"
+
+    def _cut(self) -> str:
+        links = dict.fromkeys(kernel.gate for kernel in self.kernels if kernel.before)
+        return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in links) + "\n"
+
+    def _quarter_turns(self) -> str:
+        """Of the kernels that the basin search looks up."""
+        text = _QUARTERS
+        for kernel in self.kernels:
+            name = kernel.orientation
+            if name is None or "start" in kernel.arguments:
+                continue
+            text += self._opened(kernel, 4)
+            if kernel.add_quarter_turns is not None:
+                here = {"cost": f"masked({name}, gate)"}
+                text += self._call(8, "", kernel.add_quarter_turns, kernel.names, here)
+                continue
+            here = {f"{name}_cos": "cos", f"{name}_sin": "sin"}
+            text += f"        cos, sin = {name}_cos, {name}_sin\n        for q in range(4):\n"
+            text += self._call(12, "found = ", kernel.function, kernel.names, here)
+            text += f"            {name}[q] += choose(gate, found, 0.0)\n"
+            text += "            cos, sin = -sin, cos\n"
+        return text
+
+
+if __name__ == "__main__":
+    from graphtrack.model.model import every_term
+
+    written = Program(every_term(), "the presets' terms").source
+    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")
+
+
+def program_of(model: Model) -> FrameProgram:
+    """The frame program of a model's compiled terms."""
+    return _program_of(tuple(dict.fromkeys(type(term) for term in model.compiled_terms)))
+
+
+@cache
+def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
+    """The program of some terms: the presets' where they bring nothing new, else one of their own."""
+    if _brought(kinds) <= _brought(every_term()):
+        return OF_PRESETS
+    functions = list(_functions(kinds))
+    for function in functions:
+        _check(function)
+    title = ", ".join(kind.__name__ for kind in kinds)
+    name = f"program_{_digest(functions)}"
+    # The solver's machine code on disk is told apart by the names of the record's fields.
+    source = Program(kinds, title, every_term(), Field(name, "of which program the record is")).source
+    return FrameProgram.from_source(source, name)
+
+
+def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
+    """The kernels and fields of some terms."""
+    return {
+        one
+        for kind in kinds
+        for one in (*kind.fields, *kind.shared, *(id(kernel) for kernel in kind.kernels))
+    }
+
+
+def _functions(kinds: Iterable[type[Term]]) -> Iterator[Function]:
+    """All functions of the kernels of some terms."""
+    for kind in kinds:
+        for kernel in kind.kernels:
+            yield kernel.function
+            if kernel.add_quarter_turns is not None:
+                yield kernel.add_quarter_turns
+
+
+def _check(function: Function) -> None:
+    """Raise InputError for a function that the program could not import."""
+    name = getattr(function, "py_func", function).__name__
+    if getattr(sys.modules.get(function.__module__), name, None) is not function:
+        raise InputError(
+            f"the kernel {name}, which no module has under that name",
+            "a function at the top of a module, a script or a notebook",
+        )
+
+
+def _digest(functions: Iterable[Function]) -> str:
+    """A digest of all that the machine code of some functions depends on."""
+    digest, waiting, known = hashlib.sha256(), list(functions), set[int]()
+    while waiting:
+        function = getattr(waiting.pop(), "py_func", None)
+        if function is None or id(function) in known:
+            continue
+        known.add(id(function))
+        code, used = function.__code__, inspect.getclosurevars(function)
+        digest.update(f"{function.__module__}.{function.__qualname__}".encode() + code.co_code)
+        digest.update(repr([one for one in code.co_consts if not isinstance(one, CodeType)]).encode())
+        for name, value in sorted({**used.globals, **used.nonlocals}.items()):
+            if hasattr(value, "py_func"):
+                waiting.append(value)
+            elif isinstance(value, bool | int | float | str | tuple | np.ndarray):
+                digest.update(f"{name}={value!r}".encode())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,315 @@
+"""The frame program of the presets' terms.
+
+Written by `graphtrack.model.generator`; not to be edited.
+"""
+# fmt: off
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+import graphtrack.model.terms.anchor as anchor_kernels
+import graphtrack.model.terms.body_follows_motion as body_follows_motion_kernels
+import graphtrack.model.terms.faces_group as faces_group_kernels
+import graphtrack.model.terms.head_follows_body as head_follows_body_kernels
+import graphtrack.model.terms.holds_still as holds_still_kernels
+import graphtrack.model.terms.intentional_motion as intentional_motion_kernels
+import graphtrack.model.terms.motion as motion_kernels
+import graphtrack.model.terms.place as place_kernels
+import graphtrack.model.terms.pose as pose_kernels
+import graphtrack.model.terms.position as position_kernels
+import graphtrack.model.terms.turning as turning_kernels
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.lanes import any_of, choose, masked, negate
+from graphtrack.kernels.layout import BODY, HEAD, Problem
+
+FRAME = np.dtype([
+    ("dt", float),  # seconds since the person's frame before; 0 at the first
+    ("motion_information", float),  # 1/q in s³/m²; 0 at the first frame
+    ("velocity_information", float),  # of the prior on the velocity, where it stands
+    ("x", float),  # observed position in the world, metres
+    ("y", float),
+    ("position_information", float),  # 1/σ²; 0: no position was observed
+    ("u", float),  # observed pixel without the lens
+    ("v", float),
+    ("pixel_information", float),  # 1/σ² in pixels⁻²; 0: judged in metres, if at all
+    ("body_turn_kappa", float),  # of rotational diffusion since the frame before; 0 at the first
+    ("head_turn_kappa", float),  # of rotational diffusion since the frame before; 0 at the first
+    ("seen_body_cos", float),  # direction, concentration and ε/2π of an observed body angle
+    ("seen_body_sin", float),
+    ("body_kappa", float),
+    ("body_uniform", float),  # the outliers' density over that at the peak of the von Mises
+    ("body_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
+    ("body_doubt", float),  # probability that they say nothing, by the modes of the couplings
+    ("seen_head_cos", float),  # direction, concentration and ε/2π of an observed head angle
+    ("seen_head_sin", float),
+    ("head_kappa", float),
+    ("head_uniform", float),  # the outliers' density over that at the peak of the von Mises
+    ("head_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
+    ("head_doubt", float),  # probability that they say nothing, by the modes of the couplings
+    ("motion_body_kappa", float),  # κ₁ with the frame's weight
+    ("motion_body_cos", float),  # of the angle from motion to body at which their coupling rests
+    ("motion_body_sin", float),
+    ("head_body_kappa", float),  # κ₂ with the frame's weight
+    ("head_body_cos", float),  # of the angle from body to head at which their coupling rests
+    ("head_body_sin", float),
+    ("steer_gain", float),  # share of the velocity that turns to the head; 0: white-noise acceleration
+    ("steer_reach", float),  # seconds that the old velocity carries on
+    ("steer_place", float),  # information on the position, on both, and on the velocity
+    ("steer_cross", float),
+    ("steer_spread", float),
+    ("steer_rate", float),  # λ in 1/s, where modes choose how much of it holds
+    ("body_aligned_kappa", float),  # κ₁ and κ₂ with the weight, where modes choose how much of them holds
+    ("head_aligned_kappa", float),
+    ("coupling_weight", float),  # that weight
+    ("body_information", float),  # Fisher information of what was seen of the body, and of the head
+    ("head_information", float),
+    ("place_weight", float),  # |strength| with the frame's weight
+    ("group_weight", float),  # of the direction of the o-space
+    ("group_cos", float),  # of that direction
+    ("group_sin", float),
+    ("group_hold", float),  # probability of the conversation; 0 at the first frame
+    ("group_drift", float),  # radians up to which a turn is a drift
+    ("body_anchor", float),  # concentration that holds a first orientation to its initial value
+    ("head_anchor", float),
+])
+"""One frame. A gate is 0 where its kernel is not called."""
+
+SHARED = np.dtype([
+    ("robust", float),  # 0 none, 1 Huber, 2 Cauchy
+    ("robust_threshold", float),  # standard deviations
+    ("to_image", float, (3, 3)),  # from metres about the world's origin to ideal pixels
+    ("speed_threshold", float),  # τ in m/s
+    ("body_diffusion", float),  # rad²/s
+    ("place_x", float),  # the place in the world, metres
+    ("place_y", float),
+    ("place_radius", float),  # metres
+    ("place_sign", float),  # 1: people are drawn to it, −1: kept from it
+    ("group_body_kappa", float),  # concentration of bodies about the direction
+    ("group_head_kappa", float),  # of heads
+    ("group_outliers", float),  # share of members who face elsewhere
+    ("group_body_hold", float),  # cost of a radian's turn
+    ("group_head_hold", float),
+])
+"""What all frames of a job share."""
+
+LINKS = ("motion_information", "body_turn_kappa", "head_turn_kappa", "steer_gain", "group_hold",)
+"""Gates of what links a frame to the one before."""
+
+SWITCHED = ("motion_body_kappa", "head_body_kappa", "steer_gain",)
+"""Gates of what the coupling modes switch."""
+
+
+@compiled
+def add_frame(
+    problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
+    turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
+) -> Any:
+    """Add the terms that arrive with frame k of a track; returns their cost.
+
+    ``links``: those between the frame and the one before; ``own``: those of the frame alone. ``turns`` (n, 4)
+    must have been noted of the frame before, and are noted of frame k.
+    """
+    place = problem.offsets[track] + k
+    frame, state, shared = problem.records[place], states[k], problem.shared[0]
+    # Sums: kernels are compiled once more for each constant that they are given.
+    at_body, at_head = BODY + 0, HEAD + 0
+    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
+    cost = 0.0 * body_cos
+    if links and k > 0:
+        before = states[k - 1]
+        body_cos_before, body_sin_before = turns[k - 1, 0], turns[k - 1, 1]
+        head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
+        gate = (frame.motion_information > 0.0) & negate(frame.steer_gain > 0.0)
+        if any_of(gate):
+            found = motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
+                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
+                masked(hessian, gate), masked(transition, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.body_turn_kappa > 0.0
+        if any_of(gate):
+            found = turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos, body_sin, at_body,
+                frame.body_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
+                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.head_turn_kappa > 0.0
+        if any_of(gate):
+            found = turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos, head_sin, at_head,
+                frame.head_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
+                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.steer_gain > 0.0
+        if any_of(gate):
+            found = intentional_motion_kernels.add_steered_motion(before, state, head_cos_before,
+                head_sin_before, frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place,
+                frame.steer_cross, frame.steer_spread, exact, masked(gradient_before, gate), masked(gradient,
+                gate), masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.group_hold > 0.0
+        if any_of(gate):
+            found = holds_still_kernels.add_holds(body_cos_before, body_sin_before, body_cos, body_sin,
+                at_body, frame.group_hold, frame.group_drift, shared.group_body_hold, exact,
+                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
+                masked(hessian, gate), masked(transition, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.group_hold > 0.0
+        if any_of(gate):
+            found = holds_still_kernels.add_holds(head_cos_before, head_sin_before, head_cos, head_sin,
+                at_head, frame.group_hold, frame.group_drift, shared.group_head_hold, exact,
+                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
+                masked(hessian, gate), masked(transition, gate))
+            cost += choose(gate, found, 0.0)
+    if own:
+        gate = frame.velocity_information > 0.0
+        if any_of(gate):
+            found = motion_kernels.add_first_velocity(state, frame.velocity_information, masked(gradient,
+                gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = (frame.position_information > 0.0) & negate(frame.pixel_information > 0.0)
+        if any_of(gate):
+            found = position_kernels.add_position(state, problem.origin[track, 0], problem.origin[track, 1],
+                frame.x, frame.y, frame.position_information, shared.robust, shared.robust_threshold, exact,
+                masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.pixel_information > 0.0
+        if any_of(gate):
+            found = position_kernels.add_pixel(state, problem.origin[track, 0], problem.origin[track, 1],
+                frame.u, frame.v, frame.pixel_information, shared.to_image, shared.robust,
+                shared.robust_threshold, exact, masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.body_kappa > 0.0
+        if any_of(gate):
+            found = pose_kernels.add_angle(body_cos, body_sin, at_body, frame.seen_body_cos,
+                frame.seen_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(gradient, gate),
+                masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.body_class_kappa > 0.0
+        if any_of(gate):
+            found = pose_kernels.add_classes(body_cos, body_sin, at_body, problem.body_heights[place],
+                problem.body_directions, frame.body_class_kappa, frame.body_doubt, exact, masked(gradient,
+                gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.head_kappa > 0.0
+        if any_of(gate):
+            found = pose_kernels.add_angle(head_cos, head_sin, at_head, frame.seen_head_cos,
+                frame.seen_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(gradient, gate),
+                masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.head_class_kappa > 0.0
+        if any_of(gate):
+            found = pose_kernels.add_classes(head_cos, head_sin, at_head, problem.head_heights[place],
+                problem.head_directions, frame.head_class_kappa, frame.head_doubt, exact, masked(gradient,
+                gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.motion_body_kappa > 0.0
+        if any_of(gate):
+            found = body_follows_motion_kernels.add_body_follows_motion(state, body_cos, body_sin,
+                frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin, shared.speed_threshold,
+                exact, masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.head_body_kappa > 0.0
+        if any_of(gate):
+            found = head_follows_body_kernels.add_head_follows_body(body_cos, body_sin, head_cos, head_sin,
+                frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact, masked(gradient,
+                gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.place_weight > 0.0
+        if any_of(gate):
+            found = place_kernels.add_place(state, problem.origin[track, 0], problem.origin[track, 1],
+                frame.place_weight, shared.place_x, shared.place_y, shared.place_radius, shared.place_sign,
+                exact, masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.group_weight > 0.0
+        if any_of(gate):
+            found = faces_group_kernels.add_faces_group(at_body, body_cos, body_sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.group_weight > 0.0
+        if any_of(gate):
+            found = faces_group_kernels.add_faces_group(at_head, head_cos, head_sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.body_anchor > 0.0
+        if any_of(gate):
+            found = anchor_kernels.add_anchor(body_cos, body_sin, at_body, start, frame.body_anchor, exact,
+                masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.head_anchor > 0.0
+        if any_of(gate):
+            found = anchor_kernels.add_anchor(head_cos, head_sin, at_head, start, frame.head_anchor, exact,
+                masked(gradient, gate), masked(hessian, gate))
+            cost += choose(gate, found, 0.0)
+    return cost
+
+
+@compiled
+def cut(frame: Any) -> None:
+    """Take a frame's links to the one before out of its record."""
+    frame.motion_information = 0.0
+    frame.body_turn_kappa = 0.0
+    frame.head_turn_kappa = 0.0
+    frame.steer_gain = 0.0
+    frame.group_hold = 0.0
+
+
+@compiled
+def set_quarter_turns(
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
+    body: Any, head: Any,
+) -> None:
+    """Find what frame k costs with body or head at the directions ``turns``, and a quarter, two and three on.
+
+    ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
+    filled in. ``gradient`` and ``hessian`` are memory.
+    """
+    place = problem.offsets[track] + k
+    frame, shared = problem.records[place], problem.shared[0]
+    at_body, at_head = BODY + 0, HEAD + 0
+    body_cos, body_sin, head_cos, head_sin = turns[0], turns[1], turns[2], turns[3]
+    for q in range(4):
+        body[q] = head[q] = 0.0 * body_cos
+    gate = frame.body_kappa > 0.0
+    if any_of(gate):
+        pose_kernels.add_angle_quarter_turns(frame.seen_body_cos, frame.seen_body_sin, frame.body_kappa,
+            frame.body_uniform, body_cos, body_sin, masked(body, gate))
+    gate = frame.body_class_kappa > 0.0
+    if any_of(gate):
+        pose_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
+            problem.body_directions, frame.body_class_kappa, frame.body_doubt, masked(body, gate))
+    gate = frame.head_kappa > 0.0
+    if any_of(gate):
+        pose_kernels.add_angle_quarter_turns(frame.seen_head_cos, frame.seen_head_sin, frame.head_kappa,
+            frame.head_uniform, head_cos, head_sin, masked(head, gate))
+    gate = frame.head_class_kappa > 0.0
+    if any_of(gate):
+        pose_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],
+            problem.head_directions, frame.head_class_kappa, frame.head_doubt, masked(head, gate))
+    gate = frame.motion_body_kappa > 0.0
+    if any_of(gate):
+        body_follows_motion_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa,
+            shared.speed_threshold, body_cos, body_sin, masked(body, gate))
+    gate = frame.group_weight > 0.0
+    if any_of(gate):
+        cos, sin = body_cos, body_sin
+        for q in range(4):
+            found = faces_group_kernels.add_faces_group(at_body, cos, sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
+            body[q] += choose(gate, found, 0.0)
+            cos, sin = -sin, cos
+    gate = frame.group_weight > 0.0
+    if any_of(gate):
+        cos, sin = head_cos, head_sin
+        for q in range(4):
+            found = faces_group_kernels.add_faces_group(at_head, cos, sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
+            head[q] += choose(gate, found, 0.0)
+            cos, sin = -sin, cos

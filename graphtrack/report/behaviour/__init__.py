@@ -1,1 +1,0 @@
-"""Groups, looks and forecasts in a report: what was given, its codes for the replay, and its sections."""

@@ -1,0 +1,242 @@
+"""Groups, looks and forecasts that are shown with tracks, checked to be of their people.
+
+Summary of each group: times, members, sizes and probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.forecasting.recorded import Forecasts, read_forecasts
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.interaction.attention import Attention
+from graphtrack.interaction.groups import Groups
+from graphtrack.interaction.places import Place, read_places
+from graphtrack.interaction.tables import read_attention, read_group_table
+from graphtrack.tracks.track import TrackSet
+
+IntArray = NDArray[np.int64]
+
+_SAME_TIME = 1e-3
+"""Seconds: a forecast without a frame was made in the frame of its person that is as near as this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Behaviour:
+    """Groups, attention and forecasts of people; None where not known.
+
+    Attributes
+    ----------
+    groups : of people in frames
+    attention : of each person
+    forecasts : columns (rows,) as of `graphtrack.forecasting.recorded.Forecasts`, with ``frame``
+    places : what else is looked at, and where it is
+    """
+
+    groups: Groups | None = None
+    attention: tuple[Attention, ...] | None = None
+    forecasts: Mapping[str, NDArray[np.generic]] | None = None
+    places: tuple[Place, ...] = ()
+
+    def in_times_of(self, tracks: TrackSet) -> Behaviour:
+        """The same with the times (s) that these tracks have in its frames."""
+        of = {track.track_id: track for track in tracks}
+
+        def times(person: int, frame: NDArray[np.generic]) -> FloatArray:
+            return of[person].t[np.searchsorted(of[person].frame, frame)]
+
+        def each(track_id: NDArray[np.generic], frame: NDArray[np.generic]) -> FloatArray:
+            found = np.empty(len(track_id))
+            for person, rows in rows_of_each(track_id):
+                found[rows] = times(person, frame[rows])
+            return found
+
+        groups, attention, forecasts = self.groups, self.attention, self.forecasts
+        if groups is not None:
+            groups = replace(groups, t=each(groups.track_id, groups.frame))
+        if attention is not None:
+            attention = tuple(replace(one, t=times(one.track_id, one.frame)) for one in attention)
+        if forecasts is not None:
+            forecasts = {**forecasts, "t": each(forecasts["track_id"], forecasts["frame"])}
+        return replace(self, groups=groups, attention=attention, forecasts=forecasts)
+
+
+def behaviour_of(
+    tracks: TrackSet,
+    *,
+    groups: Groups | str | Path | None = None,
+    attention: Sequence[Attention] | str | Path | None = None,
+    forecast: Forecasts | str | Path | None = None,
+    places: Sequence[Place] | str | Path | None = None,
+) -> Behaviour | None:
+    """Read what is a file, and check that it is of these tracks; None where nothing is given.
+
+    Parameters
+    ----------
+    tracks : what the page shows
+    groups, attention, forecast : found, or the tables that the commands of these names write
+    places : what ``graphtrack attention --places`` was given
+
+    Raises
+    ------
+    InputError
+        For people and frames that the tracks have not, places that nobody said the whereabouts of, and
+        tables that cannot be read.
+    """
+    if groups is None and attention is None and forecast is None and not places:
+        return None
+    where = read_places(places) if isinstance(places, str | Path) else list(places or ())
+    known = {track.track_id: track.frame for track in tracks}
+    found = read_group_table(groups) if isinstance(groups, str | Path) else groups
+    if found is not None:
+        _check(known, found.track_id, found.frame, "groups", groups)
+    looks = read_attention(attention) if isinstance(attention, str | Path) else attention
+    if looks is not None:
+        _check_looks(known, looks, where, attention)
+    forecasts = None
+    if forecast is not None:
+        columns = forecast.columns if isinstance(forecast, Forecasts) else read_forecasts(Path(forecast))
+        forecasts = _with_frames(tracks, columns, forecast)
+        _check(known, forecasts["track_id"], forecasts["frame"], "forecasts", forecast)
+    return Behaviour(found, None if looks is None else tuple(looks), forecasts, tuple(where))
+
+
+def rows_of_each(track_id: NDArray[np.generic]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Each person among rows of people, and the rows of that one."""
+    order = np.argsort(track_id, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(track_id[order])) + 1) if len(order) else ():
+        yield int(track_id[rows[0]]), rows
+
+
+def _check(
+    known: Mapping[int, IntArray],
+    track_id: NDArray[np.generic],
+    frame: NDArray[np.generic],
+    what: str,
+    source: object,
+) -> None:
+    """Refuse people, and frames of people, that are not among the tracks."""
+    path = source if isinstance(source, str | Path) else None
+    for person, rows in rows_of_each(track_id):
+        if person not in known:
+            raise InputError(f"{what} of person {person}", "people of the tracks", path=path)
+        there = np.isin(frame[rows], known[person])
+        if not there.all():
+            missing = int(frame[rows[np.argmin(there)]])
+            raise InputError(
+                f"{what} of person {person} in frame {missing}", "frames of that track", path=path
+            )
+
+
+def _check_looks(
+    known: Mapping[int, IntArray], looks: Sequence[Attention], places: Sequence[Place], source: object
+) -> None:
+    path = source if isinstance(source, str | Path) else None
+    for one in looks:
+        _check(known, np.full(len(one.frame), one.track_id), one.frame, "looks", source)
+        strangers = sorted(set(one.people) - set(known))
+        if strangers:
+            raise InputError(f"looks at person {strangers[0]}", "people of the tracks", path=path)
+        missing = sorted(set(one.places) - {place.name for place in places})
+        # Without any places nothing is drawn of them, and what they add up to is said all the same.
+        if places and missing:
+            raise InputError(f"looks at {missing[0]!r}", "a place of those given", path=path)
+
+
+def _with_frames(
+    tracks: TrackSet, columns: Mapping[str, NDArray[np.generic]], source: object
+) -> dict[str, NDArray[np.generic]]:
+    """The columns, with the frame in which each forecast was made: by its time, if they do not say it."""
+    found = dict(columns)
+    if "frame" in found:
+        return found
+    path = source if isinstance(source, str | Path) else None
+    people, made = found["track_id"].astype(np.int64), found["t"].astype(float)
+    frame = np.zeros(len(people), dtype=np.int64)
+    known = {track.track_id for track in tracks}
+    for person, rows in rows_of_each(people):
+        if person not in known:
+            raise InputError(f"forecasts of person {person}", "people of the tracks", path=path)
+        t = tracks[person].t
+        after = np.clip(np.searchsorted(t, made[rows]), 1, max(len(t) - 1, 1))
+        nearer = abs(t[after - 1] - made[rows]) <= abs(t[after % len(t)] - made[rows])
+        near = np.where(nearer, after - 1, after)
+        off = abs(t[near] - made[rows]) > _SAME_TIME
+        if off.any():
+            when = made[rows[np.argmax(off)]]
+            raise InputError(f"a forecast of person {person} at {when:g} s", "times of that track", path=path)
+        frame[rows] = tracks[person].frame[near]
+    return {**found, "frame": frame}
+
+
+@dataclass(frozen=True)
+class GroupSpan:
+    """A group, as long as it kept its number.
+
+    Attributes
+    ----------
+    number : of the group
+    kind : place in `graphtrack.interaction.groups.KINDS`, of most of its time
+    start, end : seconds
+    members : ids of all who were ever in it, those who stayed longest first
+    smallest, largest, mean : members at a time
+    person_seconds : of its members together
+    probability : mean over members and frames
+    """
+
+    number: int
+    kind: int
+    start: float
+    end: float
+    members: tuple[int, ...]
+    smallest: int
+    largest: int
+    mean: float
+    person_seconds: float
+    probability: float
+
+
+def group_spans(groups: Groups) -> list[GroupSpan]:
+    """All groups, in the order of their numbers."""
+    times = np.unique(groups.t)
+    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    found = []
+    for number, rows in rows_of_each(groups.group):
+        if number < 0:
+            continue
+        t, size = np.unique(groups.t[rows], return_counts=True)
+        people, frames = np.unique(groups.track_id[rows], return_counts=True)
+        sure = groups.probability[rows]
+        found.append(
+            GroupSpan(
+                number=number,
+                kind=2 if np.mean(groups.kind[rows] == 2) > 0.5 else 1,
+                start=float(t[0]),
+                end=float(t[-1]),
+                members=tuple(people[np.argsort(-frames, kind="stable")].tolist()),
+                smallest=int(size.min()),
+                largest=int(size.max()),
+                mean=float(size.mean()),
+                person_seconds=float(len(rows) * frame),
+                probability=float(np.nanmean(sure)) if np.isfinite(sure).any() else float("nan"),
+            )
+        )
+    return found
+
+
+def by_main_group(groups: Groups | None, people: tuple[int, ...]) -> list[int]:
+    """People, those next to each other who were in one group for longest."""
+    if groups is None:
+        return list(people)
+    main: dict[int, int] = {}
+    for person in people:
+        mine = groups.group[(groups.track_id == person) & (groups.group >= 0)]
+        numbers, count = np.unique(mine, return_counts=True)
+        main[person] = int(numbers[np.argmax(count)]) if len(numbers) else np.iinfo(np.int64).max
+    return sorted(people, key=lambda person: (main[person], person))

@@ -1,0 +1,232 @@
+"""The parts of a page on groups, looks and forecasts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.interaction.attention import Attention, LookSummary, summary_of
+from graphtrack.interaction.groups import KINDS, Groups
+from graphtrack.report.content import Card, DataTable, Note, Picture, Section
+from graphtrack.report.interaction import Behaviour, by_main_group, group_spans, rows_of_each
+from graphtrack.report.lives import Pair
+from graphtrack.report.plots.interaction import (
+    MOST,
+    plot_group_timeline,
+    plot_heat_map,
+    plot_look_timeline,
+    plot_matrix,
+)
+from graphtrack.report.plots.interaction import MOST as MOST_GROUPS
+from graphtrack.report.style import longest_step
+from graphtrack.tracks.track import TrackSet
+
+_TOLD = 8
+"""Members and intervals that a cell names."""
+
+
+def behaviour_sections(behaviour: Behaviour, tracks: TrackSet, pairs: Sequence[Pair]) -> list[Section]:
+    """Groups, looks and forecasts, as far as they were given.
+
+    Parameters
+    ----------
+    behaviour : with the times of the tracks
+    tracks : whom the page shows
+    pairs : the same with their truth, by which forecasts are judged where it is known
+    """
+    found = []
+    if behaviour.groups is not None:
+        found.append(_groups_section(behaviour.groups))
+    if behaviour.attention is not None:
+        found.append(_looks_section(behaviour, behaviour.attention, tracks))
+    if behaviour.forecasts is not None:
+        found.append(_forecast_section(behaviour.forecasts, pairs))
+    return found
+
+
+def behaviour_cards(behaviour: Behaviour) -> tuple[Card, ...]:
+    """Number of groups, and the share of the time that people look at somebody or something."""
+    cards = []
+    if behaviour.groups is not None:
+        grouped = float(np.mean(behaviour.groups.group >= 0)) if len(behaviour.groups) else 0.0
+        number = len(np.unique(behaviour.groups.group[behaviour.groups.group >= 0]))
+        cards.append(Card("Groups", str(number), f"{100 * grouped:.0f} % of the person-frames in one"))
+    if behaviour.attention:
+        nothing = np.concatenate([one.probability[:, -1] for one in behaviour.attention])
+        if np.isfinite(nothing).any():
+            seen = 100.0 * (1.0 - float(np.nanmean(nothing)))
+            cards.append(Card("Looks", f"{seen:.0f} %", "of the time at somebody or a place"))
+    return tuple(cards)
+
+
+def _groups_section(groups: Groups) -> Section:
+    spans = group_spans(groups)
+    if not spans:
+        return Section("Groups", (Note("Nobody was in a group."),))
+    words = (
+        "Groups over time: a band is as tall as the group had members, whose least and greatest number stand "
+        "at its end; hatched: walking together"
+    )
+    if len(spans) > MOST_GROUPS:
+        words += f". The {MOST_GROUPS} of {len(spans)} with most person-seconds"
+    picture = Picture(words, plot_group_timeline(groups, spans), f"When {len(spans)} groups were there.")
+    columns = ("group", "kind", "from (s)", "to (s)", "members at a time", "who", "probability")
+    rows = tuple(
+        (
+            span.number,
+            KINDS[span.kind],
+            span.start,
+            span.end,
+            round(span.mean, 1),
+            _listed([str(one) for one in span.members]),
+            round(span.probability, 2),
+        )
+        for span in spans
+    )
+    note = (
+        "A group keeps its number while most of its members stay. Who: all who were ever in it, those who "
+        "stayed longest first. Probability: that of a fellow member to be one, on average."
+    )
+    return Section("Groups", (picture, DataTable.capped("All groups", columns, rows, note)))
+
+
+def _looks_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: TrackSet) -> Section:
+    summary = summary_of(attention)
+    if not len(summary.people):
+        return Section("Looks", (Note("Nothing is known of anybody's looks."),))
+    order = by_main_group(behaviour.groups, summary.people)
+    of = f" of the first {MOST} of {len(order)} people" if len(order) > MOST else ""
+    longest = f", the {MOST} who look at others for longest" if of else ""
+    pictures = (
+        Picture(
+            "Where looks fall: seconds of looks at people and places where they were; grey: everybody's path",
+            plot_heat_map(tracks, behaviour.places, attention),
+            "Heat map of looks on the ground.",
+        ),
+        Picture(
+            f"Who looks at whom{of}, % of the time of the one who looks; members of a group stand together"
+            if behaviour.groups is not None
+            else f"Who looks at whom{of}, % of the time of the one who looks",
+            plot_matrix(summary, order),
+            "Matrix of who looks at whom.",
+        ),
+        Picture(
+            f"At whom or what each looks most probably{longest}, in the colour of that person; "
+            "blank: at nothing of these",
+            plot_look_timeline(attention),
+            "Timeline of looks.",
+        ),
+    )
+    missing = sorted(set(attention[0].places) - {place.name for place in behaviour.places})
+    notes = (
+        (Note(f"Where {', '.join(missing)} is was not said: looks there are in no map."),) if missing else ()
+    )
+    return Section("Looks", (*pictures, *notes, *_dwell(summary), _persons(summary), *_mutual(summary)))
+
+
+def _dwell(summary: LookSummary) -> list[DataTable]:
+    if not summary.dwell:
+        return []
+    rows = [
+        (
+            person,
+            place,
+            round(seconds, 1),
+            round(100.0 * seconds / max(float(summary.matrix[summary.people.index(person)].sum()), 1e-9), 1),
+            len(intervals),
+            _listed([f"{start:.1f}–{end:.1f}" for start, end in intervals]) or "–",
+        )
+        for place, people in summary.dwell.items()
+        for person, (seconds, intervals) in people.items()
+        if seconds >= 0.05
+    ]
+    rows.sort(key=lambda row: (row[1], -row[2]))
+    columns = ("person", "place", "seconds", "of the time (%)", "looks", "likelier than not (s)")
+    note = (
+        "Seconds are expected ones, the sum of probabilities; looks and their intervals are the times in "
+        "which a look at the place is likelier than not."
+    )
+    return [DataTable.capped("Dwell times of places", columns, tuple(rows), note, "person")]
+
+
+def _persons(summary: LookSummary) -> DataTable:
+    rows = []
+    for k, person in enumerate(summary.people):
+        spent = summary.matrix[k]
+        best = int(np.argmax(spent[:-1]))
+        most = (summary.targets[best], round(float(spent[best]), 1)) if spent[best] > 0.0 else (None, None)
+        by = float(summary.matrix[:, k].sum())
+        nothing = 100.0 * float(spent[-1]) / max(float(spent.sum()), 1e-9)
+        rows.append((person, *most, round(nothing, 1), round(by, 1)))
+    columns = ("person", "looks most at", "for (s)", "at nothing (%)", "looked at by others (s)")
+    return DataTable.capped("Looks of each person", columns, tuple(rows), "", "person")
+
+
+def _mutual(summary: LookSummary) -> list[DataTable]:
+    pairs = sorted(summary.mutual.items(), key=lambda item: -item[1])
+    rows = tuple((a, b, round(seconds, 1)) for (a, b), seconds in pairs if seconds >= 0.05)
+    if not rows:
+        return []
+    columns = ("person", "and", "seconds")
+    return [DataTable.capped("Mutual gaze, longest first", columns, rows, "", "person")]
+
+
+def _forecast_section(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> Section:
+    error = _errors(columns, pairs)
+    rows = []
+    for ahead in np.unique(np.round(columns["ahead"], 6)).tolist():
+        at = np.round(columns["ahead"], 6) == ahead
+        known = at & np.isfinite(error)
+        inside = [
+            round(100.0 * float(np.mean(error[known] <= columns[name][known])), 1) if known.any() else None
+            for name in ("radius_50", "radius_90")
+        ]
+        rows.append(
+            (
+                ahead,
+                int(at.sum()),
+                *(round(float(np.median(columns[name][at])), 3) for name in ("radius_50", "radius_90")),
+                int(known.sum()),
+                round(float(error[known].mean()), 3) if known.any() else None,
+                *inside,
+            )
+        )
+    names: tuple[str, ...] = ("ahead (s)", "forecasts", "50 % radius (m)", "90 % radius (m)")
+    names += ("judged", "error (m)", "inside 50 % (%)", "inside 90 % (%)")
+    true = any(np.isfinite(pair.true_position).any() for pair in pairs)
+    note = (
+        "Radii are medians. Judged are those of which it is known where the person then was: "
+        + ("by the true positions." if true else "by the positions of the tracks.")
+        + " 'graphtrack score' judges in full."
+    )
+    return Section("Forecasts", (DataTable("Forecasts by time ahead", names, tuple(rows), note),))
+
+
+def _errors(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> FloatArray:
+    """(rows,) metres from each forecast to where the person then was; NaN where that is not known."""
+    error = np.full(len(columns["t"]), np.nan)
+    of = {pair.estimate.track_id: pair for pair in pairs}
+    for person, rows in rows_of_each(columns["track_id"]):
+        pair = of[person]
+        true = np.isfinite(pair.true_position).any()
+        position = pair.true_position if true else pair.estimate.position
+        seen = np.isfinite(position).all(axis=1)
+        t, where = pair.estimate.t[seen], position[seen]
+        if not len(t):
+            continue
+        then = columns["t"][rows] + columns["ahead"][rows]
+        off = np.hypot(*(np.interp(then, t, where[:, k]) - columns["xy"[k]][rows] for k in (0, 1)))
+        after = np.minimum(np.searchsorted(t, then - 1e-6), len(t) - 1)
+        before = np.maximum(np.searchsorted(t, then + 1e-6) - 1, 0)
+        inside = (then <= t[-1] + 1e-6) & (then >= t[0] - 1e-6) & (t[after] - t[before] <= longest_step(t))
+        error[rows] = np.where(inside, off, np.nan)
+    return error
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    return ", ".join(names[:_TOLD]) + more

@@ -1,0 +1,525 @@
+"""The service's addresses: streams over WebSocket and HTTP, health and metrics.
+
+The service on a port, until it is told to stop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import logging
+import signal
+import socket
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.cors import CORSMiddleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from graphtrack.errors import InputError
+from graphtrack.service.connections import Connection, Connections, Requests, TrustedOrigin
+from graphtrack.service.settings import STREAM_NAME, Metrics, Service
+from graphtrack.service.stream import Stream, open_stream, prepare
+from graphtrack.streaming.saved_state import StateInUse, remove
+
+_NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
+"""HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
+_BROKEN = 1011
+_NO_TEXT = 1007
+_UNREAD = 1008
+_NOTICED = 2.0
+"""Seconds within which it is noticed that a client went."""
+_DROPPED, _TERMINATED = 2.0, 3.0
+"""Seconds after which a service that stops drops its connections, and terminates its processes."""
+_PAGE = """graphtrack serve: streams of positions in, estimates out.
+
+POST   /v1/streams/NAME  rows as NDJSON in the body, answers as NDJSON
+WS     /v1/streams/NAME  a row a message, an answer a message
+GET    /v1/streams       names of the open streams
+DELETE /v1/streams/NAME  remove a stream's state
+GET    /health           whether the service is up
+GET    /metrics          counters for Prometheus
+
+  curl --data-binary @rows.ndjson http://HOST:PORT/v1/streams/hall
+
+Documentation: docs/serve.md of the source; graphtrack serve --help
+"""
+
+
+class Refused(Exception):
+    """A request that is not taken: a status, and why."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+class Streams:
+    """The streams of a service, by name: one connection each.
+
+    Parameters
+    ----------
+    service : what it was told
+    metrics : its counters
+    """
+
+    def __init__(self, service: Service, metrics: Metrics) -> None:
+        self.service, self.metrics = service, metrics
+        self.connections = Connections(service.limits.patience)
+        self.stopping = asyncio.Event()
+        self._running: set[Stream] = set()
+        self._open: dict[str, asyncio.Event] = {}
+        self._ending: dict[str, asyncio.Event] = {}
+
+    def names(self) -> list[str]:
+        """Of those that are open."""
+        return sorted(self._open)
+
+    def check(self, request: HTTPConnection) -> None:
+        """Refuse who does not bear the token; browsers, which set no headers, may give it as ``?token=``."""
+        token = self.service.token
+        given = request.headers.get("authorization", "").removeprefix("Bearer ")
+        given = given or request.query_params.get("token", "")
+        if token is not None and not hmac.compare_digest(given.encode(), token.encode()):
+            raise Refused(401, "no valid token; expected 'Authorization: Bearer TOKEN'")
+
+    def checked_name(self, request: HTTPConnection) -> str:
+        """The stream that is asked for."""
+        self.check(request)
+        name = str(request.path_params["name"])
+        if not STREAM_NAME.fullmatch(name):
+            raise Refused(404, "no name of a stream; expected up to 64 letters, digits, '.', '_' and '-'")
+        return name
+
+    @asynccontextmanager
+    async def opened(self, name: str) -> AsyncIterator[Stream]:
+        """A stream for one connection; it ends, and what it knows is kept, when the connection is done."""
+        await self._left(name)
+        if name in self._open:
+            raise Refused(409, f"stream {name} has a connection; expected one at a time")
+        if len(self._open) >= self.service.limits.streams:
+            raise Refused(429, f"{len(self._open)} streams are open, as many as may be")
+        left = self._open[name] = asyncio.Event()
+        self.metrics.streams.inc()
+        try:
+            stream = await open_stream(name, self.service, self.metrics)
+            self._running.add(stream)
+            try:
+                yield stream
+            finally:
+                try:
+                    await asyncio.shield(self._ended(stream, left))
+                finally:
+                    self._running.discard(stream)
+        finally:
+            self._close(name, left)
+
+    async def _ended(self, stream: Stream, left: asyncio.Event) -> None:
+        """End a stream; until that is done, who asks for it again waits."""
+        name = stream.name
+        self._ending[name] = asyncio.Event()
+        self._close(name, left)
+        try:
+            await stream.end()
+        finally:
+            self._ending.pop(name).set()
+
+    def _close(self, name: str, left: asyncio.Event) -> None:
+        if self._open.get(name) is left:  # and not that of the next client
+            del self._open[name]
+            left.set()
+            self.metrics.streams.dec()
+
+    async def _left(self, name: str) -> None:
+        """Wait for who is going: the next may be here before it is noticed that they went."""
+        if name in self._open:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._open[name].wait(), _NOTICED)
+        while name in self._ending:
+            await self._ending[name].wait()
+
+    def stop(self) -> None:
+        """End all streams, and after some seconds those that would not end."""
+        self.stopping.set()
+        loop = asyncio.get_running_loop()
+        loop.call_later(_DROPPED, self.connections.drop)
+        loop.call_later(_TERMINATED, self._terminate)
+
+    def _terminate(self) -> None:
+        for stream in self._running:
+            stream.terminate()
+
+    async def forget(self, name: str) -> None:
+        """Remove what is kept of a stream that nobody is connected to."""
+        await self._left(name)
+        if name in self._open:
+            raise Refused(409, f"stream {name} has a connection; expected none")
+        state = self.service.state_of(name)
+        try:
+            is_removed = state is not None and remove(state)
+        except StateInUse as error:
+            raise Refused(409, f"stream {name} is open in another process; expected none") from error
+        except (InputError, OSError) as error:
+            found = error.found if isinstance(error, InputError) else error.strerror
+            raise Refused(409, f"the state of stream {name} cannot be removed: {found}") from error
+        if not is_removed:
+            raise Refused(404, f"nothing is kept of stream {name}")
+
+
+def refusal(request: Request, refused: Exception) -> Response:
+    """The answer to a request over HTTP that is not taken."""
+    assert isinstance(refused, Refused)
+    streams: Streams = request.app.state.streams
+    streams.metrics.refused.labels(refused.status).inc()
+    return JSONResponse({"error": refused.reason}, refused.status)
+
+
+async def by_websocket(websocket: WebSocket) -> None:
+    """Rows in, a message for each or for several lines. An empty message ends.
+
+    An answer a message out, or with ``?answers=together`` all that are ready, in lines.
+    """
+    streams: Streams = websocket.app.state.streams
+    try:
+        name = streams.checked_name(websocket)
+        async with streams.opened(name) as stream:
+            await websocket.accept()
+            together = websocket.query_params.get("answers") == "together"
+            patience = streams.service.limits.patience
+            code, reason = await _exchange(websocket, stream, patience, together)
+        # To who does not read there is no way of saying so.
+        with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
+            await asyncio.wait_for(websocket.close(code, reason), patience)
+    except Refused as refused:
+        streams.metrics.refused.labels(refused.status).inc()
+        await websocket.accept()
+        await websocket.close(_NOT_TAKEN[refused.status], refused.reason)
+
+
+async def _exchange(websocket: WebSocket, stream: Stream, patience: float, together: bool) -> tuple[int, str]:
+    """Pass rows and answers on until either side is done; the code and reason to close with."""
+
+    async def rows() -> tuple[int, str] | None:
+        """The code and reason to close with at once; None if the rest is to be answered first."""
+        while True:
+            message = await websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                return 1000, ""
+            data = message.get("bytes") or (message.get("text") or "").encode()
+            try:
+                data.decode()
+            except UnicodeDecodeError as error:
+                return _NO_TEXT, f"byte {error.start + 1} of a message is no UTF-8; expected rows as JSON"
+            if not data.strip():
+                return None
+            await stream.take(data.splitlines())
+
+    async def answers() -> tuple[int, str]:
+        loop = asyncio.get_running_loop()
+        async for lines in stream.answers():
+            try:
+                async with asyncio.timeout(patience) as limit:
+                    for message in ["\n".join(lines)] if together else lines:
+                        await websocket.send_text(message)
+                        if loop.time() + 0.9 * patience > (limit.when() or 0.0):
+                            limit.reschedule(loop.time() + patience)
+            except TimeoutError:
+                return _UNREAD, f"answers were not read for {patience:g} s"
+            except (WebSocketDisconnect, RuntimeError):
+                return 1000, ""
+        return 1000, ""
+
+    connection: Connection = websocket.state.connection
+    incoming, outgoing = asyncio.create_task(rows()), asyncio.create_task(answers())
+    gone = asyncio.create_task(connection.gone.wait())
+    try:
+        await asyncio.wait({incoming, outgoing, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if gone.done():
+            return 1000, ""
+        if not incoming.done():
+            status = await stream.status() if not outgoing.result()[1] else 0
+            if status:
+                return _BROKEN, f"the stream's process ended with status {status}; connect again"
+            return await outgoing
+        if closing := incoming.result():
+            return closing
+        stream.no_more()
+        return await outgoing
+    finally:
+        await _cancel(incoming, outgoing, gone)
+
+
+class Exchange(Response):
+    """The response of a stream over HTTP: rows in the request's body, answers in the response's.
+
+    Starlette's own streaming responses look for a disconnection where the body still comes in.
+
+    Parameters
+    ----------
+    request : the request
+    name : of the stream
+    """
+
+    media_type = "application/x-ndjson"
+
+    def __init__(self, request: Request, name: str) -> None:
+        super().__init__()
+        del self.headers["content-length"]
+        self._request, self._name = request, name
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send answers until all are sent, the client left or is silent, or the service stops."""
+        streams: Streams = self._request.app.state.streams
+        connection: Connection = self._request.state.connection
+        patience = streams.service.limits.patience
+        async with streams.opened(self._name) as stream:
+            # First the body is asked for: who sent ``Expect: 100-continue`` waits for that.
+            incoming = asyncio.create_task(self._rows(stream, patience))
+            outgoing = asyncio.create_task(self._answers(stream, send, patience))
+            gone = asyncio.create_task(connection.gone.wait())
+            stopping = asyncio.create_task(streams.stopping.wait())
+            tasks = (outgoing, incoming, gone, stopping)
+            try:
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                reason = "the service is stopping; connect again" if stopping.done() else ""
+                if incoming.done() and not gone.done():
+                    reason = incoming.result() or reason
+                if reason:
+                    incoming.cancel()
+                    stream.no_more()
+                await asyncio.wait((outgoing, gone), return_when=asyncio.FIRST_COMPLETED)
+                if gone.done() or not outgoing.result():
+                    connection.drop()
+                else:
+                    told = json.dumps({"error": reason}) + "\n" if reason else ""
+                    async with asyncio.timeout(patience):
+                        await send({"type": "http.response.body", "body": told.encode()})
+            except TimeoutError:
+                connection.drop()
+            finally:
+                await _cancel(*tasks)
+
+    async def _rows(self, stream: Stream, patience: float) -> str:
+        """Hand the body's rows on; a text if the body did not end: why no more rows are taken."""
+        left, longest = b"", self._request.app.state.streams.service.limits.line_bytes
+        body = self._request.stream()
+        while True:
+            try:
+                async with asyncio.timeout(patience):
+                    chunk = await anext(body)
+            except StopAsyncIteration:
+                break
+            except ClientDisconnect:  # a row that is cut off is no row
+                stream.no_more()
+                return ""
+            except TimeoutError:
+                return f"no row came for {patience:g} s; connect again"
+            *lines, left = (left + chunk).split(b"\n")
+            await stream.take(lines)
+            if len(left) > longest:
+                break  # the row is answered by an error, and what follows is not read
+        await stream.take([left])
+        stream.no_more()
+        return ""
+
+    async def _answers(self, stream: Stream, send: Send, patience: float) -> bool:
+        """Send answers; False if they stayed unread."""
+        try:
+            async with asyncio.timeout(patience):
+                await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+            async for lines in stream.answers():
+                body = "".join(f"{line}\n" for line in lines).encode()
+                async with asyncio.timeout(patience):
+                    await send({"type": "http.response.body", "body": body, "more_body": True})
+        except TimeoutError:
+            return False
+        return True
+
+
+async def by_http(request: Request) -> Response:
+    """A whole stream, or its next piece where states are kept: NDJSON in the body, NDJSON back as it goes."""
+    streams: Streams = request.app.state.streams
+    name = streams.checked_name(request)
+    encoding = request.headers.get("content-encoding", "identity")
+    if encoding.lower() != "identity":
+        raise Refused(415, f"a body with the encoding {encoding[:40]!r}; expected rows as they are")
+    return Exchange(request, name)
+
+
+async def _cancel(*tasks: asyncio.Task[Any]) -> None:
+    for task in tasks:
+        task.cancel()
+        with suppress(asyncio.CancelledError, OSError, WebSocketDisconnect):
+            await task
+
+
+async def page(request: Request) -> Response:
+    """A page for who opens the service in a browser."""
+    return PlainTextResponse(_PAGE)
+
+
+async def listed(request: Request) -> Response:
+    """The streams that are open."""
+    streams: Streams = request.app.state.streams
+    streams.check(request)
+    return JSONResponse({"streams": streams.names()})
+
+
+async def forgotten(request: Request) -> Response:
+    """Forget what is kept of a stream."""
+    streams: Streams = request.app.state.streams
+    await streams.forget(streams.checked_name(request))
+    return Response(status_code=204)
+
+
+async def health(request: Request) -> Response:
+    """Return True if new streams are taken; needs no token."""
+    streams: Streams = request.app.state.streams
+    return JSONResponse({"status": "ok", "streams": len(streams.names())})
+
+
+async def metrics(request: Request) -> Response:
+    """Counters in Prometheus' text format."""
+    streams: Streams = request.app.state.streams
+    streams.check(request)
+    return Response(streams.metrics.text(), media_type="text/plain; version=0.0.4")
+
+
+def application(streams: Streams, ready: Callable[[], None]) -> Starlette:
+    """Return the service as an ASGI application; it calls `ready` when it takes streams."""
+    service = streams.service
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        await asyncio.to_thread(prepare, service)
+        watching = asyncio.create_task(streams.connections.watch())
+        ready()
+        yield
+        await _cancel(watching)
+
+    one = "/v1/streams/{name}"
+    routes = [
+        Route("/", page),
+        Route("/health", health),
+        Route("/metrics", metrics),
+        Route("/v1/streams", listed),
+        Route(one, by_http, methods=["POST"]),
+        Route(one, forgotten, methods=["DELETE"]),
+        WebSocketRoute(one, by_websocket),
+    ]
+    clients = service.clients
+    middleware = [
+        Middleware(Requests),
+        Middleware(TrustedHostMiddleware, allowed_hosts=clients.hosts, www_redirect=False),
+        Middleware(TrustedOrigin, origins=clients.origins),
+    ]
+    if clients.origins:
+        middleware.append(
+            Middleware(
+                CORSMiddleware,
+                allow_origins=clients.origins,
+                allow_methods=("GET", "POST", "DELETE"),
+                allow_headers=("authorization", "content-type"),
+            )
+        )
+    app = Starlette(
+        routes=routes, middleware=middleware, lifespan=lifespan, exception_handlers={Refused: refusal}
+    )
+    app.state.streams = streams
+    return app
+
+
+_GRACE = 4
+"""Seconds after which a service that stops cancels what still runs; `Streams.stop` ends all before that."""
+
+
+class Server(uvicorn.Server):
+    """A server that ends its streams when it stops, and exits with status 0 then.
+
+    Parameters
+    ----------
+    config : of the server
+    streams : of the service
+    """
+
+    def __init__(self, config: uvicorn.Config, streams: Streams) -> None:
+        super().__init__(config)
+        self._streams = streams
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End streams and connections."""
+        self._streams.stop()
+        await super().shutdown(sockets)
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Stop at SIGTERM and SIGINT; uvicorn would raise them once more in the end."""
+        before = {one: signal.signal(one, self.handle_exit) for one in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            yield
+        finally:
+            for one, handler in before.items():
+                signal.signal(one, handler)
+
+
+def run(service: Service, host: str, port: int, report: Callable[[str], None]) -> None:
+    """Serve until SIGTERM or SIGINT; `report` is given the address once streams are taken.
+
+    Raises
+    ------
+    InputError
+        If the port cannot be listened on.
+    """
+    listening = _listen(host, port)
+    address, bound = listening.getsockname()[:2]
+    shown = f"[{address}]" if ":" in address else address
+    said = f"serving ws://{shown}:{bound}/v1/streams/NAME, http://{shown}:{bound}/health"
+    logging.getLogger("uvicorn.error").addFilter(_is_ours)
+    streams = Streams(service, Metrics())
+    config = uvicorn.Config(
+        application(streams, lambda: report(said)),
+        http=streams.connections.protocol(),
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,  # it took two fifths of this process's time
+        ws_max_size=service.limits.line_bytes,
+        ws_ping_interval=service.limits.patience / 2.0,
+        ws_ping_timeout=service.limits.patience / 2.0,
+        timeout_graceful_shutdown=_GRACE,
+        lifespan="on",
+    )
+    Server(config, streams).run(sockets=[listening])
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    """Return False for what uvicorn logs as errors and is none of the service.
+
+    That is a text message that is no UTF-8, whose client gets code 1007, and a WebSocket that was refused.
+    """
+    if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
+        return False
+    return "without completing handshake" not in record.getMessage()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(family, kind, protocol)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+        listening.listen()  # who comes early waits
+    except OSError as error:
+        found = f"--host {host} --port {port}: {error.strerror or error}"
+        raise InputError(found, "an address of this machine and a free port") from error
+    return listening

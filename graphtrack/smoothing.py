@@ -1,0 +1,450 @@
+"""Smoothing and tracking of recordings, from what is given to estimates.
+
+In this order: read files, find identities, insert missing frames, check the declared noise, find groups
+(with a model that has them), and solve with an engine.
+
+`OnlineTracker`: online tracking of a scene from detections, with groups and forecasts.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self, overload
+
+import numpy as np
+
+from graphtrack.association.associate import tracks_of
+from graphtrack.association.tracker import DetectionTracker, PersonEstimate
+from graphtrack.diagnostics import Trust, trusted
+from graphtrack.errors import InputError, InputWarning, SolveError
+from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.engines import OnlineEngine, engine_of
+from graphtrack.inference.offline import solve_each
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.result import Failure, OfflineEngine, Solution, SolverOptions
+from graphtrack.inference.state import Estimate, as_track
+from graphtrack.inference.warm import make_all_ready
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
+from graphtrack.kernels.compilation import make_ready
+from graphtrack.model import Model, Observation
+from graphtrack.model.observation import observations
+from graphtrack.model.terms.faces_group import GROUP
+from graphtrack.saved import DAMAGES, damaged, pack_tree, unpack_tree, whole
+from graphtrack.tracks.gaps import at_times, filled, with_times_at
+from graphtrack.tracks.scene import GivenScene
+from graphtrack.tracks.track import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.read_write import Given, Scene
+
+
+Progress = Callable[[int], None]
+Options = dict[str, Any]
+"""Of an `OnlineSmoother`."""
+
+
+def solve(
+    tracks: Given,
+    model: Model | str | Path | None = None,
+    *,
+    engine: OfflineEngine | Literal["auto"] = "auto",
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
+) -> list[Solution | Failure]:
+    """Smooth every track; one that fails does not keep the others from coming out.
+
+    Parameters
+    ----------
+    tracks : observations: a `TrackSet`, a `Track` or several, the path of a file, or a table as for
+        `TrackSet.from_table`
+    model : a `Model`, a preset's name or a model file; by default "full"
+    engine : "auto", "chain" or "gtsam"; they minimise one cost, and may reach different minima of it
+    jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
+        the interpreter's lock, by default one
+    options : tolerances of the solver
+    progress : called with the numbers of person-frames that are done
+    trust : "declared": observations are as noisy as they, or the model, say; "check": warn where the data
+        contradict that; "learn": correct it there, warn, and go on
+
+    Returns
+    -------
+    list of Solution or Failure, in the order of the tracks
+    """
+    model = Model.named(model)
+    solver = engine_of(model, engine)
+    given, model, said = trusted(tracks_of(tracks, scene=model.scene), model, trust)
+    for line in said:
+        warnings.warn(line, InputWarning, stacklevel=2)
+    return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress)
+
+
+def solve_tracks(
+    tracks: TrackSet,
+    model: Model,
+    engine: OfflineEngine,
+    *,
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+    n_frames: int | None = None,
+) -> list[Solution | Failure]:
+    """Smooth tracks with the engine that `engine_of` has chosen; groups are found where the model has them.
+
+    ``n_frames``: person-frames of all the work that the tracks are a part of, if there are others.
+    """
+    each = partial(
+        solve_each,
+        model=model,
+        engine=engine,
+        jobs=jobs,
+        options=options,
+        progress=progress,
+        n_frames=n_frames,
+    )
+    if not (model.has_groups and lacks_groups(tracks)):
+        return each(tracks)
+    from graphtrack.interaction.coupled import solve_in_turn
+
+    return solve_in_turn(tracks, each, model.parameters.social.correlation_time)
+
+
+def lacks_groups(tracks: TrackSet) -> bool:
+    """Return whether groups have to be found: of several people none has the input ``group``."""
+    return len(tracks) > 1 and not any(GROUP in track.inputs for track in tracks)
+
+
+@overload
+def smooth(
+    tracks: Track,
+    model: Model | str | Path | None = None,
+    *,
+    engine: OfflineEngine | Literal["auto"] = "auto",
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
+    fill: bool = False,
+    resample: float | None = None,
+    **reading: Any,
+) -> Track: ...
+
+
+@overload
+def smooth(
+    tracks: Scene,
+    model: Model | str | Path | None = None,
+    *,
+    engine: OfflineEngine | Literal["auto"] = "auto",
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
+    fill: bool = False,
+    resample: float | None = None,
+    **reading: Any,
+) -> TrackSet: ...
+
+
+def smooth(
+    tracks: Given,
+    model: Model | str | Path | None = None,
+    *,
+    engine: OfflineEngine | Literal["auto"] = "auto",
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
+    fill: bool = False,
+    resample: float | None = None,
+    **reading: Any,
+) -> TrackSet | Track:
+    """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
+
+    Parameters
+    ----------
+    tracks, model, engine, jobs, options, progress, trust : as in `solve`
+    fill : estimate the frames between a track's rows that its table leaves out, too; see `gaps.filled`
+    resample : estimates at so many frames a second (Hz) in place of the tracks' own; see `gaps.with_times_at`
+    **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
+
+    Returns
+    -------
+    TrackSet or Track
+        The estimates, one track for each of the input; of a single `Track` that is a `Track`.
+
+    Raises
+    ------
+    SolveError
+        For the first track that cannot be smoothed; use `solve` to get the others all the same.
+    """
+    model = Model.named(model)
+    given = tracks_of(tracks, scene=model.scene, **reading)
+    origin = min((float(track.t[0]) for track in given), default=0.0)
+    if fill:
+        given = filled(given)
+    if resample is not None:
+        given = with_times_at(given, resample)
+    found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress, trust=trust)
+    for result in found:
+        if isinstance(result, Failure):
+            raise SolveError(result.track_id, result.reason)
+    estimates = given.with_tracks(result.track for result in found if isinstance(result, Solution))
+    if resample is not None:
+        estimates = at_times(estimates, resample, origin)
+    return estimates.tracks[0] if isinstance(tracks, Track) else estimates
+
+
+@overload
+def track_online(
+    tracks: Track,
+    model: Model | str | Path | None = None,
+    *,
+    engine: OnlineEngine = "auto",
+    lag: float | None = 2.0,
+    camera: GroundCamera | None = None,
+    progress: Progress = ...,
+    **reading: Any,
+) -> Track: ...
+
+
+@overload
+def track_online(
+    tracks: Scene,
+    model: Model | str | Path | None = None,
+    *,
+    engine: OnlineEngine = "auto",
+    lag: float | None = 2.0,
+    camera: GroundCamera | None = None,
+    progress: Progress = ...,
+    **reading: Any,
+) -> TrackSet: ...
+
+
+def track_online(
+    tracks: Given,
+    model: Model | str | Path | None = None,
+    *,
+    engine: OnlineEngine = "auto",
+    lag: float | None = 2.0,
+    camera: GroundCamera | None = None,
+    progress: Progress = lambda frames: None,
+    **reading: Any,
+) -> TrackSet | Track:
+    """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
+
+    With the model "social" the tracks of a scene are tracked in step, and their groups are found on the way,
+    where no track has the input ``group``.
+
+    Parameters
+    ----------
+    tracks : a `Track`, of which a `Track` comes out, or what `solve` takes, of which a `TrackSet` does
+    model, engine, lag : as in `OnlineSmoother`
+    camera : camera of the scene; by default that of the `TrackSet`
+    progress : called with the numbers of person-frames that are done
+    **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
+
+    Raises
+    ------
+    InputError
+        For a file of detections without identities too: who is who is found out from past and future by
+        `associate`, and from the past alone by `OnlineTracker`.
+    """
+    if not isinstance(tracks, Track) or reading:
+        scene, chosen = tracks_of(tracks, **{"associate": "never", **reading}), Model.named(model)
+        camera = scene.camera if camera is None else camera
+        options: Options = {"engine": engine, "lag": lag, "camera": camera}
+        if chosen.has_groups and lacks_groups(scene):
+            return _in_step(scene, chosen, options, progress)
+        return scene.map(lambda one: _by_itself(one, chosen, options, progress))
+    return _by_itself(tracks, Model.named(model), {"engine": engine, "lag": lag, "camera": camera}, progress)
+
+
+def _by_itself(track: Track, model: Model, options: Options, progress: Progress) -> Track:
+    smoother = OnlineSmoother(model, **options)
+    found = [smoother.update(observation) for observation in observations(track)]
+    progress(len(track))
+    return as_track(track, found, model)
+
+
+def _in_step(scene: TrackSet, model: Model, options: Options, progress: Progress) -> TrackSet:
+    """Everybody frame by frame, each told of the conversations of the frames before."""
+    from graphtrack.interaction.coupled import Conversations
+
+    conversations = Conversations(model)
+    people = [OnlineSmoother(model, **options) for _ in scene]
+    found: list[list[Estimate]] = [[] for _ in scene]
+    seen = [((one.t, place), one) for place, track in enumerate(scene) for one in observations(track)]
+    for (_, place), observation in sorted(seen, key=itemgetter(0)):
+        track_id = scene.tracks[place].track_id
+        estimate = people[place].update(conversations.observed(track_id, observation))
+        conversations.estimated(track_id, estimate)
+        found[place].append(estimate)
+        progress(1)
+    return scene.with_tracks(map(partial(as_track, model=model), scene, found))
+
+
+def warm_up(
+    model: Model | str | Path | None = None,
+    engine: OnlineEngine | Literal["gtsam"] = "auto",
+    *,
+    behaviour: bool = False,
+    large: bool = False,
+) -> None:
+    """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
+
+    Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about
+    half a minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
+    Python shows where logging is not set up.
+
+    Parameters
+    ----------
+    model, engine : as in `solve` and `OnlineSmoother`
+    behaviour : whether what groups, attention and forecasts call is wanted, too
+    large : whether what solves many tracks in lanes is wanted, too, where the model has it: work of
+        `engine.LARGE` person-frames and more calls that
+    """
+    if behaviour:
+        from graphtrack.interaction.attention import FORECASTS, ONLINE, forecast_rehearsal, online_rehearsal
+
+        make_ready(f"{ONLINE}, {FORECASTS}", online_rehearsal(), forecast_rehearsal())
+    make_all_ready(Model.named(model), engine, large=large)
+
+
+_UNASKED = 1500
+"""Frames that are kept for forecasts until one is asked for."""
+
+_KNOWN_HEAD = 0.6
+"""Standard deviation of a head's direction, rad, above which it says nothing of where somebody goes."""
+
+
+class OnlineTracker(DetectionTracker):
+    """Track everybody in a scene online, from detections that do not say of whom they are.
+
+    Identities are given at once; while later detections can tell better, they are revised, and the estimates
+    with them. New people are reported once they are more probable than false detections. With a model that
+    has groups, these are found on the way.
+
+    Parameters
+    ----------
+    model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
+    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
+        names. The others are as the model has them, else learned from what is seen
+
+    Attributes
+    ----------
+    revised : what the last update took back of what was said before
+
+    Examples
+    --------
+    >>> tracker = OnlineTracker("joint")
+    >>> for k in range(4):
+    ...     people = tracker.update(0.4 * k, [(0.5 * k, 0.0), (3.0 - 0.5 * k, 4.0)])
+    >>> [(person.track_id, person.detection) for person in people]
+    [(1, 0), (2, 1)]
+    """
+
+    def __init__(
+        self,
+        model: Model | str | Path | None = None,
+        *,
+        scene: GivenScene = None,
+        engine: OnlineEngine = "auto",
+        lag: float | None = 2.0,
+        camera: GroundCamera | None = None,
+    ) -> None:
+        chosen = Model.named(model)
+        self._conversations = Conversations(chosen) if chosen.has_groups else None
+        super().__init__(
+            chosen, scene=scene, engine=engine, lag=lag, camera=camera, groups=self._conversations
+        )
+        self._forecaster: Forecaster | None = None
+        self._frames: deque[tuple[Any, ...]] = deque(maxlen=_UNASKED)
+        self._present: list[int] = []
+
+    def update(
+        self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
+    ) -> list[PersonEstimate]:
+        """Take in a frame's detections, as `DetectionTracker.update`; forecasts know of them from then on."""
+        people = super().update(t, detections)
+        # Positions as they were observed: a forecast estimates their noise by itself.
+        self._present = [one.track_id for one in people]
+        seen = [(one, self.newest[one.detection]) for one in people if one.observed]
+        position = np.array([observation.position for _, observation in seen], float).reshape(-1, 2)
+        std = np.array([observation.position_std for _, observation in seen], float)  # None becomes NaN
+        heads = [one.head if one.covariance[5, 5] < _KNOWN_HEAD**2 else math.nan for one, _ in seen]
+        frame = t, [one.track_id for one, _ in seen], position, std, np.array(heads)
+        if self._forecaster is None:
+            self._frames.append(frame)
+        else:
+            self._forecaster.update(*frame)
+        return people
+
+    def forecast(
+        self,
+        horizon: float = 4.8,
+        step: float = 0.4,
+        *,
+        samples: int = 0,
+        random: np.random.Generator | None = None,
+    ) -> Forecast:
+        """Where everybody will be whom the last update told of and who has been seen twice.
+
+        The first call looks back at the last frames, 1,500 at most; from then on each update is taken in.
+        `state` keeps what forecasts know from that call on.
+
+        Parameters
+        ----------
+        horizon, step : every ``step`` seconds up to ``horizon``
+        samples, random : as in `Forecaster.forecast`
+
+        Raises
+        ------
+        InputError
+            For times that make no sense, and before the first update.
+        """
+        ahead = times_ahead(horizon, step)
+        if not self.updates:
+            raise InputError("no frame", "an update before a forecast")
+        if self._forecaster is None:
+            self._forecaster = Forecaster()
+            for frame in self._frames:
+                self._forecaster.update(*frame)
+            self._frames.clear()
+        people = self._forecaster.known(self._present)
+        return self._forecaster.forecast(ahead, people, samples=samples, random=random)
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        found = super().state()
+        if self._conversations is not None:
+            found[CONVERSATIONS] = self._conversations.state()
+        if self._forecaster is not None:
+            found |= {"forecaster": pack_tree(self._forecaster.state()), "present": self._present}
+        return found
+
+    @classmethod
+    def from_state(
+        cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
+    ) -> Self:
+        """A tracker that goes on where `state` was taken; as `DetectionTracker.from_state`."""
+        tracker = super().from_state(state, model, **options)
+        try:
+            if tracker._conversations is not None:
+                found = Conversations.from_state(state[CONVERSATIONS], tracker.model)
+                tracker._conversations = tracker._groups = found
+            if "forecaster" in state:
+                tracker._forecaster = Forecaster.from_state(unpack_tree(state["forecaster"]))
+                tracker._present = list(map(whole, state["present"]))
+        except DAMAGES as error:
+            raise damaged(error) from error
+        return tracker

@@ -1,0 +1,638 @@
+"""Groups and attention in the answers of `graphtrack track -`.
+
+Forecasts in the answers of `graphtrack track -`.
+
+Rows of observations as NDJSON, one estimate out for each, many people interleaved.
+
+Rows of detections as NDJSON: whoever is seen is told when a frame ends; many streams interleaved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from graphtrack.association.tracker import descriptors_of
+from graphtrack.errors import InputError
+from graphtrack.forecasting.forecaster import Forecast, Forecaster
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
+from graphtrack.interaction.attention import OnlineAttention
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
+from graphtrack.interaction.groups import Groups, OnlineGroups
+from graphtrack.interaction.people import Numbers, People, Told, numbers_of, people_at, people_told
+from graphtrack.interaction.places import Place
+from graphtrack.io.formats.ndjson import Pairs, parse_line, plain_cells, read_cells
+from graphtrack.model import Observation
+from graphtrack.saved import from_text, pack_tree, real, to_text, unpack_tree, whole
+from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming.protocol import UnknownKeys, error_row, estimate_row, observation_of, text_of
+
+BEHAVIOUR = "behaviour"
+"""Name of groups and attention among the members of a stream whose states are kept."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Groups and attention that answers hold besides estimates.
+
+    Attributes
+    ----------
+    groups, attention : whether they tell these
+    places : what people may look at besides each other
+    """
+
+    groups: bool = False
+    attention: bool = False
+    places: tuple[Place, ...] = ()
+
+    def settings(self) -> dict[str, Any]:
+        """Settings that the answers depend on, as JSON-able data; nothing where nothing is asked."""
+        found: dict[str, Any] = {}
+        if self.groups:
+            found["groups"] = True
+        if self.attention:
+            found["attention"] = [[one.name, one.outline.tolist(), one.radius] for one in self.places]
+        return found
+
+
+class SceneBehaviour:
+    """Groups and attention of a scene, as columns of the people of each frame."""
+
+    def __init__(self, asked: Asked) -> None:
+        self._asked = asked
+        self._groups = OnlineGroups()
+        self._attention = OnlineAttention(asked.places) if asked.attention else None
+
+    @property
+    def t(self) -> float:
+        """Seconds, of the last frame with somebody in it; −∞ before the first."""
+        return self._groups.t
+
+    def columns(self, t: float, people: Told) -> dict[int, dict[str, Any]]:
+        """Columns of each person of a frame, by track id, ascending."""
+        return self.columns_of(people_told(t, people))
+
+    def columns_of(self, people: People) -> dict[int, dict[str, Any]]:
+        """As `columns`."""
+        found = self._groups.take(people)
+        rows: dict[int, dict[str, Any]] = {one: {} for one in found.track_id.tolist()}
+        if self._asked.groups:
+            rows = dict(zip(rows, _told_of_groups(found), strict=True))
+        if self._attention is not None:
+            for one, looks in self._attention.take(people, found).told().items():
+                rows[one]["attention"] = [
+                    {"kind": kind, "target": target, "probability": p} for kind, target, p in looks
+                ]
+        return rows
+
+    def state(self) -> dict[str, Any]:
+        """Return the state as JSON-able data; see `restore`."""
+        attention = None if self._attention is None else self._attention.state()
+        return {"groups": self._groups.state(), "attention": attention}
+
+    @classmethod
+    def restore(cls, state: Mapping[str, Any], asked: Asked) -> SceneBehaviour:
+        """A scene that goes on where `state` was taken, given that the same was asked."""
+        scene = cls(asked)
+        scene._groups = OnlineGroups.from_state(state["groups"])
+        if scene._attention is not None:
+            scene._attention = OnlineAttention.from_state(state["attention"], asked.places)
+        return scene
+
+
+def _told_of_groups(found: Groups) -> list[dict[str, Any]]:
+    """A dictionary for each row: the columns of the table, null where a cell is empty."""
+    columns = {name: values.tolist() for name, values in found.columns().items()}
+    names = ("group", "kind", "probability", "centre_x", "centre_y")
+    return [
+        {name: _null(value) for name, value in zip(names, row, strict=True)}
+        for row in zip(*(columns[name] for name in names), strict=True)
+    ]
+
+
+def _null(value: Any) -> Any:
+    return None if value != value or value == "" else value
+
+
+class FrameBehaviour:
+    """Groups and attention for rows with identities: they are told when a frame has ended.
+
+    A frame ends with the next time. A late row changes no frame that has ended, and people of the one that
+    has not as far as it changes their estimates.
+    """
+
+    def __init__(self, scene: SceneBehaviour) -> None:
+        self._scene = scene
+        self._t, self._frame = -math.inf, 0
+        self._people: dict[int, Numbers] = {}
+
+    def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
+        """Somebody is seen; what is told of the frame before, if that has ended."""
+        if estimate.status == "waiting":
+            return []
+        rows: list[dict[str, Any]] = []
+        if observation.t > self._t:
+            rows = self.finish()
+            self._t, self._frame = observation.t, observation.frame
+        if estimate.t == self._t > self._scene.t:
+            self._people[track_id] = numbers_of(estimate)
+        return rows
+
+    def finish(self) -> list[dict[str, Any]]:
+        """Rows of the frame that has ended, one for each person; later rows of it do not count."""
+        if not self._people:
+            return []
+        told = self._scene.columns_of(people_at(self._t, self._frame, self._people))
+        self._people = {}
+        of_frame = {"frame": self._frame, "t": self._t}
+        return [{"track_id": one, **of_frame, **columns} for one, columns in told.items()]
+
+    def state(self) -> dict[str, Any]:
+        """Return the state as JSON-able data; see `restore`."""
+        people = [[one, to_text(np.array(numbers))] for one, numbers in self._people.items()]
+        t = None if math.isinf(self._t) else self._t
+        return {BEHAVIOUR: self._scene.state(), "t": t, "frame": self._frame, "people": people}
+
+    @classmethod
+    def restore(cls, state: Mapping[str, Any], asked: Asked) -> FrameBehaviour:
+        """Frames that go on where `state` was taken, given that the same was asked."""
+        found = cls(SceneBehaviour.restore(state[BEHAVIOUR], asked))
+        found._t = -math.inf if state["t"] is None else real(state["t"])
+        found._frame = whole(state["frame"])
+        found._people = {whole(one): tuple(from_text(saved).tolist()) for one, saved in state["people"]}
+        return found
+
+
+def merged(*parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows about the same people of a frame as one for each."""
+    given = [rows for rows in parts if rows]
+    if len(given) < 2:
+        return given[0] if given else []
+    found: dict[int, dict[str, Any]] = {}
+    for row in (row for rows in given for row in rows):
+        found.setdefault(row["track_id"], {}).update(row)
+    return [found[one] for one in sorted(found)]
+
+
+FORECASTS = "forecasts"
+"""Name of forecasts among the members of a stream whose states are kept."""
+
+STEP = 0.4
+"""Seconds between the times ahead that are told, where the horizon is no shorter."""
+
+
+def told(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
+    """Forecasts of each person: a dictionary for each time ahead."""
+    variance = forecast.covariance
+    columns = {
+        "x": forecast.position[..., 0],
+        "y": forecast.position[..., 1],
+        "x_std": np.sqrt(variance[..., 0, 0]),
+        "y_std": np.sqrt(variance[..., 1, 1]),
+        "xy_cov": variance[..., 0, 1],
+        "radius_50": forecast.radius_50,
+        "radius_90": forecast.radius_90,
+    }
+    ahead = forecast.ahead.round(9).tolist()
+    numbers = np.stack(list(columns.values()), axis=2).tolist()
+    return {
+        one: [
+            {"ahead": h, **dict(zip(columns, row, strict=True))} for h, row in zip(ahead, rows, strict=True)
+        ]
+        for one, rows in zip(forecast.track_id.tolist(), numbers, strict=True)
+    }
+
+
+class FrameForecasts:
+    """Forecasts for rows with identities: they are told when a frame has ended, with the next time.
+
+    Parameters
+    ----------
+    ahead : (A,) seconds
+    """
+
+    def __init__(self, ahead: FloatArray) -> None:
+        self._ahead, self._forecaster = ahead, Forecaster()
+        self._t, self._frame = -np.inf, 0
+        self._seen: dict[int, tuple[float, float, float, float]] = {}
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        return pack_tree(
+            {
+                "forecaster": self._forecaster.state(),
+                "t": self._t if np.isfinite(self._t) else None,
+                "frame": self._frame,
+                "ids": np.array(list(self._seen), np.int64),
+                "seen": np.array(list(self._seen.values()), float).reshape(-1, 4),
+            }
+        )
+
+    @classmethod
+    def from_state(cls, ahead: FloatArray, state: Mapping[str, Any]) -> FrameForecasts:
+        """Forecasts that go on where `state` was taken, for the same times (A,)."""
+        values = unpack_tree(state)
+        found = cls(ahead)
+        found._forecaster = Forecaster.from_state(values["forecaster"])
+        found._t = -np.inf if values["t"] is None else real(values["t"])
+        found._frame = whole(values["frame"])
+        found._seen = dict(zip(values["ids"].tolist(), map(tuple, values["seen"].tolist()), strict=True))
+        return found
+
+    def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
+        """Somebody is seen; the forecasts of the frame before, if that has ended. Late rows do not count."""
+        t = observation.t
+        if estimate.status == "waiting" or t < self._t or t <= self._forecaster.t:
+            return []
+        rows = self.finish() if t > self._t else []
+        self._t, self._frame = t, observation.frame
+        x, y = estimate.position.tolist() if observation.position is None else observation.position
+        std = np.nan if observation.position_std is None else observation.position_std
+        head = np.nan if observation.head is None else observation.head
+        if np.isfinite(x) and np.isfinite(y):
+            self._seen[track_id] = (x, y, std, head)
+        return rows
+
+    def finish(self) -> list[dict[str, Any]]:
+        """The forecasts of the frame that has ended, a row for each person; later rows of it do not count."""
+        if not self._seen:
+            return []
+        ids, values = list(self._seen), np.array(list(self._seen.values()))
+        self._forecaster.update(self._t, ids, values[:, :2], values[:, 2], values[:, 3])
+        self._seen = {}
+        found = told(self._forecaster.forecast(self._ahead))
+        return [
+            {"track_id": one, "frame": self._frame, "t": self._t, "forecast": rows}
+            for one, rows in found.items()
+        ]
+
+
+@dataclass(frozen=True)
+class StreamBounds:
+    """Bounds of a stream with identities.
+
+    Attributes
+    ----------
+    people : at once; a row of one more is an error
+    forget_after : seconds without a row after which a person is forgotten, to be new when they come back
+    """
+
+    people: int | None = None
+    forget_after: float | None = None
+
+
+@dataclass
+class _Waiting:
+    """A row that waits for others of its frame, and where its answers go."""
+
+    smoother: OnlineSmoother
+    observation: Observation
+    answers: list[dict[str, Any]]
+
+
+class TrackAnswers:
+    """An online smoother for each person, made when the person first appears.
+
+    Parameters
+    ----------
+    make : a new smoother
+    fps : frames a second, for rows without a time
+    note : is told of each unknown key, once
+    forecasts : of people, where they are asked for
+    behaviour : of the people of each frame, where it is asked for
+    bounds : how many people there may be
+    conversations : what smoothers of a model with groups are told of each other
+
+    Attributes
+    ----------
+    members : track id → smoother, and the forecasts, the behaviour and the conversations
+    rows, line : rows answered, and the line of the last of them, from 1
+    before_change : is called with a track id before its smoother takes something in
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], OnlineSmoother],
+        fps: float | None,
+        note: Callable[[str], None] = print,
+        forecasts: FrameForecasts | None = None,
+        behaviour: FrameBehaviour | None = None,
+        bounds: StreamBounds = StreamBounds(),
+        conversations: Conversations | None = None,
+    ) -> None:
+        self._bounds, self._looked = bounds, -math.inf
+        self._waiting = dict[int, _Waiting]()
+        self._make, self._fps, self._told = make, fps, UnknownKeys(note)
+        of_scene = {FORECASTS: forecasts, BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
+        self.members: dict[Any, Any] = {key: one for key, one in of_scene.items() if one is not None}
+        self.rows = self.line = 0
+        self.before_change: Callable[[Any], None] = lambda track_id: None
+
+    def answer(self, number: int, line: bytes) -> dict[str, Any]:
+        """The estimate after a line of input, or what is wrong with it under ``error``."""
+        return self.answers(number, line)[-1]
+
+    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
+        """Answers to a line of input: those of a frame that it ends, and its `answer`."""
+        return self.answers_together([(number, line)])[0]
+
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """Answers to each of some lines, the same as one by one.
+
+        Rows that follow each other and are of different people are worked in by few calls into compiled code.
+        """
+        found: list[list[dict[str, Any]]] = []
+        for number, line in lines:
+            self.rows, self.line = self.rows + 1, number
+            cells: dict[str, Any] | None = None
+            pairs: Pairs = ()
+            found.append([])
+            try:
+                cells = plain_cells(line)
+                if cells is None:
+                    pairs = parse_line(text_of(line))
+                    self._told(pairs)
+                    cells = read_cells(pairs)
+                self._wait_for(cells["track_id"], observation_of(cells, self._fps), found[-1])
+            except InputError as error:
+                found[-1].append(error_row(pairs or tuple((cells or {}).items()), number, error))
+        self._take_waiting()
+        return found
+
+    def _wait_for(self, track_id: int, observation: Observation, answers: list[dict[str, Any]]) -> None:
+        """Have a row wait for others, or for nobody where the people of a frame are told of each other."""
+        if track_id in self._waiting or track_id not in self.members or observation.t >= self._looked + 1.0:
+            self._take_waiting()
+        smoother = self._smoother(track_id, observation.t)
+        observation = smoother.usable(observation)
+        if CONVERSATIONS in self.members:
+            self.before_change(CONVERSATIONS)
+            observation = self.members[CONVERSATIONS].observed(track_id, observation)
+        self._waiting[track_id] = _Waiting(smoother, observation, answers)
+        if CONVERSATIONS in self.members or track_id not in self.members:
+            self._take_waiting()
+
+    def _take_waiting(self) -> None:
+        """Work in the rows that wait, all of different people."""
+        if not self._waiting:
+            return
+        waiting, self._waiting = self._waiting, {}
+        for track_id in waiting:
+            self.before_change(track_id)
+        estimates = OnlineSmoother.update_together(
+            [one.smoother for one in waiting.values()], [one.observation for one in waiting.values()]
+        )
+        for (track_id, one), estimate in zip(waiting.items(), estimates, strict=True):
+            self.members[track_id] = one.smoother
+            one.answers += self._told_before(track_id, one.observation, estimate)
+            one.answers.append(estimate_row(track_id, estimate))
+
+    def _told_before(
+        self, track_id: int, observation: Observation, estimate: Estimate
+    ) -> list[dict[str, Any]]:
+        """Groups, looks and forecasts of the frame that a row ends."""
+        found: list[dict[str, Any]] = []
+        if CONVERSATIONS in self.members:
+            self.members[CONVERSATIONS].estimated(track_id, estimate)
+        for key in (FORECASTS, BEHAVIOUR):
+            if key in self.members:
+                self.before_change(key)
+                found = merged(self.members[key].take(track_id, observation, estimate), found)
+        return found
+
+    def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
+        """Of a person, a new one if they are new or were forgotten.
+
+        When others are forgotten makes no difference to anybody, so that a stream that is gone on with gives
+        the same answers.
+        """
+        if now >= self._looked + 1.0:
+            self._looked = now
+            self._forget(now)
+        found: OnlineSmoother | None = self.members.get(track_id)
+        if found is not None and not self._is_forgotten(found, now):
+            return found
+        most = self._bounds.people
+        if found is None and most is not None and self.count >= most:
+            self._forget(now)
+            if self.count >= most:
+                raise InputError(f"one more than {most} people", "rows of those who are there")
+        return self._make()
+
+    @property
+    def count(self) -> int:
+        """The people of whom something is kept."""
+        return len(self.members) - sum(key in self.members for key in (BEHAVIOUR, CONVERSATIONS, FORECASTS))
+
+    def _is_forgotten(self, smoother: OnlineSmoother, now: float) -> bool:
+        after, last = self._bounds.forget_after, smoother.last
+        # Who was never placed has no estimate, and nothing is kept of them.
+        return after is not None and (last is None or last.t < now - after)
+
+    def _forget(self, now: float) -> None:
+        """Drop all who have not been heard of for long."""
+        members = self.members.items()
+        people = [(one, smoother) for one, smoother in members if isinstance(smoother, OnlineSmoother)]
+        for one, smoother in people:
+            if self._is_forgotten(smoother, now):
+                self.before_change(one)
+                del self.members[one]
+
+    def finish(self) -> list[dict[str, Any]]:
+        """Answers when no more rows come: those of the last frame."""
+        rows: list[dict[str, Any]] = []
+        for key in (FORECASTS, BEHAVIOUR):
+            if key in self.members:
+                self.before_change(key)
+                rows = merged(self.members[key].finish(), rows)
+        return rows
+
+
+ONE = ""
+"""The stream of rows that do not name theirs."""
+
+Name = str | int
+
+
+class Frame:
+    """A stream: its tracker, what is told of its people besides, and the frame whose end is not known yet."""
+
+    def __init__(self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None) -> None:
+        self.tracker, self.behaviour = tracker, behaviour
+        self.t: float | None = None
+        self.number: int | None = None
+        self.seen: list[Observation] = []
+
+    def state(self) -> dict[str, Any]:
+        """Return the state as JSON-able data; see `restore`."""
+        waiting = [pack_observation(one) for one in self.seen]
+        found = {"tracker": self.tracker.state(), "t": self.t, "number": self.number, "seen": waiting}
+        return found if self.behaviour is None else {**found, BEHAVIOUR: self.behaviour.state()}
+
+    @classmethod
+    def restore(cls, state: dict[str, Any], tracker: OnlineTracker, asked: Asked | None = None) -> Frame:
+        """A stream that goes on where `state` was taken, given that the same was asked."""
+        frame = cls(tracker, None if asked is None else SceneBehaviour.restore(state[BEHAVIOUR], asked))
+        frame.t = None if state["t"] is None else real(state["t"])
+        frame.number = None if state["number"] is None else whole(state["number"])
+        frame.seen = [unpack_observation(one) for one in state["seen"]]
+        return frame
+
+
+class Scenes:
+    """An online tracker for each stream, made when the stream first appears.
+
+    A frame ends with the next time, or with ``{"end": t}``; then its people are told, each in a row, and in a
+    row ``{"end": t, …}`` how many they are and what was taken back of frames before.
+
+    Parameters
+    ----------
+    make : a new tracker
+    fps : frames a second, for rows without a time
+    note : is told of each unknown key, once
+    forget : identities that rows have do not count; else such a row is an error
+    horizon : (seconds, step) of forecasts that are told with each person; None: none are
+    asked : groups and attention that are told with each person; None: neither
+
+    Attributes
+    ----------
+    members : name → stream
+    rows, line : rows answered, and the line of the last of them, from 1
+    before_change : is called with a name before its stream takes something in
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], OnlineTracker],
+        fps: float | None,
+        note: Callable[[str], None] = print,
+        *,
+        forget: bool = False,
+        horizon: tuple[float, float] | None = None,
+        asked: Asked | None = None,
+    ) -> None:
+        self._horizon, self._asked = horizon, asked
+        self._make, self._fps, self._forget = make, fps, forget
+        self._told = UnknownKeys(note, {"stream", "end"})
+        self.members: dict[Name, Frame] = {}
+        self.rows = self.line = 0
+        self.before_change: Callable[[Any], None] = lambda name: None
+
+    @property
+    def count(self) -> int:
+        """The people who are followed, in all streams."""
+        return sum(len(frame.tracker) for frame in self.members.values())
+
+    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
+        """Answers to a line of input: none as long as the frame goes on."""
+        self.rows, self.line = self.rows + 1, number
+        pairs: Pairs = ()
+        try:
+            pairs = parse_line(text_of(line))
+            self._told(pairs)
+            given = dict(pairs)
+            name = _name(given.get("stream"))
+            if "end" in given:
+                return self._end(name, _seconds(given["end"]))
+            return self._take(name, pairs)
+        except InputError as error:
+            return [error_row(pairs, number, error)]
+
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """Answers to each of some lines."""
+        return [self.answers(number, line) for number, line in lines]
+
+    def finish(self) -> list[dict[str, Any]]:
+        """Answers when no more rows come: those of the frames that have not ended."""
+        rows = []
+        for name in self.members:
+            self.before_change(name)
+            rows += self._flush(name)
+        return rows
+
+    def _take(self, name: Name, pairs: Pairs) -> list[dict[str, Any]]:
+        cells = read_cells(pairs, ("track_id", "frame"))
+        if cells.get("track_id", -1) != -1 and not self._forget:
+            found = f"a row of track {cells['track_id']} among detections without identity"
+            raise InputError(found, "rows with identities alone, or --associate always", column="track_id")
+        number = cells.get("frame")
+        if "t" not in cells and number is None:
+            raise InputError("neither t nor frame", "when it was seen", column="t")
+        one = observation_of({**cells, "frame": number or 0}, self._fps)
+        frame = self.members.get(name)
+        if frame is not None and frame.t is not None and one.t < frame.t:
+            raise InputError(f"t = {one.t:g}", f"a time from {frame.t:g} on", column="t")
+        tracker = self._make() if frame is None else frame.tracker
+        one = tracker.on_the_ground(one, one.t)
+        tracker.check_time(one.t)
+        size = tracker.descriptor_size
+        descriptors_of([one] if size or frame is None else [*frame.seen, one], size)
+        if frame is None:
+            frame = self._begin(tracker)
+        self.before_change(name)
+        self.members[name] = frame
+        found_rows = self._flush(name) if frame.t is not None and one.t > frame.t else []
+        frame.t, frame.number = one.t, number
+        frame.seen.append(one)
+        return found_rows
+
+    def _end(self, name: Name, t: float) -> list[dict[str, Any]]:
+        frame = self.members.get(name)
+        if frame is None:
+            frame = self._begin(self._make())
+        if frame.t is not None and t < frame.t:
+            raise InputError(f"end = {t:g}", f"a time from {frame.t:g} on", column="end")
+        frame.tracker.check_time(t)
+        self.before_change(name)
+        self.members[name] = frame
+        rows = self._flush(name) if frame.t is not None and t > frame.t else []
+        frame.t = t
+        return rows + self._flush(name)
+
+    def _begin(self, tracker: OnlineTracker) -> Frame:
+        return Frame(tracker, None if self._asked is None else SceneBehaviour(self._asked))
+
+    def _flush(self, name: Name) -> list[dict[str, Any]]:
+        """Give the tracker the frame that has ended, and say whom it sees."""
+        frame = self.members[name]
+        if frame.t is None:
+            return []
+        of_stream = {} if name == ONE else {"stream": name}
+        people = frame.tracker.update(frame.t, frame.seen)
+        ahead = {} if self._horizon is None else told(frame.tracker.forecast(*self._horizon))
+        more = {} if frame.behaviour is None else frame.behaviour.columns(frame.t, people)
+        number = frame.tracker.updates - 1 if frame.number is None else frame.number
+        rows: list[dict[str, Any]] = []
+        for person in people:
+            row = estimate_row(person.track_id, person) | {"frame": number}
+            sure = person.identity_p if person.observed else None
+            row |= {"identity_p": sure, "observed": float(person.observed)}
+            row |= more.get(person.track_id, {})
+            if person.track_id in ahead:
+                row["forecast"] = ahead[person.track_id]
+            rows.append(of_stream | row)
+        counts = {"people": len(people), "detections": len(frame.seen)}
+        revised = [asdict(one) for one in frame.tracker.revised]
+        rows.append(of_stream | {"end": frame.t} | counts | ({"revised": revised} if revised else {}))
+        frame.t, frame.number, frame.seen = None, None, []
+        return rows
+
+
+def _name(value: Any) -> Name:
+    if value is None:
+        return ONE
+    if isinstance(value, bool) or not isinstance(value, str | int) or not 0 < len(str(value)) <= 200:
+        raise InputError(f"stream = {value!r}"[:100], "a name of up to 200 characters, or a whole number")
+    return value
+
+
+def _seconds(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"end = {value!r}"[:100], "the time of the frame that ends, in seconds")
+    return float(value)

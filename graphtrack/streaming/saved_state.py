@@ -1,0 +1,683 @@
+"""The file that ``graphtrack track - --state`` resumes from: the state at one row, and every row since.
+
+The first line has a fixed length: the format's version, the number of bytes that were flushed to the disk,
+and the digest of the file up to there; it is updated in place after each flush. Every further line is a JSON
+value behind the digest of all JSON text up to its end, so that a line that is missing, repeated, moved or
+from another file is detected, and a file that ends before what was flushed is too. Lines are appended one by
+one; a new content replaces the old one in one step, and lines that are appended meanwhile go to both.
+
+Saving a stream of rows in a state file, and resuming it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import queue
+import re
+import stat
+import threading
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, Protocol
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.io.formats.ndjson import encoded
+from graphtrack.model import Model
+
+VERSION = 2
+"""Of the format; it changes with what the lines mean, too."""
+
+_MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
+_MARK_LENGTH = 76
+_BEGINNING = b"graphtrack-state "
+_DIGEST_LENGTH = 32
+_EXPECTED = "a file that 'graphtrack track - --state' wrote"
+_REMEDY = "the file as it was written; without the file a stream starts from nothing"
+
+
+class StateInUse(InputError):
+    """A state that another process is writing."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__("a state that another process is writing", "one process at a time", path=path)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path,)
+
+
+def packed(value: Any) -> bytes:
+    """A JSON-able value as the text of a line."""
+    return encoded(value).encode()
+
+
+class _Content:
+    """An open file that ends with a given digest.
+
+    Parameters
+    ----------
+    file : descriptor
+    digest : of all text in it
+    length : bytes, the first line included
+    has_rest : the file is longer; the next `append` cuts off the rest
+    """
+
+    def __init__(
+        self, file: int, digest: Any = None, length: int = _MARK_LENGTH, has_rest: bool = False
+    ) -> None:
+        self.file, self.length, self._has_rest = file, length, has_rest
+        self._digest = blake2b(digest_size=_DIGEST_LENGTH // 2) if digest is None else digest
+
+    def append(self, texts: Iterable[bytes]) -> None:
+        """Write lines at the end, all of them or none."""
+        digest, lines = self._digest.copy(), []
+        for text in texts:
+            digest.update(text)
+            lines.append(b"%s %s\n" % (digest.hexdigest().encode(), text))
+        data = b"".join(lines)
+        if self._has_rest:
+            os.ftruncate(self.file, self.length)
+        self._has_rest = True  # unless all is written
+        _write(self.file, data, self.length)
+        self._has_rest = False
+        self._digest, self.length = digest, self.length + len(data)
+
+    def mark(self) -> bytes:
+        """The first line for the file as it is now."""
+        return b"graphtrack-state %04d %020d %s\n" % (VERSION, self.length, self._digest.hexdigest().encode())
+
+    def flush(self, mark: bytes) -> None:
+        """Flush the file to the disk, and then state that in the first line."""
+        os.fsync(self.file)
+        _write(self.file, mark, 0)
+
+
+class StateFile:
+    """A state file that belongs to this process, until it is closed or the process ends in whatever way.
+
+    What is added outlives this process at once, and a failure of the power or the system after ``every``
+    seconds: that is how often, in a thread, the file is flushed to the disk.
+
+    Parameters
+    ----------
+    path : the file; where it is not there it appears with the first `replace`
+    every : seconds
+
+    Attributes
+    ----------
+    entries : what the file held, a value a line; empty if it was not there. A last line without its end that
+        was never flushed, as a failure of the power leaves it, is left out; the first `append` cuts it off.
+
+    Raises
+    ------
+    InputError
+        If the file belongs to another process, is none of this kind, is damaged or cannot be written to. The
+        file is not changed.
+    """
+
+    def __init__(self, path: Path, every: float) -> None:
+        self.path, self._every = path, every
+        self._final, self._new = _places(path)
+        try:
+            file, self._is_there = self._claim()
+        except OSError as error:
+            raise self._failure(error) from error
+        try:
+            self.entries, content = self._read(file) if self._is_there else ([], _Content(file))
+        except BaseException as error:
+            os.close(file)
+            if isinstance(error, OSError):
+                raise self._failure(error) from error
+            raise
+        self._contents = [content]
+        self._mutex = threading.Lock()
+        self._since: list[bytes] | None = None
+        self._jobs: queue.Queue[list[bytes] | None] = queue.Queue()
+        self._idle = threading.Event()
+        self._idle.set()
+        self._error: OSError | None = None
+        self._unsynced = False
+        self._thread = threading.Thread(target=self._tend, name="state file", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_replacing(self) -> bool:
+        """Return True if a new content is still being written."""
+        return not self._idle.is_set()
+
+    def append(self, value: Any) -> None:
+        """Add a line.
+
+        Raises
+        ------
+        InputError
+            If that failed, or flushing or replacing has since the last call.
+        """
+        text = packed(value)
+        with self._mutex:
+            try:
+                self._raise()
+                for content in self._contents:
+                    content.append([text])
+            except OSError as error:
+                raise self._failure(error) from error
+            self._unsynced = True
+            if self._since is not None:
+                self._since.append(text)
+
+    def mark(self) -> None:
+        """Have lines that are added from now on follow the next new content too."""
+        with self._mutex:
+            self._since = []
+
+    def replace(self, texts: list[bytes]) -> None:
+        """Begin to write a new content, `packed`, of what was known at the `mark`."""
+        self._idle.clear()
+        self._jobs.put(texts)
+
+    def wait(self) -> None:
+        """Until the new content is in its place.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
+        self._idle.wait()
+        try:
+            self._raise()
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def close(self) -> None:
+        """Let go of the file. It stays as it is."""
+        self._jobs.put(None)
+        self._thread.join()
+        if not self._is_there:
+            self._new.unlink(missing_ok=True)
+        os.close(self._contents[0].file)
+
+    # -- the file ------------------------------------------------------------------------------------------
+
+    def _claim(self) -> tuple[int, bool]:
+        """The file, open and locked, and whether it is there; else it is the one that is to become it.
+
+        The lock belongs to the open file and not to its name, so the name is looked at again afterwards.
+        """
+        while True:
+            is_there = self._final.exists()
+            place = self._final if is_there else self._new
+            if is_there and not place.is_file():
+                raise InputError(
+                    "a folder" if place.is_dir() else "a device", "the path of a file", path=self.path
+                )
+            file = _locked(place, self.path, 0 if is_there else os.O_CREAT)
+            if file is None:
+                continue  # gone in between
+            if is_there == self._final.exists():
+                if is_there:
+                    self._new.unlink(missing_ok=True)
+                return file, is_there
+            os.close(file)
+
+    def _read(self, file: int) -> tuple[list[Any], _Content]:
+        """The values of a file, and the file as it goes on."""
+        with os.fdopen(os.dup(file), "rb") as stream:
+            stream.seek(0)
+            first = stream.read(_MARK_LENGTH)
+            mark = _MARK.fullmatch(first)
+            if mark is None:
+                raise InputError("no saved state", _EXPECTED, path=self.path)
+            version = int(mark[1])
+            if version != VERSION:
+                expected = f"version {VERSION}; without the file a stream starts from nothing"
+                raise InputError(f"a state of version {version}", expected, path=self.path)
+            flushed, size = int(mark[2]), os.fstat(file).st_size
+            if size < flushed:
+                found = f"a file that was cut off ({size} of at least {flushed} bytes)"
+                raise InputError(found, _REMEDY, path=self.path)
+            entries, digest = [], blake2b(digest_size=_DIGEST_LENGTH // 2)
+            length, is_confirmed = _MARK_LENGTH, False
+            for number, line in enumerate(stream, 2):
+                if not line.endswith(b"\n"):
+                    break  # unless it was flushed, a line that a failure of the power cut off
+                digest.update(line[_DIGEST_LENGTH + 1 : -1])
+                is_sound = line[: _DIGEST_LENGTH + 1] == digest.hexdigest().encode() + b" "
+                length += len(line)
+                if length == flushed:
+                    is_confirmed = digest.hexdigest().encode() == mark[3]
+                    is_sound = is_sound and is_confirmed
+                try:
+                    if not is_sound:
+                        raise ValueError("another digest")
+                    entries.append(json.loads(line[_DIGEST_LENGTH + 1 :]))
+                except (ValueError, RecursionError) as error:
+                    found = "a damaged line (it does not follow from those before it)"
+                    raise InputError(found, _REMEDY, path=self.path, line=number) from error
+        if not entries or not is_confirmed:
+            raise InputError("a damaged state (its lines do not fit the first one)", _REMEDY, path=self.path)
+        return entries, _Content(file, digest, length, size > length)
+
+    def _tend(self) -> None:
+        """Write new contents as they come, and flush from time to time, in the thread."""
+        is_last = False
+        while True:
+            try:
+                lines = self._jobs.get(timeout=self._every)
+            except queue.Empty:
+                lines = []
+            if lines is None:
+                lines, is_last = [], True
+            try:
+                if lines:
+                    self._write_anew(lines)
+                self._flush()
+            except OSError as error:
+                self._error = error
+            if lines:
+                self._idle.set()
+            if is_last:
+                return
+
+    def _flush(self) -> None:
+        with self._mutex:
+            if not self._unsynced:
+                return
+            self._unsynced, content = False, self._contents[0]
+            mark = content.mark()
+        content.flush(mark)
+
+    def _write_anew(self, texts: list[bytes]) -> None:
+        before = content = self._contents[0]
+        if self._is_there:
+            file = os.open(self._new, os.O_RDWR | os.O_CREAT, 0o666)
+            fcntl.flock(file, fcntl.LOCK_EX)
+            os.fchmod(file, stat.S_IMODE(os.fstat(before.file).st_mode))
+            content = _Content(file)
+        os.ftruncate(content.file, 0)
+        content.append(texts)
+        _write(content.file, content.mark(), 0)
+        os.fsync(content.file)
+        with self._mutex:
+            content.append(self._since or ())
+            self._since = None
+            # Both have every line while either may have the name, so that `append` need not wait.
+            self._contents = [before, content] if self._is_there else [content]
+        self._new.replace(self._final)
+        with self._mutex:
+            self._contents = [content]
+            self._is_there = self._unsynced = True
+        if before is not content:
+            os.close(before.file)
+        folder = os.open(self._final.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _failure(self, error: OSError) -> InputError:
+        return InputError(f"{error.strerror or error}", "a file that can be written to", path=self.path)
+
+
+def remove(path: Path) -> bool:
+    """Delete a state file that no process has open; False if there is none.
+
+    Raises
+    ------
+    StateInUse
+        If a process has it open, or is about to make it. The file is not changed.
+    InputError
+        If it is no state file. The file is not changed.
+    OSError
+        If it cannot be deleted.
+    """
+    final, new = _places(path)
+    found = False
+    for place in (final, new):
+        if place.exists() and not place.is_file():
+            raise InputError("no file", _EXPECTED, path=path)
+        file = _locked(place, path, 0) if place.exists() else None
+        if file is None:
+            continue
+        try:
+            # A link may lead to any file. One that is being made has no first line yet.
+            first = os.pread(file, _MARK_LENGTH, 0)
+            if place == final and not first.startswith(_BEGINNING):
+                raise InputError("no saved state", _EXPECTED, path=path)
+            place.unlink()
+            if place == final:
+                found = True
+                path.unlink(missing_ok=True)  # a link
+        finally:
+            os.close(file)
+    return found
+
+
+def _places(path: Path) -> tuple[Path, Path]:
+    """The file behind a path, and the one that becomes it."""
+    final = Path(os.path.realpath(path))
+    return final, final.with_name(final.name + ".new")
+
+
+def _locked(place: Path, path: Path, flags: int) -> int | None:
+    """A file, open and locked; None if it is gone.
+
+    The lock belongs to the open file and not to its name, so the name is compared again afterwards.
+    """
+    try:
+        file = os.open(place, os.O_RDWR | flags, 0o666)
+    except FileNotFoundError:
+        if flags:
+            raise
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(file)
+        raise StateInUse(path) from error
+    if not _is_at(file, place):
+        os.close(file)
+        return None
+    return file
+
+
+def _is_at(file: int, place: Path) -> bool:
+    """Return True if an open file still has this name."""
+    try:
+        return os.path.samestat(os.fstat(file), place.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _write(file: int, data: bytes, at: int) -> None:
+    while data:
+        written = os.pwrite(file, data, at)
+        data, at = data[written:], at + written
+
+
+class Answering(Protocol):
+    """Protocol of classes that answer rows and have members whose states are saved one by one."""
+
+    rows: int
+    line: int
+    members: Any
+    before_change: Callable[[Any], None]
+
+    @property
+    def count(self) -> int:
+        """The people who are followed."""
+
+    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
+        """Answers to a line of input."""
+
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """Answers to each of some lines, the same as one by one."""
+
+    def finish(self) -> list[dict[str, Any]]:
+        """Answers when no more rows come."""
+
+
+class Saving:
+    """Keeps a stream in a state file: all people now and then, and each row as it comes.
+
+    A row is in the file before it is answered, so that a run that goes on knows every row that was answered.
+    All people are written as they were at one row, but one at a time while rows go on: of a person who is
+    about to change, what is to be written is taken aside. Streams that begin together are written at
+    different times, which their files' names settle.
+
+    Parameters
+    ----------
+    file : the state file
+    people : the people of the stream
+    settings : what the answers depend on; see `settings_of`
+    every : seconds between two writings of all people; None: only rows are kept, and going on means to take
+        in every row again
+    clock : seconds
+
+    Raises
+    ------
+    InputError
+        If the file holds a state of other settings, or a header of another form.
+    """
+
+    def __init__(
+        self,
+        file: StateFile,
+        people: Answering,
+        settings: dict[str, Any],
+        every: float | None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._file, self._people, self._settings = file, people, settings
+        self._every, self._clock = every, clock
+        self._due = clock() + (every or 0.0) * zlib.crc32(str(file.path).encode()) / 2**32
+        self._changed: set[Any] = set()
+        self._packed: dict[Any, bytes] = {}
+        self._left: dict[Any, Callable[[], Any] | None] | None = None
+        people.before_change = self._before_change
+        if file.entries:
+            with self._told_of_the_file():
+                _check_settings(_header_of(file.entries)["settings"], settings)
+
+    @property
+    def entries(self) -> int:
+        """Number of values in the file."""
+        return len(self._file.entries)
+
+    def begin(self) -> None:
+        """Make the file of a stream that has no rows yet."""
+        self._write_all()
+
+    def resume(
+        self, restore: Callable[[Any, Any], Any], advance: Callable[[int], None] = lambda rows: None
+    ) -> list[list[dict[str, Any]]]:
+        """Bring the people to where the file ends.
+
+        Parameters
+        ----------
+        restore : a member from its key and its state
+        advance : is told of rows that were taken in again
+
+        Returns
+        -------
+        list of list of dict
+            The answers to each of the last rows of which it is not certain that they were given.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged.
+        """
+        people, entries = self._people, self._file.entries
+        answers: list[list[dict[str, Any]]] = []
+        with self._told_of_the_file():
+            header = _header_of(entries)
+            people.rows, people.line = header["rows"], header["line"]
+            first_row = 1 + header["people"]
+            for entry in entries[1:first_row]:
+                track_id, state = _member_of(entry)
+                if track_id in self._packed:
+                    raise ValueError(f"two states of {track_id!r}")
+                people.members[track_id] = restore(track_id, state)
+                self._packed[track_id] = packed(entry)
+            for entry in entries[first_row:]:
+                rows = _rows_of(entry, people.rows, people.line)
+                if not rows:  # all rows so far were answered
+                    answers = []
+                    continue
+                answers = people.answers_together(rows)
+                advance(len(rows))
+        entries.clear()
+        return answers
+
+    def take(self, lines: Sequence[tuple[int, bytes]]) -> None:
+        """Keep rows, before they are answered together."""
+        rows = [[number, line.decode("utf-8", "surrogateescape")] for number, line in lines]
+        self._file.append(rows if len(rows) > 1 else rows[0])
+
+    def tend(self) -> None:
+        """Do the work due after an answer: pack one more person, or begin the next writing of all."""
+        if self._left is not None:
+            if self._left:
+                self._pack(next(iter(self._left)))
+            else:
+                self._hand_over()
+        elif self._every is not None and self._clock() >= self._due and not self._file.is_replacing:
+            self._due = self._clock() + self._every
+            self._begin()
+
+    def finish(self) -> None:
+        """Everything has been answered: nothing needs to be said again by who goes on."""
+        if self._every is None:
+            self._file.append({"answered": self._people.rows})
+        else:
+            self._write_all()
+
+    def _write_all(self) -> None:
+        self._file.wait()
+        self._begin()
+        for track_id in list(self._left or ()):
+            self._pack(track_id)
+        self._hand_over()
+        self._file.wait()
+
+    @contextmanager
+    def _told_of_the_file(self) -> Iterator[None]:
+        """Whatever is wrong with a state is told with the name of its file."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(error.found, error.expected, path=self._file.path) from error
+        except Exception as error:  # what a value of a wrong type leads to cannot be listed
+            found = f"a damaged state ({error!r})"
+            raise InputError(found, "what 'graphtrack track -' wrote", path=self._file.path) from error
+
+    def _begin(self) -> None:
+        people = self._people
+        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._packed))
+        self._left = {track_id: None for track_id in people.members if track_id in due}
+        self._changed.clear()
+        self._members = list(people.members)
+        self._header = packed(
+            {
+                "settings": self._settings,
+                "rows": people.rows,
+                "line": people.line,
+                "people": len(self._members),
+            }
+        )
+        self._file.mark()
+
+    def _pack(self, track_id: Any) -> None:
+        assert self._left is not None
+        state = self._left.pop(track_id) or self._people.members[track_id].state
+        self._packed[track_id] = packed({"track_id": track_id, "state": state()})
+
+    def _hand_over(self) -> None:
+        self._left = None
+        self._packed = {track_id: self._packed[track_id] for track_id in self._members}
+        self._file.replace([self._header, *self._packed.values()])
+
+    def _before_change(self, track_id: Any) -> None:
+        if self._left is not None and track_id in self._left and self._left[track_id] is None:
+            member = self._people.members[track_id]
+            if isinstance(member, OnlineSmoother):
+                self._left[track_id] = member.later_state()
+            else:
+                self._pack(track_id)
+        self._changed.add(track_id)
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value >= 0
+
+
+def _header_of(entries: list[Any]) -> dict[str, Any]:
+    """The first value of a state file; ValueError if it has another form or the states are fewer."""
+    header: dict[str, Any] = entries[0]
+    counts = [header[name] for name in ("rows", "line", "people")]
+    if not all(map(_is_count, counts)) or counts[1] < counts[0] or not isinstance(header["settings"], dict):
+        raise ValueError(f"a header with rows, line, people = {counts}")
+    if counts[2] > len(entries) - 1:
+        raise ValueError(f"{counts[2]} states of people in {len(entries) - 1} lines")
+    return header
+
+
+def _member_of(entry: Any) -> tuple[int | str, dict[str, Any]]:
+    """Whose state a value is, and the state; ValueError if it has another form."""
+    track_id, state = entry["track_id"], entry["state"]
+    if type(track_id) not in (int, str) or not isinstance(state, dict) or len(entry) != 2:
+        raise ValueError(f"a state of {track_id!r} that is a {type(state).__name__}")
+    return track_id, state
+
+
+def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
+    """The rows that a value holds; none if it states that all ``rows`` so far were answered.
+
+    Raises
+    ------
+    ValueError
+        If it has another form, or the rows do not follow the line with the number ``line``.
+    """
+    if isinstance(entry, dict):
+        if entry != {"answered": rows} or type(entry["answered"]) is not int:
+            raise ValueError(f"{str(entry)[:60]} after {rows} rows")
+        return []
+    found = []
+    for number, text in entry if isinstance(entry[0], list) else [entry]:
+        if not _is_count(number) or number <= line or not isinstance(text, str):
+            raise ValueError(f"a row {str(number)[:60]} after row {line}")
+        found.append((number, text.encode("utf-8", "surrogateescape")))
+        line = number
+    return found
+
+
+def saved_settings(file: StateFile) -> dict[str, Any]:
+    """The settings of the stream that a file is the state of; none where it does not say."""
+    header = file.entries[0]
+    settings = header.get("settings") if isinstance(header, dict) else None
+    return settings if isinstance(settings, dict) else {}
+
+
+def settings_of(
+    model: Model, engine: str, lag: float | None, fps: float | None, camera: GroundCamera | None
+) -> dict[str, Any]:
+    """Settings that the answers to rows depend on, as a flat dictionary of JSON-able values.
+
+    Parameters
+    ----------
+    engine : as `online_engine` gives it
+    """
+    flat: dict[str, Any] = {"engine": engine, "lag": lag, "fps": fps}
+    flat["homography"] = None if camera is None else camera.homography.tolist()
+    for name, value in model.to_dict().items():
+        if isinstance(value, dict):
+            flat |= {f"model.{name}.{key}": one for key, one in value.items()}
+        else:
+            flat[f"model.{name}"] = value
+    result: dict[str, Any] = json.loads(json.dumps(flat))
+    return result
+
+
+def _check_settings(saved: dict[str, Any], settings: dict[str, Any]) -> None:
+    differing = [name for name in {**saved, **settings} if saved.get(name) != settings.get(name)]
+    if not differing:
+        return
+    if "model.preset" in differing:  # then its parameters differ as well
+        differing = [name for name in differing if name == "model.preset" or "model." not in name]
+
+    def told(of: dict[str, Any]) -> str:
+        return ", ".join(f"{name} = {json.dumps(of.get(name))}" for name in differing)
+
+    raise InputError(f"a state with {told(saved)}", f"one with {told(settings)}")

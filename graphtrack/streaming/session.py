@@ -1,0 +1,384 @@
+"""`graphtrack track -`: rows on standard input, an answer to each on standard output, at once."""
+
+from __future__ import annotations
+
+import gc
+import io
+import os
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.forecasting.forecaster import times_ahead
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.engines import OnlineEngine, online_engine
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.warm import make_online_ready
+from graphtrack.interaction import attention
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
+from graphtrack.io.formats.ndjson import encoded
+from graphtrack.io.options import Associate
+from graphtrack.kernels.compilation import make_ready
+from graphtrack.model import Model
+from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming.answers import (
+    BEHAVIOUR,
+    FORECASTS,
+    Asked,
+    Frame,
+    FrameBehaviour,
+    FrameForecasts,
+    SceneBehaviour,
+    Scenes,
+    StreamBounds,
+    TrackAnswers,
+)
+from graphtrack.streaming.protocol import LONGEST_LINE, Lines, Refuse, StreamNames, with_first_row
+from graphtrack.streaming.saved_state import Answering, Saving, StateFile, saved_settings, settings_of
+
+_PIECE = 1 << 16
+"""Bytes that are read at once."""
+
+MOST_TOGETHER = 128
+"""Rows that are answered together, where so many are there: the first of them wait for the last."""
+
+Row = dict[str, Any]
+
+
+def say_nothing(*_: object) -> None:
+    """Nobody wants to know."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Settings of the answers to rows.
+
+    Attributes
+    ----------
+    model, engine, lag, camera : as in `OnlineSmoother`
+    fps : frames a second, for rows without a time
+    associate : whether rows are detections without identity: "always", forgetting those they have; "never";
+        "auto": if the first one has none
+    horizon : (seconds, step) of forecasts that are told; None: none are
+    asked : groups and attention that are told; None: neither
+    bounds : of people with identities
+    """
+
+    model: Model
+    engine: OnlineEngine = "auto"
+    lag: float | None = 2.0
+    fps: float | None = None
+    camera: GroundCamera | None = None
+    associate: Associate = "auto"
+    horizon: tuple[float, float] | None = None
+    asked: Asked | None = None
+    bounds: StreamBounds = field(default_factory=StreamBounds)
+
+    @property
+    def chosen_engine(self) -> str:
+        """The engine that "auto" stands for."""
+        return online_engine(self.model, self.engine)
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {"engine": self.engine, "lag": self.lag, "camera": self.camera}
+
+    def people(self, note: Callable[[str], None] = say_nothing) -> TrackAnswers:
+        """Answers to rows with identities."""
+        return TrackAnswers(
+            partial(OnlineSmoother, self.model, **self._options),
+            self.fps,
+            note,
+            None if self.horizon is None else FrameForecasts(times_ahead(*self.horizon)),
+            None if self.asked is None else FrameBehaviour(SceneBehaviour(self.asked)),
+            self.bounds,
+            Conversations(self.model) if self.model.has_groups else None,
+        )
+
+    def restored_person(self, key: Any, saved: Any) -> Any:
+        """A member of `people` from its state."""
+        if self.horizon is not None and key == FORECASTS:
+            return FrameForecasts.from_state(times_ahead(*self.horizon), saved)
+        if self.asked is not None and key == BEHAVIOUR:
+            return FrameBehaviour.restore(saved, self.asked)
+        if self.model.has_groups and key == CONVERSATIONS:
+            return Conversations.from_state(saved, self.model)
+        if type(key) is not int:
+            raise ValueError(f"a person {str(key)[:40]!r}")
+        return OnlineSmoother.from_state(saved, self.model, **self._options)
+
+    def scenes(self, note: Callable[[str], None] = say_nothing) -> Scenes:
+        """Answers to detections without identity."""
+        make, forget = partial(OnlineTracker, self.model, **self._options), self.associate == "always"
+        return Scenes(make, self.fps, note, forget=forget, horizon=self.horizon, asked=self.asked)
+
+    def restored_scene(self, key: Any, saved: Any) -> Frame:
+        """A member of `scenes` from its state."""
+        tracker = OnlineTracker.from_state(saved["tracker"], self.model, **self._options)
+        return Frame.restore(saved, tracker, self.asked)
+
+    def settings(self) -> dict[str, Any]:
+        """Settings that the answers depend on, as JSON-able data."""
+        found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
+        found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
+        return found | ({} if self.asked is None else self.asked.settings())
+
+    def warm_up(self) -> None:
+        """Load, or compile, what is called, so that no answer waits for it."""
+        engine = online_engine(self.model, self.engine)
+        if engine == "chain" or self.model.has_modes:
+            make_online_ready(self.model, engine)
+        if self.asked is not None or self.model.has_groups:
+            make_ready(attention.ONLINE, attention.online_rehearsal())
+        if self.horizon is not None:
+            make_ready(attention.FORECASTS, attention.forecast_rehearsal())
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Callbacks for what is no answer.
+
+    Attributes
+    ----------
+    note : of what was passed over, in a sentence
+    went_on : of the rows after which a saved stream goes on, the line of the last of them, and to how many of
+        the last the answers are given again; it comes before any answer
+    answered : each time that all answers to a row were given
+    all_answered : each time that rows which came together are answered, before the next are kept
+    progress : makes a context of a function that is told how many rows of a state were taken in again
+    most_together : rows that are kept and answered together, where so many are there
+    """
+
+    note: Callable[[str], None] = say_nothing
+    went_on: Callable[[int, int, int], None] = say_nothing
+    answered: Callable[[Answering], None] = say_nothing
+    all_answered: Callable[[], None] = say_nothing
+    progress: Callable[[int, str], AbstractContextManager[Callable[[int], None]]] = lambda total, unit: (
+        nullcontext(say_nothing)
+    )
+    most_together: int = MOST_TOGETHER
+
+
+def track_stream(
+    answers: Answers,
+    *,
+    state: Path | None = None,
+    save_every: float = 10.0,
+    listener: Listener = Listener(),
+    names: StreamNames = StreamNames(),
+) -> tuple[int, int]:
+    """Answer every row of standard input.
+
+    Parameters
+    ----------
+    answers : how
+    state : the file to go on from and to keep what going on takes; None: there is none
+    save_every : seconds between flushings of it to the disk
+    listener : is told what is no answer
+    names : of the columns, and the unit of time, of rows and answers
+
+    Returns
+    -------
+    (int, int)
+        The rows that were answered, and how many of them could not be used.
+
+    Raises
+    ------
+    InputError
+        If standard input or output is closed, or the state cannot be used or kept.
+    """
+    stream = open_streams()
+    answers.warm_up()
+    nobody = answers.people()  # answers rows before it is known by whom
+
+    def tell(row: Row) -> None:
+        give(row if names.are_native else names.restored(row))
+
+    def refuse(number: int, line: bytes) -> None:
+        for row in nobody.answers(number, line):
+            tell(row)
+        listener.answered(nobody)
+        listener.all_answered()
+
+    with nullcontext() if state is None else closing(StateFile(state, save_every)) as file:
+        saved = saved_settings(file) if file is not None and file.entries else None
+        incoming: Lines = iter(())  # rows are read once it is known how many of them a state has
+        lines = incoming
+        if saved is None:
+            incoming = lines_of(stream, 1)
+            lines, names = names.beginning(incoming, refuse, listener.note)
+            lines = names.native_lines(lines)
+        else:
+            names = names.going_on(saved)
+        are_detections = {"never": False, "always": True}.get(answers.associate)
+        if are_detections is None and saved is not None:
+            are_detections = bool(saved.get("detections"))
+        elif are_detections is None:
+            lines, are_detections = _first_is_detection(lines, refuse)
+        people = answers.scenes(listener.note) if are_detections else answers.people(listener.note)
+        saving = None
+        if file is not None:
+            # Rows that were refused before anything was kept count.
+            people.rows, people.line = nobody.rows, nobody.line
+            settings = answers.settings() | ({"detections": True} if are_detections else {})
+            settings |= {} if names.are_native else names.settings()
+            # GTSAM does not give away what iSAM2 knows: it has to see every row again.
+            every = None if answers.chosen_engine == "isam2" else save_every
+            saving = Saving(file, people, settings, every)
+        if saving is not None and saved is None:
+            saving.begin()
+        elif saving is not None:
+            restore = answers.restored_scene if are_detections else answers.restored_person
+            _go_on(saving, people, restore, listener, tell)
+            incoming = lines_of(stream, people.line + 1)
+            lines = names.native_lines(incoming)
+        rows, wrong = _answer(lines, people, saving, listener, tell, _is_here(incoming))
+        if saving is not None:
+            saving.finish()
+    return rows + nobody.rows, wrong + nobody.rows
+
+
+def _first_is_detection(lines: Lines, refuse: Refuse) -> tuple[Lines, bool]:
+    """The lines, and whether the first of them that can be read says nothing of whom it is."""
+    lines, given = with_first_row(lines, refuse)
+    return lines, given is not None and ("end" in given or given.get("track_id") in (None, -1))
+
+
+def _go_on(
+    saving: Saving,
+    people: Answering,
+    restore: Callable[[Any, Any], Any],
+    listener: Listener,
+    tell: Callable[[Row], None],
+) -> None:
+    """Bring people to where the last run ended, say where that is, and answer what it may not have."""
+    with listener.progress(saving.entries, "rows") as advance:
+        again = saving.resume(restore, advance)
+    listener.went_on(people.rows, people.line, len(again))
+    for answers in again:
+        for row in answers:
+            tell(row)
+
+
+def _answer(
+    lines: Lines,
+    people: Answering,
+    saving: Saving | None,
+    listener: Listener,
+    tell: Callable[[dict[str, Any]], None],
+    is_here: Callable[[], bool],
+) -> tuple[int, int]:
+    """Answer all lines; those that are here already together, as many as the listener takes."""
+    before, wrong, lines = people.rows, 0, iter(lines)
+    # What there is by now stays: the collector need not look at it again while rows wait.
+    gc.collect()
+    gc.freeze()
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is told in the answer
+            while some := list(islice(lines, 1)):
+                while len(some) < listener.most_together and is_here():
+                    some += islice(lines, 1)
+                if saving is not None:
+                    saving.take(some)
+                for answers in people.answers_together(some):
+                    for row in answers:
+                        wrong += "error" in row
+                        tell(row)
+                    listener.answered(people)
+                if saving is not None:
+                    saving.tend()
+                listener.all_answered()
+            for row in people.finish():
+                tell(row)
+    finally:
+        gc.unfreeze()
+    return people.rows - before, wrong
+
+
+class Incoming:
+    """The lines of a stream that are not blank, with their numbers, and whether there are more already.
+
+    Parameters
+    ----------
+    stream : what has come is read at once, however little it is
+    first : the number of the next line
+    """
+
+    def __init__(self, stream: IO[bytes], first: int) -> None:
+        self._stream, self._number = stream, first - 1
+        self._lines, self._left, self._ended = deque[tuple[int, bytes]](), b"", False
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        return self
+
+    def __next__(self) -> tuple[int, bytes]:
+        while not self._lines and not self._ended:
+            data = self._stream.read1(_PIECE)  # type: ignore[attr-defined]
+            # Of a line that is too long, as much is kept as tells that it is.
+            *lines, left = (self._left + data).split(b"\n")
+            self._left, self._ended = left[: LONGEST_LINE + 1], not data
+            lines = [line + b"\n" for line in lines] + ([left] if self._ended and left else [])
+            for line in lines:
+                self._number += 1
+                if line.strip():
+                    self._lines.append((self._number, line[: LONGEST_LINE + 1]))
+        if not self._lines:
+            raise StopIteration
+        return self._lines.popleft()
+
+    def is_here(self) -> bool:
+        """Return True if the next line need not be waited for."""
+        return bool(self._lines)
+
+
+def _is_here(lines: Lines) -> Callable[[], bool]:
+    """Return a test of whether the next line is there already; False where nobody knows."""
+    return lines.is_here if isinstance(lines, Incoming) else lambda: False
+
+
+lines_of = Incoming
+
+
+def open_streams() -> IO[bytes]:
+    """Open standard input, given that standard output is open too.
+
+    Raises
+    ------
+    InputError
+        If standard input or output was closed before the program began.
+    """
+    if sys.stdin is None:
+        raise InputError("a closed standard input", "rows to read")
+    if sys.stdout is None:
+        raise InputError("a closed standard output", "a place for the answers")
+    stream = getattr(sys.stdin, "buffer", None)
+    # What stands in for it in a test or a notebook may have no bytes.
+    return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
+
+
+def give(answer: dict[str, Any]) -> None:
+    """Write an answer to standard output, as a line and at once.
+
+    Raises
+    ------
+    InputError
+        If nobody reads it any more, or it cannot be written.
+    """
+    try:
+        sys.stdout.write(encoded(answer) + "\n")
+        sys.stdout.flush()
+    except OSError as error:
+        # Or else the interpreter would try the same again, and complain, at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        gone = isinstance(error, BrokenPipeError)
+        found = "that its reader went away" if gone else error.strerror or str(error)
+        raise InputError(found, "a place for the answers", path="standard output") from error

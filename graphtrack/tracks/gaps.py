@@ -1,0 +1,138 @@
+"""Frames that a table leaves out: gaps become rows without observations, and times can be of one's choice.
+
+Rows without observations are inserted before the model is solved, so that the estimates there are its
+posterior and no interpolation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import LARGEST_FRAME, is_number
+
+LONGEST_FILLED = 60.0
+"""Seconds of the longest gap that is filled: in a longer one nothing is known of the person any more."""
+
+_MOST_ROWS = 20_000_000
+"""Rows of all tracks up to which tracks are resampled."""
+
+_SAME_TIME = 1e-6
+"""Seconds within which two times are one."""
+
+
+def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
+    """Insert a row for each frame that is missing between a track's first and last.
+
+    A gap is where two rows of a track lie further apart than one and a half times its usual step: the median
+    of its steps, or of all tracks' steps where that is smaller. Times of inserted frames lie evenly between
+    those of the rows around the gap.
+
+    Parameters
+    ----------
+    longest : seconds of a gap that is filled
+
+    Returns
+    -------
+    TrackSet
+        Tracks with inserted rows have ``observed``, 0 there and 1 elsewhere; others are what they were.
+    """
+    steps = [np.diff(track.frame) for track in tracks if len(track) > 1]
+    if not steps:
+        return tracks
+    usual = float(np.median(np.concatenate(steps)))
+    return tracks.map(lambda track: _filled(track, usual, longest))
+
+
+def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
+    """Return the number of gaps that `filled` leaves because they are longer than ``longest`` seconds."""
+    return sum(int((np.diff(track.t) > longest).sum()) for track in tracks)
+
+
+def _filled(track: Track, usual: float, longest: float) -> Track:
+    if len(track) < 2:
+        return track
+    apart = np.diff(track.frame)
+    step = max(1, round(min(float(np.median(apart)), usual)))
+    gaps = np.flatnonzero((apart > 1.5 * step) & (np.diff(track.t) <= longest))
+    between = [np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in gaps]
+    frame = np.unique(np.concatenate([track.frame, *between]))
+    return with_rows(track, frame, np.interp(frame, track.frame, track.t))
+
+
+def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
+    """Insert a row at each multiple of 1/hz seconds from a track's first to its last time.
+
+    Parameters
+    ----------
+    hz : rows a second, counted from the recording's first time
+
+    Returns
+    -------
+    TrackSet
+        Tracks whose frames are numbered anew; `at_times` takes the rows at the multiples from estimates.
+    """
+    if not (is_number(hz) and math.isfinite(hz) and hz > 0.0):
+        shown = f"{hz:g}" if is_number(hz) else repr(hz)
+        raise InputError(f"{shown} Hz to resample to", "a positive number of frames a second")
+    origin = min(float(track.t[0]) for track in tracks)
+    seconds = sum(float(track.t[-1] - track.t[0]) for track in tracks)
+    last = max(float(track.t[-1]) for track in tracks) - origin
+    if seconds * hz > _MOST_ROWS or last * hz > LARGEST_FRAME:
+        found = f"{hz:g} Hz for {seconds:g} s of tracks"
+        raise InputError(found, f"at most {_MOST_ROWS:,} rows: a lower rate, or fewer tracks")
+    return tracks.map(lambda track: _at_rate(track, origin, hz))
+
+
+def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
+    """Select the rows at multiples of 1/hz seconds after ``origin``, and number their frames by them."""
+
+    def select(track: Track) -> Track:
+        ticks = np.round((track.t - origin) * hz)
+        on = np.abs((track.t - origin) - ticks / hz) <= _SAME_TIME
+        return replace(track[on], frame=ticks[on].astype(np.int64))
+
+    return tracks.map(select)
+
+
+def _at_rate(track: Track, origin: float, hz: float) -> Track:
+    begin, end = track.t[0] - origin, track.t[-1] - origin
+    ticks = np.arange(math.ceil(begin * hz - _SAME_TIME * hz), math.floor(end * hz + _SAME_TIME * hz) + 1)
+    times = origin + ticks / hz
+    after = np.clip(np.searchsorted(track.t, times), 0, len(track) - 1)
+    apart = np.minimum(np.abs(times - track.t[after]), np.abs(times - track.t[np.maximum(after - 1, 0)]))
+    t = np.sort(np.concatenate([track.t, times[apart > _SAME_TIME]]))
+    renumbered = replace(track, frame=np.searchsorted(t, track.t).astype(np.int64))
+    return with_rows(renumbered, np.arange(len(t)), t)
+
+
+def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
+    """Return a track with a row for each of some frames, its own among them, the others empty.
+
+    Parameters
+    ----------
+    track : of observations
+    frame, t : (n,) frames in order, and their times in seconds
+    """
+    if len(frame) == len(track):
+        return track
+    place = np.searchsorted(frame, track.frame)
+    channels: dict[str, FloatArray] = {}
+    for name, values in vars(track).items():
+        if isinstance(values, np.ndarray) and name != "frame":
+            channels[name] = np.full((len(frame), *values.shape[1:]), np.nan)
+            channels[name][place] = values
+    channels["t"] = np.where(np.isin(frame, track.frame), channels["t"], t)
+    observed = np.zeros(len(frame))
+    observed[place] = 1.0 if track.observed is None else track.observed
+    channels["observed"] = observed
+    inputs = {}
+    for name, values in track.inputs.items():
+        inputs[name] = np.full((len(frame), *values.shape[1:]), np.nan)
+        inputs[name][place] = values
+    return Track(track.track_id, frame, label=track.label, inputs=inputs, **channels)

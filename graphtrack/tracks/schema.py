@@ -1,0 +1,231 @@
+"""The columns of the native table: their units, bounds and place in a `Track`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from graphtrack.tracks.validation import (
+    APPEARANCE,
+    BODY_CLASSES,
+    FIELDS,
+    FINITE,
+    HEAD_CLASSES,
+    INPUT,
+    LARGEST_DEGREES,
+    LARGEST_FRAME,
+    LARGEST_ID,
+    LARGEST_METRES,
+    STATE,
+    Bounds,
+    within,
+)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One numeric column of the native table.
+
+    Attributes
+    ----------
+    name : heading, with the unit where it is not SI
+    field : the `Track` attribute it belongs to; of an input ``input_<name>``
+    index : place within that attribute's row; () for a scalar
+    bounds : the values allowed
+    degrees : whether the file has degrees where the attribute has radians
+    wrapped : whether it is an angle on the circle (a spread in degrees is not)
+    """
+
+    name: str
+    field: str
+    index: tuple[int, ...]
+    bounds: Bounds
+    degrees: bool = False
+    wrapped: bool = False
+
+
+def _angle(name: str, field: str) -> Column:
+    return Column(name, field, (), within(LARGEST_DEGREES), degrees=True, wrapped=True)
+
+
+def _number(name: str, field: str, *index: int) -> Column:
+    return Column(name, field, index, FIELDS[field])
+
+
+def _classes(prefix: str, field: str, count: int) -> tuple[Column, ...]:
+    return tuple(_number(f"{prefix}_p{k}", field, k) for k in range(count))
+
+
+def _spread(name: str, state: str) -> Column:
+    i = STATE.index(state)
+    return Column(name, "covariance", (i, i), Bounds(0.0, LARGEST_METRES), degrees=name.endswith("_deg"))
+
+
+COLUMNS: tuple[Column, ...] = (
+    _number("t", "t"),
+    _number("x", "position", 0),
+    _number("y", "position", 1),
+    _number("pos_std", "position_std"),
+    _number("u", "pixel", 0),
+    _number("v", "pixel", 1),
+    _angle("body_deg", "body"),
+    _number("body_kappa", "body_kappa"),
+    _angle("head_deg", "head"),
+    _number("head_kappa", "head_kappa"),
+    *_classes("body", "body_likelihood", BODY_CLASSES),
+    *_classes("head", "head_likelihood", HEAD_CLASSES),
+    _number("score", "score"),
+    _number("vx", "velocity", 0),
+    _number("vy", "velocity", 1),
+    _spread("x_std", "x"),
+    _spread("y_std", "y"),
+    _spread("vx_std", "vx"),
+    _spread("vy_std", "vy"),
+    _spread("body_std_deg", "body"),
+    _spread("head_std_deg", "head"),
+    _number("identity_p", "identity_p"),
+    _number("observed", "observed"),
+    Column("aligned_p", "aligned_p", (), Bounds(0.0, 1.0)),
+    _angle("gait_offset_deg", "gait_offset"),
+    Column("glance_p", "glance_p", (), Bounds(0.0, 1.0)),
+    _number("true_x", "true_position", 0),
+    _number("true_y", "true_position", 1),
+    _angle("true_body_deg", "true_body"),
+    _angle("true_head_deg", "true_head"),
+)
+
+BY_NAME = {column.name: column for column in COLUMNS}
+INTEGERS = {"track_id": LARGEST_ID, "frame": LARGEST_FRAME}
+
+NAMES = (*INTEGERS, *BY_NAME, "label")
+"""Every column of the native table but inputs, in the order of writing."""
+
+BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
+"""Columns that a tracker on pixels writes beside those of a track; nothing is read from them."""
+
+TILT_COLUMN = "head_tilt_deg"
+"""A column of the same kind, of trackers of heads: degrees above the horizontal."""
+
+ANSWER_COLUMNS = ("status", "reason", "error", "line")
+"""Columns of `graphtrack track -` beside an estimate, or in its place; nothing of a track either."""
+
+_OF_TABLE = frozenset(NAMES)
+_KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, *ANSWER_COLUMNS))
+
+
+def repeated(names: Iterable[str]) -> str | None:
+    """The first name that comes again; None if each comes once."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
+
+
+def unknown(names: Iterable[str]) -> list[str]:
+    """The columns of a file that are neither of the native table nor known to say nothing of a track."""
+    return [name for name in names if name not in _KNOWN and numeric(name) is None]
+
+
+_INPUT_COLUMN = re.compile(
+    rf"({INPUT}[A-Za-z][A-Za-z0-9_]*?|{APPEARANCE})(?:_(0|[1-9][0-9]{{0,5}}))?", re.ASCII
+)
+_INPUT_NAME = re.compile(r"[A-Za-z](?!.*_[0-9]+$)[A-Za-z0-9_]*", re.ASCII)
+
+INPUT_NAME = "letters, digits and _, a letter first, and no number after the last _"
+"""Names allowed for inputs, in words: a trailing number is that of a column."""
+
+
+@lru_cache(1024)
+def numeric(name: str) -> Column | None:
+    """The column of numbers of that name, inputs among them; None if the table has none."""
+    match = _INPUT_COLUMN.fullmatch(name)
+    if match is None:
+        return BY_NAME.get(name)
+    of_input = match[1].removeprefix(INPUT)
+    if not is_input_name(of_input) or _heading(INPUT + of_input) != match[1]:
+        return None
+    return Column(name, INPUT + of_input, () if match[2] is None else (int(match[2]),), FINITE)
+
+
+def _heading(field: str) -> str:
+    """Name of the columns of an input, without their numbers."""
+    return APPEARANCE if field == INPUT + APPEARANCE else field
+
+
+def is_input_name(name: str) -> bool:
+    """Return whether an input of a track may be called so; see `INPUT_NAME`."""
+    return _INPUT_NAME.fullmatch(name) is not None
+
+
+def input_columns(field: str, size: Sequence[int]) -> Iterator[Column]:
+    """The columns of an input that has one number a frame (``size`` is empty) or ``size[0]`` of them."""
+    heading = _heading(field)
+    for index in range(*size) if size else [None]:
+        column = numeric(heading if index is None else f"{heading}_{index}")
+        assert column is not None
+        yield column
+
+
+def is_column(name: str) -> bool:
+    """Return whether the native table has a column of that name."""
+    return name in _OF_TABLE or numeric(name) is not None
+
+
+def in_order(names: Collection[str]) -> tuple[str, ...]:
+    """Those of some names that are columns of the native table, in the order of writing."""
+    inputs = [column for name in names if name not in _OF_TABLE and (column := numeric(name))]
+    inputs.sort(key=lambda column: (column.field, column.index))
+    there = set(names)
+    known = [name for name in NAMES if name in there]
+    place = len(known) - ("label" in known)
+    return (*known[:place], *(column.name for column in inputs), *known[place:])
+
+
+TOGETHER: tuple[tuple[str, ...], ...] = (
+    ("x", "y"),
+    ("u", "v"),
+    ("vx", "vy"),
+    ("true_x", "true_y"),
+    tuple(f"body_p{k}" for k in range(BODY_CLASSES)),
+    tuple(f"head_p{k}" for k in range(HEAD_CLASSES)),
+)
+"""Columns of which a file has all or none, and a row likewise; so it is with an input's, see `together`."""
+
+_GROUPS = tuple((group, frozenset(group)) for group in TOGETHER)
+
+
+@lru_cache(64)
+def together(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Groups of columns of which a row has all or none; those of which ``names`` has some.
+
+    Of an array that has an input, the group is what is there and the first column that is not.
+    """
+    found = [group for group, members in _GROUPS if not members.isdisjoint(names)]
+    places: dict[str, set[int]] = {}
+    for name in names:
+        column = None if name in _OF_TABLE else numeric(name)
+        if column is not None and column.index:
+            places.setdefault(_heading(column.field), set()).add(column.index[0])
+    for heading, given in places.items():
+        missing = next(k for k in range(len(given) + 1) if k not in given)
+        wanted = given if missing > max(given) else given | {missing}
+        found.append(tuple(f"{heading}_{k}" for k in sorted(wanted)))
+    return found
+
+
+def expected_integer(highest: int) -> str:
+    """Allowed values of a whole number's cell, in words."""
+    return f"a whole number within ±{highest}"
+
+
+def expected_group(group: Sequence[str]) -> str:
+    """Allowed cells of columns that stand together, in words."""
+    return f"all of {group[0]} … {group[-1]} or none of them"
+
+
+NO_CLASS = ("class likelihoods that are all 0", "one above 0")
+"""Found and expected where no class of an orientation is possible."""

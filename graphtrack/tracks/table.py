@@ -1,0 +1,694 @@
+"""Names and units of a table that was read, so that output has them again.
+
+Summary of reading.
+
+Rows of observations: what a reader makes of its file, and what is checked before they are tracks.
+
+NumPy arrays as Arrow has them, without pandas, which pyarrow imports to convert anything itself.
+
+Rows from the columns of the native table, whatever holds them (CSV, Parquet, a DataFrame).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.tracks.display import listed
+from graphtrack.tracks.projection import Plane
+from graphtrack.tracks.schema import (
+    INTEGERS,
+    NO_CLASS,
+    Column,
+    expected_group,
+    expected_integer,
+    in_order,
+    is_column,
+    numeric,
+    repeated,
+    together,
+    unknown,
+)
+from graphtrack.tracks.time import TimeScale
+from graphtrack.tracks.validation import (
+    SHAPES,
+    STATE,
+    TEXT,
+    bounds_of,
+    check_frame_rate,
+    is_text,
+    out_of_bounds,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+
+LENGTHS = (
+    *("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"),
+    *("true_x", "true_y"),
+)
+"""Columns of the native table that are metres, or metres a second."""
+
+DEGREES = ("lat", "lon")
+"""Columns of places on the earth, which stand for ``x`` and ``y``."""
+
+TRUE_DEGREES = ("true_lat", "true_lon")
+
+ANGLES = {"body_rad": "body_deg", "head_rad": "head_deg"}
+"""Columns in radians, and those of the native table that they stand for."""
+
+
+@dataclass(frozen=True)
+class AsRead:
+    """Names and units of a table.
+
+    Attributes
+    ----------
+    columns : name in the native table (or one of `DEGREES` and `ANGLES`) → name in the file
+    time : what its times were; None: seconds, as in the native table
+    metre : metres of its unit of length
+    names : track id → identity, where identities are text
+    plane : where its places lie, if they are none of a local ground
+    frame : the name of the frame of reference, of a ROS 2 recording
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    time: TimeScale | None = None
+    metre: float = 1.0
+    names: Mapping[int, str] = field(default_factory=dict)
+    plane: Plane | None = None
+    frame: str = ""
+
+    def without_identities(self) -> AsRead:
+        """The same, where people have other identities than in the file."""
+        columns = {key: name for key, name in self.columns.items() if key != "track_id"}
+        return replace(self, columns=columns, names={})
+
+
+def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dict[str, Any]:
+    """Columns of the native table under the names and in the units of the table that was read.
+
+    What the native table has besides keeps its name, unless the other table has a use for it.
+
+    Parameters
+    ----------
+    columns : of the native table
+    as_read : None: they stay as they are
+    """
+    if as_read is None:
+        return dict(columns)
+    found = _identities(columns, as_read)
+    if as_read.time is not None and "t" in found:
+        found["t"] = as_read.time.restored(columns["t"])
+    _places(found, as_read)
+    if as_read.metre != 1.0:
+        for name in LENGTHS:
+            if name in found:
+                found[name] = found[name] / as_read.metre
+    for key, native in ANGLES.items():
+        if key in as_read.columns and native in found:
+            found = {key if n == native else n: np.deg2rad(v) if n == native else v for n, v in found.items()}
+    taken = {as_read.columns[key] for key in found if key in as_read.columns}
+    return {
+        as_read.columns.get(key, key): values
+        for key, values in found.items()
+        if key in as_read.columns or key not in taken
+    }
+
+
+def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dict[str, NDArray[Any]]:
+    """Columns about people, and beside their ids as ``label`` the identities that were text in what was read.
+
+    Of targets, where there are any, those that are people have theirs as ``target_label``.
+    """
+    if as_read is None or not as_read.names:
+        return dict(columns)
+    names = as_read.names
+    found = {**columns, "label": np.array([names.get(k, "") for k in columns["track_id"].tolist()], object)}
+    if "target" in columns:
+        told = {str(k): name for k, name in names.items()}
+        pairs = zip(columns["kind"].tolist(), columns["target"].tolist(), strict=True)
+        of_target = [told.get(target, "") if kind == "person" else "" for kind, target in pairs]
+        found["target_label"] = np.array(of_target, object)
+    return found
+
+
+def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[str, Any]:
+    """The columns with the identities as text, where they were; labels that say no more are left out."""
+    found: dict[str, Any] = dict(columns)
+    if not as_read.names or "track_id" not in found or "track_id" not in as_read.columns:
+        return found
+    ids = found["track_id"].tolist()
+    others = {k: f"track {k}" if str(k) in as_read.names.values() else str(k) for k in {*ids}}
+    names = [as_read.names.get(k, others[k]) for k in ids]
+    if "label" in found and "label" not in as_read.columns and found["label"].tolist() == names:
+        del found["label"]
+    found["track_id"] = np.array(names, dtype=object)
+    return found
+
+
+def _places(found: dict[str, Any], as_read: AsRead) -> None:
+    """Put coordinates of the earth in the place of metres, or beside them where they are degrees."""
+    plane = as_read.plane
+    if plane is None:
+        return
+    degrees = DEGREES[0] in as_read.columns
+    for pair, angles in ((("x", "y"), DEGREES), (("true_x", "true_y"), TRUE_DEGREES)):
+        if pair[0] not in found:
+            continue
+        first, second = plane.back(found[pair[0]], found[pair[1]])
+        if degrees:
+            found[angles[0]], found[angles[1]] = second, first
+        else:
+            found[pair[0]], found[pair[1]] = first, second
+
+
+def merged(parts: list[tuple[AsRead | None, Mapping[int, int]]]) -> AsRead | None:
+    """Names and units of several tables together; the first counts for what all have in common.
+
+    Parameters
+    ----------
+    parts : of each file, and its track ids → those of the tracks together
+    """
+    first = parts[0][0]
+    if first is None or not any(one is not None and one.names for one, _ in parts):
+        return first
+    names: dict[int, str] = {}
+    taken: set[str] = set()
+    for one, ids in parts:
+        for old, new in ids.items():
+            said = name = one.names.get(old, str(old)) if one is not None else str(old)
+            again = 1
+            while name in taken:
+                again += 1
+                name = f"{said} ({again})"
+            taken.add(name)
+            names[new] = name
+    return replace(first, names=names)
+
+
+@dataclass(frozen=True)
+class ReadSummary:
+    """Counts of the rows of an input. ``rows_read == rows_used + rows_refused``.
+
+    Attributes
+    ----------
+    refused : reason → number of rows that were left out for it
+    notes : what the reader assumed or repaired, one sentence each
+    """
+
+    format: str = "memory"
+    rows_read: int = 0
+    refused: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rows_refused(self) -> int:
+        """Rows that were left out, whatever the reason."""
+        return sum(self.refused.values())
+
+    @property
+    def rows_used(self) -> int:
+        """Rows that stand in the tracks."""
+        return self.rows_read - self.rows_refused
+
+    def merged(self, other: ReadSummary) -> ReadSummary:
+        """The summary of both inputs together."""
+        refused = dict(self.refused)
+        for reason, count in other.refused.items():
+            refused[reason] = refused.get(reason, 0) + count
+        formats = dict.fromkeys([*self.format.split(" + "), *other.format.split(" + ")])
+        return ReadSummary(
+            format=" + ".join(formats),
+            rows_read=self.rows_read + other.rows_read,
+            refused=refused,
+            notes=self.notes + tuple(n for n in other.notes if n not in self.notes),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The rows of one file, n of them, still in its order.
+
+    Attributes
+    ----------
+    path, format : where they come from
+    track_id, frame : (n,) int64
+    channels : `Track` attribute → (n, ...) in the units of `Track`; ``t`` and ``position`` must be among them
+        when they become tracks. A track's input is the channel ``input_<name>``
+    line_of : row number → line in the file
+    labels : track id → label
+    camera : the camera that made the positions, if any
+    refused : reason → number of rows left out so far
+    notes : what was assumed or repaired, one sentence each
+    has_identity : False: the file does not say of whom a row is, and ``track_id`` is −1 throughout
+    as_read : names and units of a table that has others than the native one
+    """
+
+    path: Path
+    format: str
+    track_id: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    channels: Mapping[str, FloatArray]
+    line_of: Callable[[int], int]
+    labels: Mapping[int, str] = field(default_factory=dict)
+    camera: GroundCamera | None = None
+    refused: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    has_identity: bool = True
+    as_read: AsRead | None = None
+
+    def __len__(self) -> int:
+        return len(self.track_id)
+
+    @property
+    def n_read(self) -> int:
+        """Rows of the file, those that were refused among them."""
+        return len(self) + sum(self.refused.values())
+
+    def with_channels(self, **channels: FloatArray) -> Rows:
+        """The same rows with channels added or replaced."""
+        return replace(self, channels={**self.channels, **channels})
+
+    def without(self, *names: str) -> Rows:
+        """The same rows without these channels."""
+        return replace(self, channels={k: v for k, v in self.channels.items() if k not in names})
+
+    def with_camera(self, camera: GroundCamera | None) -> Rows:
+        """The same rows seen by that camera."""
+        return replace(self, camera=camera)
+
+    def with_notes(self, *notes: str) -> Rows:
+        """The same rows with more notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+    def keep(self, mask: NDArray[np.bool_], reason: str) -> Rows:
+        """The rows where the mask holds; the others are counted as refused for the reason."""
+        count = int(len(self) - mask.sum())
+        if not count:
+            return self
+        refused = dict(Counter(self.refused) + Counter({reason: count}))
+        return replace(self.taken(np.flatnonzero(mask)), refused=refused)
+
+    def taken(self, places: NDArray[np.int64]) -> Rows:
+        """The rows at some places, in that order."""
+        line_of = self.line_of
+        return replace(
+            self,
+            track_id=self.track_id[places],
+            frame=self.frame[places],
+            channels={name: value[places] for name, value in self.channels.items()},
+            line_of=lambda i: line_of(int(places[i])),
+        )
+
+    def with_times(self, fps: float) -> Rows:
+        """Times from the frame numbers at ``fps`` frames a second."""
+        return self.with_channels(t=self.frame / fps)
+
+
+def sorted_rows(rows: Rows) -> Rows:
+    """The rows by track and, of each track, by frame.
+
+    Warns
+    -----
+    InputWarning
+        If frames had to be sorted; the notes say so too.
+    """
+    check_rows(rows)
+    unsorted_tracks = _unsorted(rows)
+    if unsorted_tracks:
+        note = f"the frames of {unsorted_tracks} of the tracks were out of order and have been sorted"
+        rows = rows.with_notes(note)
+        warnings.warn(f"{rows.path}: {note}", InputWarning, stacklevel=2)
+    order = np.lexsort((rows.frame, rows.track_id))
+    rows = rows.taken(order)
+    late = (np.diff(rows.track_id) == 0) & (np.diff(rows.channels["t"]) <= 0.0)
+    if late.any():
+        # The first of them in the file.
+        i = min((np.flatnonzero(late) + 1).tolist(), key=lambda i: order[i])
+        raise InputError(
+            f"t = {rows.channels['t'][i]:g} in frame {rows.frame[i]} of track {rows.track_id[i]}",
+            "a time after that of the frame before",
+            path=rows.path,
+            line=rows.line_of(i),
+            column="t",
+        )
+    for name, values in rows.channels.items():
+        place = bounds_of(name).first_outside(values)
+        if place is not None:
+            i = place[0]
+            at = {"path": rows.path, "line": rows.line_of(i)}
+            raise out_of_bounds(name, values[place], int(rows.frame[i]), int(rows.track_id[i]), **at)
+    return rows
+
+
+def no_camera(rows: Rows) -> InputError:
+    """The error for rows that have only pixels, where nothing brings them to the ground."""
+    expected = "x, y, or a homography or point pairs as well"
+    return InputError("pixels u, v and no camera", expected, path=rows.path)
+
+
+def check_identities(rows: Rows) -> None:
+    """Raise InputError for rows that do not say of whom they are."""
+    if not rows.has_identity:
+        raise InputError(
+            "rows without identities",
+            "a track_id for each (--columns id=…); smooth --associate and gt.associate find it out",
+            path=rows.path,
+            line=rows.line_of(0) if len(rows) else None,
+        )
+
+
+def check_rows(rows: Rows) -> None:
+    """Refuse a file of which no row is left, some have no identity, or two are of one track in one frame."""
+    if not len(rows):
+        reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
+        found = f"no usable row ({reasons} refused)" if reasons else "no rows"
+        raise InputError(found, "at least one row", path=rows.path)
+    nobody = np.flatnonzero(rows.track_id == -1)
+    if 0 < len(nobody) < len(rows):
+        raise InputError(
+            f"a row without an identity (−1), which {len(rows) - len(nobody)} others have",
+            "one for each row, or none; with --associate always they are forgotten, with repair kept",
+            path=rows.path,
+            line=rows.line_of(int(nobody[0])),
+        )
+    order = np.lexsort((rows.frame, rows.track_id))
+    twice = (np.diff(rows.track_id[order]) == 0) & (np.diff(rows.frame[order]) == 0)
+    if twice.any():
+        later = order[np.flatnonzero(twice) + 1]
+        i = int(later.min())
+        raise InputError(
+            f"track {rows.track_id[i]} again in frame {rows.frame[i]}",
+            "each track once a frame",
+            path=rows.path,
+            line=rows.line_of(i),
+        )
+
+
+def _unsorted(rows: Rows) -> int:
+    """Number of tracks with a frame that comes after a later one in the file."""
+    order = np.argsort(rows.track_id, kind="stable")
+    track_id, frame = rows.track_id[order], rows.frame[order]
+    back = (np.diff(track_id) == 0) & (np.diff(frame) < 0)
+    return len(np.unique(track_id[1:][back]))
+
+
+_LONGEST = 2**31 - 1
+"""Bytes of all texts of a column: Arrow's offsets have 32 bits."""
+
+
+def arrow_array(values: NDArray[Any]) -> pa.Array:
+    """A column (n,) as Arrow has it; NaN and None are missing there."""
+    import pyarrow as pa
+
+    if values.dtype in (np.float64, np.int64):
+        kind = pa.float64() if values.dtype == np.float64 else pa.int64()
+        return _array(kind, ~np.isnan(values), [pa.py_buffer(np.ascontiguousarray(values))])
+    if values.dtype == object and any(values) and all(isinstance(one, str | None) for one in values):
+        texts = [(one or "").encode() for one in values]
+        ends = np.cumsum([0, *map(len, texts)])
+        if ends[-1] <= _LONGEST:
+            there = np.array([one is not None for one in values])
+            buffers = [pa.py_buffer(ends.astype(np.int32)), pa.py_buffer(b"".join(texts))]
+            return _array(pa.string(), there, buffers)
+    return pa.array(values, from_pandas=True)
+
+
+def _array(kind: pa.DataType, there: NDArray[np.bool_], buffers: list[pa.Buffer]) -> pa.Array:
+    """An array of buffers, with those elements that are ``there``."""
+    import pyarrow as pa
+
+    valid = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
+    return pa.Array.from_buffers(kind, len(there), [valid, *buffers])
+
+
+def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = None) -> Rows:
+    """The rows of a DataFrame, or of name → column; `TrackSet.from_table` says what may stand there."""
+    check_frame_rate(fps)
+    table = frame_of(table)
+    names = [str(name) for name in table.columns]
+    twice = repeated(names)
+    if twice is not None:
+        raise InputError(f"column {twice!r} twice", "each column once")
+    columns, notes = {}, []
+    for name in names:
+        if is_column(name):
+            values = table[name]
+            if name == "t" and values.dtype.kind in "mM":
+                values = _seconds(values)
+                notes.append("t had dates or times: seconds, of dates since 1970-01-01 UTC")
+            columns[name] = values.to_numpy() if name == "label" else _numbers(values, name)
+    rows = from_columns(
+        columns,
+        path=Path("table"),
+        format="table",
+        fps=fps,
+        line_of=lambda i: i + 1,
+        ignored=unknown(names),
+        notes=tuple(notes),
+    )
+    if "position" not in rows.channels:
+        raise no_camera(rows)
+    return rows
+
+
+def frame_of(table: Any) -> pd.DataFrame:
+    """A DataFrame of pandas from one, from another Arrow table (polars), or from name → column."""
+    import pandas as pd
+
+    if isinstance(table, pd.DataFrame):
+        return table
+    if hasattr(table, "__arrow_c_stream__"):
+        import pyarrow as pa
+
+        return pa.table(table).to_pandas()
+    if not isinstance(table, Mapping):
+        raise InputError(f"a {type(table).__name__}", "a DataFrame, or a dict of columns")
+    try:
+        columns = {str(name): pd.Series(column) for name, column in _arrays(table)}
+    except UnicodeEncodeError as error:
+        raise InputError(f"the text {error.object!r}", TEXT) from error
+    sizes = {name: len(column) for name, column in columns.items()}
+    if len(set(sizes.values())) > 1:
+        found = ", ".join(f"{name} ({size})" for name, size in sizes.items())
+        raise InputError(f"columns of different lengths: {found}", "a row for each person and frame")
+    return pd.DataFrame({name: column.to_numpy() for name, column in columns.items()})
+
+
+def _arrays(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, column in table.items():
+        try:
+            shape = np.shape(column)
+        except ValueError:  # rows of different lengths
+            shape = (0, 0)
+        if len(shape) != 1:
+            raise InputError(f"an array of shape {shape}", "a column of shape (n,)", column=str(name))
+        yield name, column
+
+
+def _seconds(times: pd.Series[Any]) -> pd.Series[Any]:
+    import pandas as pd
+
+    if times.dtype.kind == "M":
+        times = times - pd.Timestamp(0, tz=times.dt.tz)
+    return times.dt.total_seconds()
+
+
+def _numbers(column: pd.Series[Any], name: str) -> FloatArray:
+    import pandas as pd
+
+    if column.dtype.kind in "mMc":
+        kind = "complex numbers" if column.dtype.kind == "c" else "dates or times"
+        raise InputError(kind, "numbers", column=name)
+    try:
+        return column.to_numpy(dtype=float, na_value=np.nan)
+    except (TypeError, ValueError):
+        bad = pd.to_numeric(column, errors="coerce").isna() & column.notna()
+        row = int(np.flatnonzero(bad.to_numpy())[0]) if bad.any() else 0
+        raise InputError(f"{column.iloc[row]!r}", "a number", line=row + 1, column=name) from None
+
+
+def from_columns(
+    columns: Mapping[str, NDArray[Any]],
+    *,
+    path: Path,
+    format: str,
+    fps: float | None,
+    line_of: Callable[[int], int],
+    ignored: Sequence[str] = (),
+    notes: tuple[str, ...] = (),
+) -> Rows:
+    """Rows from the columns of the native table, checked cell by cell.
+
+    Parameters
+    ----------
+    columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
+    path, format, line_of : as in `Rows`
+    fps : frames a second, for rows without times
+    ignored : names of columns that the file has besides
+    notes : what was assumed so far
+    """
+
+    def fail(found: str, expected: str, row: int | None = None, column: str | None = None) -> InputError:
+        return InputError(
+            found, expected, path=path, line=None if row is None else line_of(row), column=column
+        )
+
+    identified = "track_id" in columns
+    if not identified and "frame" in columns:
+        columns = {**columns, "track_id": np.full(len(columns["frame"]), -1.0)}
+    check_names(columns, fps, fail)
+    if not len(columns["track_id"]):
+        raise fail("a header and no rows", "at least one row")
+    for name, highest in INTEGERS.items():
+        check_integers(columns[name], name, highest, fail)
+    for name, values in columns.items():
+        if (column := numeric(name)) is not None:
+            _check_bounds(values, column, fail)
+    for group in together(tuple(columns)):
+        _check_group({name: columns[name] for name in group}, fail)
+    if ignored:
+        notes = (*notes, f"ignored columns {listed(ignored)}")
+    track_id = columns["track_id"].astype(np.int64)
+    rows = Rows(
+        path,
+        format,
+        track_id,
+        columns["frame"].astype(np.int64),
+        _channels(columns),
+        line_of,
+        _labels(columns.get("label"), track_id, fail),
+        notes=notes,
+        has_identity=identified and bool((track_id != -1).any()),
+    )
+    return _with_times(rows, fps, fail)
+
+
+def check_names(names: Collection[str], fps: float | None, fail: Callable[..., InputError]) -> None:
+    """Raise ``fail(found, expected, column=…)`` if a column that the native table needs is not there."""
+    for name in INTEGERS:
+        if name not in names:
+            raise fail("no such column", f"a column {name}", column=name)
+    for group in together(tuple(names)):
+        missing = next((name for name in group if name not in names), None)
+        if missing is not None:
+            have = next(name for name in group if name in names)
+            raise fail("no such column", f"a column {missing} beside {have}", column=missing)
+        alone = group[0].removesuffix("_0")
+        if alone != group[0] and alone in names:
+            raise fail(f"a column {alone} beside {group[0]}", "one of the two", column=alone)
+    if "x" not in names and "u" not in names:
+        raise fail("no position", "columns x, y (metres) or u, v (pixels) with a homography")
+    if "t" not in names and fps is None:
+        raise fail("no such column", "a column t (seconds), or a frame rate (fps)", column="t")
+
+
+def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable[..., InputError]) -> None:
+    """Raise ``fail(found, expected, row, name)`` for the first value that is not whole within ±highest."""
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.abs(values) <= highest) | (values != np.floor(values))
+    if bad.any():
+        row = int(np.argmax(bad))
+        found = "an empty cell" if np.isnan(values[row]) else f"{values[row]:.17g}"
+        raise fail(found, expected_integer(highest), row, name)
+
+
+def _check_bounds(values: FloatArray, column: Column, fail: Callable[..., InputError]) -> None:
+    place = column.bounds.first_outside(values)
+    if place is not None:
+        raise fail(f"{values[place]:g}", column.bounds.expected, place[0], column.name)
+
+
+def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError]) -> None:
+    """A row has all cells of a group or none, and class likelihoods are not all zero."""
+    empty = np.isnan(np.column_stack(list(group.values())))
+    partial = empty.any(axis=1) & ~empty.all(axis=1)
+    if partial.any():
+        row = int(np.argmax(partial))
+        names = list(group)
+        name = names[int(np.argmax(empty[row]))]
+        raise fail("an empty cell", expected_group(names), row, name)
+    first = next(iter(group))
+    if first.endswith("_p0"):
+        zero = np.sum(list(group.values()), axis=0) <= 0.0
+        if zero.any():
+            raise fail(*NO_CLASS, int(np.argmax(zero)), first)
+
+
+def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
+    n = len(columns["track_id"])
+    known = [column for name in in_order(columns) if (column := numeric(name)) is not None]
+    sizes = {column.field: (column.index[0] + 1,) if column.index else () for column in known}
+    channels: dict[str, FloatArray] = {}
+    for column in known:
+        if column.field not in channels:
+            shape = SHAPES.get(column.field, sizes[column.field])
+            channels[column.field] = np.full((n, *shape), np.nan)
+        cells = np.asarray(columns[column.name], dtype=float)
+        if column.degrees:
+            cells = np.deg2rad(cells)
+        if column.wrapped:
+            # An angle in range is kept to the last bit, so that files round-trip.
+            with np.errstate(invalid="ignore"):
+                cells = np.where((cells > -np.pi) & (cells <= np.pi), cells, wrap(cells))
+        if column.field == "covariance":
+            cells = cells**2
+        place: tuple[Any, ...] = (..., *column.index)
+        channels[column.field][place] = cells
+    if "covariance" in channels:
+        channels["covariance"] = _diagonal(channels["covariance"])
+    return channels
+
+
+def _diagonal(covariance: FloatArray) -> FloatArray:
+    """Zero correlations between the quantities that have a variance; the rest stays NaN."""
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    known = np.isfinite(variance)
+    result = np.where(known[:, :, None] & known[:, None, :], 0.0, np.nan)
+    state = np.arange(len(STATE))
+    result[:, state, state] = variance
+    return result
+
+
+def _labels(
+    labels: NDArray[Any] | None, track_id: NDArray[np.int64], fail: Callable[..., InputError]
+) -> dict[int, str]:
+    """Track id → label; an empty cell says nothing."""
+    if labels is None:
+        return {}
+    found: dict[int, str] = {}
+    for row, (identity, label) in enumerate(zip(track_id.tolist(), labels.tolist(), strict=True)):
+        if not isinstance(label, str) or not label:
+            continue
+        if not is_text(label):
+            raise fail(repr(label), TEXT, row, "label")
+        if found.setdefault(identity, label) != label:
+            raise fail(
+                f"{label!r} after {found[identity]!r}", f"one label for track {identity}", row, "label"
+            )
+    return found
+
+
+def _with_times(rows: Rows, fps: float | None, fail: Callable[..., InputError]) -> Rows:
+    if "t" not in rows.channels:
+        assert fps is not None  # or `check_names` would have said so
+        return rows.with_times(fps)
+    empty = np.isnan(rows.channels["t"])
+    if empty.any():
+        raise fail("an empty cell", "a time in every row", int(np.argmax(empty)), "t")
+    if fps is not None:
+        return rows.with_notes("the frame rate was not used: the file has times")
+    return rows

@@ -1,0 +1,572 @@
+"""`Track` and `TrackSet`: the one structure that flows through everything.
+
+Observations and estimates share it. A track read from a file holds observations; a track that comes out of
+a smoother holds estimates in the same fields, with ``velocity`` and ``covariance`` set.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError, InputWarning, UnknownTrackError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
+from graphtrack.tracks.schema import COLUMNS, INPUT_NAME, Column, input_columns, is_input_name, numeric
+from graphtrack.tracks.schema import in_order as columns_in_order
+from graphtrack.tracks.table import (
+    AsRead,
+    ReadSummary,
+    Rows,
+    check_identities,
+    restored,
+    rows_of_table,
+    sorted_rows,
+)
+from graphtrack.tracks.validation import (
+    APPEARANCE,
+    BODY_CLASSES,
+    HEAD_CLASSES,
+    INPUT,
+    LARGEST_FRAME,
+    LARGEST_ID,
+    SHAPES,
+    STATE,
+    TEXT,
+    Speeds,
+    bounds_of,
+    is_text,
+    out_of_bounds,
+    real_numbers,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from graphtrack.geometry.camera import GroundCamera
+
+__all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet", "to_columns"]
+
+_ABSENT = dict.fromkeys(SHAPES)
+_KEPT = {"t", "identity_p", "observed", "true_position", "true_body", "true_head"}
+"""Channels that estimates do not replace."""
+_NOT_KEPT = dict.fromkeys(SHAPES.keys() - _KEPT)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One person over n frames. NaN is a missing value; ``None`` a channel that is absent altogether.
+
+    Attributes
+    ----------
+    track_id : within ±`LARGEST_ID`
+    frame : (n,) int64, strictly increasing
+    t : (n,) seconds, strictly increasing
+    position : (n, 2) metres on the ground plane
+    position_std : (n,) metres, the 1-σ of each axis of ``position``; NaN: the model's default
+    pixel : (n, 2) foot point (u, v) in the image, y down
+    body, head : (n,) radians, orientation in the world
+    body_kappa, head_kappa : (n,) von Mises concentration of ``body`` and ``head``; NaN: the model's default
+    body_likelihood : (n, 8), head_likelihood : (n, 12)
+        Class likelihoods; class k is centred on 360·k/n degrees. A row is all finite or all NaN.
+    score : (n,) how sure the detector was, from 0 on; what it means is the detector's own
+    identity_p : (n,) probability that this is whom the track had before, where identities were associated;
+        NaN: not observed
+    observed : (n,) 1 where the frame was observed, 0 where association left a gap
+    velocity : (n, 2) metres a second (estimates)
+    covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
+    aligned_p : (n,) probability that the body faces where the motion goes (estimates)
+    gait_offset : (n,) radians from the direction of motion to the body, as expected (estimates)
+    glance_p : (n,) probability that the head glances aside (estimates)
+    true_position, true_body, true_head : the truth, where it is known
+    label : a name for people to read, such as the clip
+    inputs : name → (n,) or (n, k) what else is known in each frame and a term of the model reads, such as a
+        group's centre or a distance; a row is all finite or all NaN. Estimates keep them, but for
+        ``appearance`` (n, k), what a detection looks like, with which identities are associated.
+    """
+
+    track_id: int
+    frame: NDArray[np.int64]
+    t: FloatArray
+    position: FloatArray
+    position_std: FloatArray | None = None
+    pixel: FloatArray | None = None
+    body: FloatArray | None = None
+    body_kappa: FloatArray | None = None
+    head: FloatArray | None = None
+    head_kappa: FloatArray | None = None
+    body_likelihood: FloatArray | None = None
+    head_likelihood: FloatArray | None = None
+    score: FloatArray | None = None
+    identity_p: FloatArray | None = None
+    observed: FloatArray | None = None
+    velocity: FloatArray | None = None
+    covariance: FloatArray | None = None
+    aligned_p: FloatArray | None = None
+    gait_offset: FloatArray | None = None
+    glance_p: FloatArray | None = None
+    true_position: FloatArray | None = None
+    true_body: FloatArray | None = None
+    true_head: FloatArray | None = None
+    label: str = ""
+    inputs: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        is_whole = isinstance(self.track_id, int | np.integer) and not isinstance(self.track_id, bool)
+        if not is_whole or abs(int(self.track_id)) > LARGEST_ID:
+            raise InputError(f"track_id {self.track_id!r}", f"a whole number within ±{LARGEST_ID}")
+        if not is_text(self.label):
+            raise InputError(f"label {self.label!r} of track {self.track_id}", TEXT)
+        frame = np.asarray(self.frame)
+        if frame.ndim != 1 or frame.size == 0 or not np.issubdtype(frame.dtype, np.integer):
+            raise InputError(
+                f"frames of shape {frame.shape} and type {frame.dtype}",
+                f"a non-empty one-dimensional integer array for track {self.track_id}",
+            )
+        if np.abs(frame).max() > LARGEST_FRAME:
+            raise InputError(
+                f"frame {frame[np.abs(frame).argmax()]} of track {self.track_id}",
+                f"whole numbers within ±{LARGEST_FRAME}",
+            )
+        self._set("frame", frame.astype(np.int64))
+        for name, tail in SHAPES.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            self._set(name, self._checked(name, value, (len(frame), *tail)))
+        object.__setattr__(self, "inputs", self._checked_inputs())
+        if np.any(np.diff(self.frame) <= 0):
+            raise InputError(
+                "frames that do not increase", f"each frame once, in order, in track {self.track_id}"
+            )
+        if not np.all(np.isfinite(self.t)) or np.any(np.diff(self.t) <= 0):
+            raise InputError("times that do not increase", f"strictly increasing t in track {self.track_id}")
+
+    @classmethod
+    def _trusted(
+        cls,
+        track_id: int,
+        frame: NDArray[np.int64],
+        channels: Mapping[str, FloatArray | None],
+        label: str = "",
+        inputs: Mapping[str, FloatArray] = MappingProxyType({}),
+    ) -> Track:
+        """A track of arrays that are as the attributes say; they become read-only.
+
+        They are neither checked nor copied: for thousands of tracks that would take as long as to read them,
+        and longer than to smooth them. For readers, who have checked a file as a whole, and for engines.
+        """
+        track = object.__new__(cls)
+        vars(track).update(track_id=track_id, frame=frame, label=label, inputs=dict(inputs), **_ABSENT)
+        vars(track).update(channels)
+        for value in (frame, *channels.values(), *inputs.values()):
+            if value is not None:
+                value.setflags(write=False)
+        return track
+
+    def _checked(self, name: str, given: Any, shape: tuple[int, ...]) -> FloatArray:
+        """Return a copy of what is given for a channel, an array of that shape within its bounds."""
+        try:
+            value = real_numbers(given)
+        except (TypeError, ValueError) as error:
+            found = f"{name} of track {self.track_id} that is no array of numbers ({error})"
+            raise InputError(found, f"shape {shape}") from error
+        if value.shape != shape:
+            what = ": x and y in metres" if name == "position" else ""
+            raise InputError(
+                f"{name} of shape {value.shape} in track {self.track_id}", f"shape {shape}{what}"
+            )
+        place = bounds_of(name).first_outside(value)
+        if place is not None:
+            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
+        return value
+
+    def _checked_inputs(self) -> dict[str, FloatArray]:
+        """Return read-only copies of the inputs: rows are all finite or all NaN."""
+        n, found = len(self.frame), {}
+        for name, given in self.inputs.items():
+            if not isinstance(name, str) or not is_input_name(name):
+                raise InputError(f"an input {name!r} of track {self.track_id}", INPUT_NAME)
+            try:
+                size = np.shape(given)[1:2]
+            except ValueError:  # rows of different lengths, which `_checked` refuses
+                size = ()
+            value = self._checked(f"{INPUT}{name}", given, (n, *size))
+            missing = np.isnan(value).reshape(n, -1)
+            partial = missing.any(axis=1) & ~missing.all(axis=1)
+            if not value.size or partial.any():
+                place = f"in frame {self.frame[partial.argmax()]}" if value.size else "without a number"
+                expected = "rows that are all finite or all NaN, of one number at least"
+                raise InputError(f"input {name!r} of track {self.track_id} {place}", expected)
+            value.setflags(write=False)
+            found[name] = value
+        return found
+
+    def __repr__(self) -> str:
+        label = [shortened(self.label)] if self.label else []
+        parts = [str(self.track_id), *label, counted(len(self), "frame"), _contents([self])]
+        return f"Track({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name in ("position", "pixel", "body", "body_likelihood", "head", "head_likelihood", "velocity"):
+            values = getattr(self, name)
+            if values is not None:
+                rows.append((name, _n_known(values)))
+        return html_table(repr(self), ("channel", f"of {counted(len(self), 'frame')}"), rows)
+
+    def _set(self, name: str, value: NDArray[Any]) -> None:
+        value.setflags(write=False)
+        object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def dt(self) -> FloatArray:
+        """(n,) seconds since the frame before; 0 at the first."""
+        return np.diff(self.t, prepend=self.t[:1])
+
+    def __getitem__(self, index: slice | NDArray[Any]) -> Track:
+        """The same person over some of the frames."""
+        parts: dict[str, Any] = {
+            f.name: getattr(self, f.name)[index]
+            for f in fields(self)
+            if isinstance(getattr(self, f.name), np.ndarray)
+        }
+        parts["inputs"] = {name: value[index] for name, value in self.inputs.items()}
+        return replace(self, **parts)
+
+    def input(self, name: str, *size: int) -> FloatArray:
+        """One of the `inputs`, (n,) or (n, size), for a term that needs it so; NaN where the track lacks it.
+
+        Raises
+        ------
+        InputError
+            If the track has it in another size.
+        """
+        value = self.inputs.get(name)
+        if value is None:
+            return np.full((len(self), *size), np.nan)
+        if value.shape[1:] != size:
+            has, wanted = (f"{one[0]} numbers" if one else "one number" for one in (value.shape[1:], size))
+            raise InputError(f"input {name!r} of {has} a frame in track {self.track_id}", wanted)
+        return value
+
+    def with_estimates(
+        self,
+        *,
+        position: FloatArray,
+        velocity: FloatArray,
+        covariance: FloatArray,
+        body: FloatArray | None = None,
+        head: FloatArray | None = None,
+        aligned_p: FloatArray | None = None,
+        gait_offset: FloatArray | None = None,
+        glance_p: FloatArray | None = None,
+    ) -> Track:
+        """The track with estimates in place of its observations; truth, label and inputs stay.
+
+        What somebody looked like does not: it is of no use once identities are known.
+
+        The arrays must be as the attributes say: they are neither checked nor copied.
+        """
+        estimates = {
+            "position": position,
+            "velocity": velocity,
+            "body": body,
+            "head": head,
+            "covariance": covariance,
+            "aligned_p": aligned_p,
+            "gait_offset": gait_offset,
+            "glance_p": glance_p,
+        }
+        for value in estimates.values():
+            if value is not None:
+                value.setflags(write=False)
+        track = object.__new__(Track)
+        attributes = vars(track)
+        attributes.update(vars(self))
+        attributes.update(_NOT_KEPT)
+        attributes.update(estimates)
+        attributes["inputs"] = {name: own for name, own in self.inputs.items() if name != APPEARANCE}
+        return track
+
+    def std(self, name: str) -> FloatArray | None:
+        """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.
+
+        Raises
+        ------
+        InputError
+            For a name that is none of a quantity.
+        """
+        if name not in STATE:
+            raise InputError(f"quantity {name!r}", f"one of {', '.join(STATE)}")
+        if self.covariance is None:
+            return None
+        i = STATE.index(name)
+        return np.sqrt(self.covariance[:, i, i])
+
+    @property
+    def has_truth(self) -> bool:
+        """Return whether the true positions are known."""
+        return self.true_position is not None and bool(np.isfinite(self.true_position).any())
+
+
+@dataclass(frozen=True, eq=False)
+class TrackSet:
+    """People of one scene: tracks with distinct ids, the camera if it is known, and the reading's summary.
+
+    Of a table with other names and units than the native one ``as_read`` keeps them for what is written.
+    """
+
+    tracks: tuple[Track, ...]
+    camera: GroundCamera | None = None
+    summary: ReadSummary = field(default_factory=ReadSummary)
+    as_read: AsRead | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tracks", tuple(self.tracks))
+        for one in self.tracks:
+            if not isinstance(one, Track):
+                raise InputError(f"a {type(one).__name__} among tracks", "a Track")
+        ids = [track.track_id for track in self.tracks]
+        if len(set(ids)) != len(ids):
+            twice = next(i for i in ids if ids.count(i) > 1)
+            raise InputError(f"track {twice} twice", "each track_id once")
+        sizes: dict[str, tuple[int, ...]] = {}
+        for track in self.tracks:
+            for name, values in track.inputs.items():
+                track.input(name, *sizes.setdefault(name, values.shape[1:]))
+
+    def __repr__(self) -> str:
+        parts = [counted(len(self), "track")]
+        if len(self):
+            parts += [counted(self.n_frames, "person-frame"), _contents(self.tracks)]
+        return f"TrackSet({', '.join(parts)}{'; camera' if self.camera is not None else ''})"
+
+    def _repr_html_(self) -> str:
+        header = ("id", "label", "frames", "from (s)", "to (s)", "position", "body", "head")
+        rows = (
+            (
+                track.track_id,
+                track.label[:LONGEST],
+                len(track),
+                f"{track.t[0]:.1f}",
+                f"{track.t[-1]:.1f}",
+                _n_known(track.position),
+                _n_known(track.body, track.body_likelihood),
+                _n_known(track.head, track.head_likelihood),
+            )
+            for track in self.tracks[:MOST]
+        )
+        return html_table(repr(self), header, rows, max(0, len(self) - MOST))
+
+    def __iter__(self) -> Iterator[Track]:
+        return iter(self.tracks)
+
+    def __len__(self) -> int:
+        return len(self.tracks)
+
+    @overload
+    def __getitem__(self, key: int) -> Track: ...
+    @overload
+    def __getitem__(self, key: slice) -> TrackSet: ...
+    def __getitem__(self, key: int | slice) -> Track | TrackSet:
+        """The track of an id; a slice stands for places: ``tracks[:2]`` are the first two, a set."""
+        if isinstance(key, slice):
+            return self.with_tracks(self.tracks[key])
+        for track in self.tracks:
+            if track.track_id == key:
+                return track
+        known = listed(track.track_id for track in self.tracks)
+        raise UnknownTrackError(f"no track {key!r}", f"one of the ids {known}" if known else "a track")
+
+    @property
+    def n_frames(self) -> int:
+        """Person-frames: the sum of the tracks' lengths."""
+        return sum(len(track) for track in self.tracks)
+
+    def with_tracks(self, tracks: Iterable[Track]) -> TrackSet:
+        """The same scene with other tracks."""
+        return replace(self, tracks=tuple(tracks))
+
+    def map(self, function: Callable[[Track], Track]) -> TrackSet:
+        """Apply a function to every track."""
+        return self.with_tracks(function(track) for track in self.tracks)
+
+    def select(self, *patterns: str) -> TrackSet:
+        """The tracks whose label or id matches one of the shell patterns (``*walk*``, ``17``)."""
+        return self.with_tracks(
+            track
+            for track in self.tracks
+            if any(fnmatch.fnmatchcase(track.label, p) or str(track.track_id) == p for p in patterns)
+        )
+
+    def to_table(self, *, as_read: bool = False) -> pd.DataFrame:
+        """One row per person and frame, with the columns of the native format (degrees in ``*_deg``).
+
+        Parameters
+        ----------
+        as_read : columns have the names and units of the table that was read, where it had others
+        """
+        import pandas as pd
+
+        return pd.DataFrame(restored(to_columns(self), self.as_read if as_read else None))
+
+    @classmethod
+    def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
+        """Tracks from a table with the columns of the native format; a missing cell is a missing observation.
+
+        Parameters
+        ----------
+        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds since 1970, UTC; the
+            summary's notes say so.
+        fps : frames a second, for a table without ``t``
+
+        Raises
+        ------
+        InputError
+            Naming the row (from 1) and column that cannot be used.
+        """
+        rows = rows_of_table(table, fps)
+        return cls.from_identified_rows(rows)
+
+    @classmethod
+    def from_identified_rows(cls, rows: Rows) -> TrackSet:
+        """Tracks from rows with identities, with a note and a warning where no pedestrian is that fast.
+
+        Raises
+        ------
+        InputError
+            If rows have no identities, and as `in_order`.
+        """
+        check_identities(rows)
+        tracks = cls.from_rows(rows)
+        note = tracks.speeds.note
+        if note is None:
+            return tracks
+        warnings.warn(f"{rows.path}: {note}", InputWarning, stacklevel=2)
+        return replace(tracks, summary=replace(tracks.summary, notes=(*tracks.summary.notes, note)))
+
+    @property
+    def speeds(self) -> Speeds:
+        """The median speeds of the tracks."""
+        return Speeds.of((track.t, track.position) for track in self)
+
+    @classmethod
+    def from_rows(cls, rows: Rows) -> TrackSet:
+        """Tracks from the rows that a reader made of its file.
+
+        Raises
+        ------
+        InputError, and a warning
+            As `in_order`.
+        """
+        rows = sorted_rows(rows)
+        ids = rows.track_id
+        edges = np.flatnonzero(np.diff(ids, prepend=ids[0] - 1, append=ids[-1] + 1)).tolist()
+        # A channel that is missing throughout a track is absent: engines ask for None, not for all-NaN.
+        known = {
+            name: np.logical_or.reduceat(~np.isnan(values).reshape(len(rows), -1).all(axis=1), edges[:-1])
+            for name, values in rows.channels.items()
+            if name != "position"
+        }
+        tracks = []
+        for k, (start, stop) in enumerate(pairwise(edges)):
+            channels = {
+                name: values[start:stop]
+                for name, values in rows.channels.items()
+                if name == "position" or known[name][k]
+            }
+            identity = int(ids[start])
+            label = rows.labels.get(identity, "")
+            given = [name for name in channels if name.startswith(INPUT)]
+            inputs = {name.removeprefix(INPUT): channels.pop(name) for name in given}
+            tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label, inputs))
+        summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
+        return cls(tuple(tracks), rows.camera, summary, rows.as_read)
+
+
+def _contents(tracks: Sequence[Track]) -> str:
+    """The time that tracks span and what they hold, such as ``0.0–19.9 s, body, head; truth``."""
+    begin, end = min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks)
+    words = [f"{begin:.1f}–{end:.1f} s"]
+    for name, fields_ in (
+        ("pixels", ("pixel",)),
+        ("body", ("body", "body_likelihood")),
+        ("head", ("head", "head_likelihood")),
+    ):
+        if any(getattr(track, one) is not None for track in tracks for one in fields_):
+            words.append(name)
+    text = ", ".join(words)
+    if any(track.covariance is not None for track in tracks):
+        text += "; estimates"
+    return text + ("; truth" if any(track.has_truth for track in tracks) else "")
+
+
+def _n_known(*channels: np.ndarray | None) -> int:
+    """The number of frames in which any of the channels is known."""
+    given = [np.isfinite(c.reshape(len(c), -1)).all(axis=1) for c in channels if c is not None]
+    return int(np.logical_or.reduce(given).sum()) if given else 0
+
+
+def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
+    """The columns that any of the tracks has, in the order of `schema.in_order`; missing numbers are NaN.
+
+    Of a covariance the table has the diagonal, as standard deviations.
+    """
+    columns: dict[str, NDArray[Any]] = {
+        "track_id": np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]).astype(
+            np.int64
+        ),
+        "frame": _joined([track.frame for track in tracks], np.int64),
+    }
+    for column in (*COLUMNS, *_input_columns(tracks)):
+        if any(_channel(track, column.field) is not None for track in tracks):
+            columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
+    # Spreads that no engine estimated are NaN throughout: leave the column out.
+    for column in COLUMNS:
+        if column.field == "covariance" and column.name in columns and np.isnan(columns[column.name]).all():
+            del columns[column.name]
+    if any(track.label for track in tracks):
+        labels = [track.label for track in tracks]
+        columns["label"] = np.repeat(np.array(labels, dtype=object), [len(track) for track in tracks])
+    return columns
+
+
+def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
+    return np.concatenate(parts).astype(dtype) if parts else np.empty(0, dtype)
+
+
+def _input_columns(tracks: TrackSet) -> list[Column]:
+    """The columns of all inputs that any track has, by name; a set's tracks agree on their sizes."""
+    sizes = {name: values.shape[1:] for track in tracks for name, values in track.inputs.items()}
+    names = [column.name for name in sizes for column in input_columns(f"{INPUT}{name}", sizes[name])]
+    return [column for name in columns_in_order(names) if (column := numeric(name)) is not None]
+
+
+def _channel(track: Track, field: str) -> FloatArray | None:
+    if field.startswith(INPUT):
+        return track.inputs.get(field.removeprefix(INPUT))
+    value: FloatArray | None = getattr(track, field)
+    return value
+
+
+def _cells(track: Track, column: Column) -> FloatArray:
+    value = _channel(track, column.field)
+    if value is None:
+        return np.full(len(track), np.nan)
+    place: tuple[Any, ...] = (..., *column.index)
+    cells: FloatArray = value[place]
+    if column.field == "covariance":
+        cells = np.sqrt(cells)
+    return np.rad2deg(cells) if column.degrees else cells

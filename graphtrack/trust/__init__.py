@@ -1,1 +1,0 @@
-"""Checks whether observations are as noisy as declared."""

@@ -1,0 +1,625 @@
+"""Where the head is in boxes that are off: all people of a recording aligned to common templates.
+
+A template is of the gradients of head and shoulders, as seen in one quarter of the directions of walking,
+whitened by what is beside heads (Hariharan, Malik & Ramanan 2012): its score is the log density ratio of a
+head here and a head elsewhere, for Gaussians of one covariance. People's heads are placed by templates of
+other people only, so that no one confirms their own mistakes.
+
+Directions of bodies and heads from aligned pictures, learned and judged by people left out.
+
+How much the pictures of one person along their way are worth together.
+
+Pictures of one person resemble each other, and mistakes are made again: who is taken for their back is so
+in frame after frame, by body and head. The graph multiplies what it is told frame by frame, as if each were
+news. Its share of outliers among class likelihoods says how little news each is; here it is found by people
+left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import log_softmax
+
+from graphtrack.geometry.angles import FloatArray, difference
+from graphtrack.model import Model
+from perception.adaptation.labels import Window, cut, in_patch, of_patch
+from perception.images.pixels import Image, grey
+from perception.pose.classes import PoseClasses
+from perception.pose.classifier import fit_temperature_and_share, reliability, with_neighbours
+from perception.pose.features import BINS
+from perception.pose.head_detection import HeadCandidates
+
+_STEP = 2
+"""Pixels of a patch from one place to the next."""
+_APART = 2
+"""Steps between a template's cells."""
+_CELLS = 14
+_ABOVE, _BESIDE = 10, 14
+"""Steps from a template's first cell to the middle of the head, down and across."""
+_ACROSS, _DOWN = 11, 10
+"""Steps that a head is looked for from where it usually is."""
+_USUAL = np.array([0.0, 0.085])
+"""The middle of the head, in heights of the box from the middle of its top."""
+_MARGIN = 6
+"""Squares about the part that is looked at, for filters."""
+_BLUR, _BLUR_AROUND = 1.0, 5.0
+"""1-σ in squares."""
+_SQUARES = (2 * _DOWN + 1 + _APART * _CELLS, 2 * _ACROSS + 1 + _APART * _CELLS)
+"""Rows and columns that templates see from all of the places."""
+_SHRINKAGE = 0.05
+_QUARTERS = 4
+_SHARED = 30.0
+"""Samples that the mean of all quarters counts as in that of each."""
+_BESIDE_EACH = 5
+"""Places beside each head, for the covariance."""
+_NOT_NEAR = 4.0
+"""Steps from the head from which on a place is beside it."""
+
+HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
+"""Of the head, in heights of the box."""
+
+_X, _Y = (
+    part.ravel() for part in np.meshgrid(np.arange(-_ACROSS, _ACROSS + 1), np.arange(-_DOWN, _DOWN + 1))
+)
+_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])
+"""(n, 2) where a head is looked for."""
+
+
+def within_reach(head: FloatArray) -> NDArray[np.bool_]:
+    """Whether heads (n, 2), in heights of the box, are among the places where they are looked for."""
+    low, high = _PLACES.min(axis=0), _PLACES.max(axis=0)
+    return np.asarray(((head >= low) & (head <= high)).all(axis=1), np.bool_)
+
+
+def orientations(patch: Image) -> NDArray[np.float32]:
+    """Gradients (rows, columns, 9) about head and shoulders, in squares of `_STEP` pixels of a patch.
+
+    They are those of square roots, shared among two orientations each, blurred, and relative to those
+    around.
+    """
+    middle = np.rint(in_patch(_USUAL) / _STEP).astype(int)
+    first = middle[::-1] - np.array([_ABOVE + _DOWN, _BESIDE + _ACROSS])
+    small = (patch.shape[1] // _STEP, patch.shape[0] // _STEP)
+    values = np.sqrt(cv2.resize(grey(patch), small, interpolation=cv2.INTER_AREA).astype(np.float32))
+    rows, columns = (
+        np.clip(np.arange(start - _MARGIN, start + squares + _MARGIN), 0, size - 1)
+        for start, squares, size in zip(first.tolist(), _SQUARES, values.shape, strict=True)
+    )
+    values = values[rows[:, None], columns]
+    across = cv2.Sobel(values, cv2.CV_32F, 1, 0, ksize=1)
+    down = cv2.Sobel(values, cv2.CV_32F, 0, 1, ksize=1)
+    strength, angle = (np.asarray(part) for part in cv2.cartToPolar(across, down))
+    place = np.mod(angle, np.pi) * (BINS / np.pi) + (BINS - 0.5)
+    lower = place.astype(np.int32)
+    share = place - lower
+    layers = np.zeros((*values.shape, BINS), np.float32)
+    square = np.arange(values.size).reshape(values.shape) * BINS
+    layers.flat[square + lower % BINS] = strength * (1.0 - share)
+    layers.flat[square + (lower + 1) % BINS] = strength * share
+    layers = np.asarray(cv2.GaussianBlur(layers, (0, 0), _BLUR))
+    around = cv2.GaussianBlur(np.sqrt(np.einsum("yxb,yxb->yx", layers, layers)), (0, 0), _BLUR_AROUND)
+    layers /= np.asarray(around)[..., None] + 0.15
+    return np.ascontiguousarray(layers[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN])
+
+
+def _windows(layers: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.float32]:
+    """What a template sees at some of the places (n,), (n, 9 · cells²): row by row, its cells' bins."""
+    row, column = places // (2 * _ACROSS + 1), places % (2 * _ACROSS + 1)
+    cells = _APART * np.arange(_CELLS)
+    found = layers[(row[:, None] + cells)[:, :, None], (column[:, None] + cells)[:, None, :]]
+    return np.ascontiguousarray(found).reshape(len(places), -1)
+
+
+def _mirrored(windows: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What a template would see in mirror images (n, d)."""
+    cells = windows.reshape(-1, _CELLS, _CELLS, BINS)[:, :, ::-1, ::-1]
+    return np.ascontiguousarray(cells).reshape(len(windows), -1)
+
+
+def _correlated(layers: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Templates (k, d) on what they see at each place, (n, k)."""
+    down, across = 2 * _DOWN + 1, 2 * _ACROSS + 1
+    columns = np.arange(across)[:, None] + _APART * np.arange(_CELLS)
+    rows = layers[: down + _APART * (_CELLS - 1), columns].reshape(-1, _CELLS * BINS)
+    by_row = weight.reshape(len(weight), _CELLS, _CELLS * BINS)
+    found = np.zeros((down * across, len(weight)), np.float32)
+    # Row by row of the templates: products as small as these are not worth a second thread.
+    for i in range(_CELLS):
+        found += rows[_APART * i * across :][: len(found)] @ by_row[:, i].T
+    return found
+
+
+def _quarter(angle: FloatArray) -> NDArray[np.int64]:
+    return np.asarray(np.rint(angle / (2.0 * np.pi / _QUARTERS)).astype(int) % _QUARTERS, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class HeadTemplates:
+    """Templates of head and shoulders, and where heads are in the boxes of a recording.
+
+    Attributes
+    ----------
+    weight : (k, d) of each template
+    bias : (k,)
+    place : (2, 2) mean and 1-σ of the head's middle, in heights of the box from the middle of its top
+    """
+
+    weight: NDArray[np.float32]
+    bias: FloatArray
+    place: FloatArray
+
+    def scores(self, patch: Image) -> FloatArray:
+        """Log ratios (n,) of a head at each place where one is looked for, by the likeliest template."""
+        found = _correlated(orientations(patch), self.weight) + self.bias
+        away = (_PLACES - self.place[0]) / self.place[1]
+        return np.asarray(found.max(axis=1) - 0.5 * np.square(away).sum(axis=1), float)
+
+    def candidates(self, patch: Image, most: int = 3) -> HeadCandidates:
+        """Heads in a patch, best first, in heights of the box from the middle of its top."""
+        scores = self.scores(patch)
+        left = np.argsort(-scores, kind="stable")
+        kept: list[int] = []
+        while len(left) and len(kept) < most:
+            best = int(left[0])
+            kept.append(best)
+            left = left[np.maximum(np.abs(_X[left] - _X[best]), np.abs(_Y[left] - _Y[best])) > 2]
+        size = np.array([HEAD_WIDTH, HEAD_HEIGHT])
+        boxes = np.hstack([_PLACES[kept] - size / 2.0, np.broadcast_to(size, (len(kept), 2))])
+        return HeadCandidates(boxes, scores[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class HeadSamples:
+    """What templates are learned from: n heads and their mirror images, and what is beside all of them.
+
+    Attributes
+    ----------
+    place : (n, 2) middles of heads, in heights of the box from the middle of its top
+    quarter : (2, n) of the directions, of the heads and of their mirror images
+    seen : (2, n, d) what a template sees of them
+    mean : (d,) beside heads
+    factor : of the covariance beside heads, as from `scipy.linalg.cho_factor`
+    """
+
+    place: FloatArray
+    quarter: NDArray[np.int64]
+    seen: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    factor: tuple[NDArray[Any], bool]
+
+    @classmethod
+    def of(
+        cls, patches: Sequence[Image], place: FloatArray, angle: FloatArray, rng: np.random.Generator
+    ) -> HeadSamples:
+        """Samples of people whose heads are known, or thought to be.
+
+        Parameters
+        ----------
+        patches : n of them
+        place : (n, 2) as above
+        angle : (n,) radians, where they go, in the image frame
+        """
+        nearest = np.argmin(np.square(place[:, None, :] - _PLACES).sum(axis=2), axis=1)
+        seen, beside = [], []
+        for patch, best in zip(patches, nearest.tolist(), strict=True):
+            far = np.flatnonzero(np.hypot(_X - _X[best], _Y - _Y[best]) > _NOT_NEAR)
+            places = np.array([best, *rng.choice(far, _BESIDE_EACH, replace=False)])
+            windows = _windows(orientations(patch), places)
+            seen.append(windows[0])
+            beside.append(windows[1:])
+        heads, others = np.array(seen), np.concatenate(beside)
+        others = np.vstack([others, _mirrored(others)])
+        mean = others.mean(axis=0)
+        covariance = (others - mean).T @ (others - mean) / len(others)
+        size = len(covariance)
+        covariance[np.diag_indices(size)] += _SHRINKAGE * np.trace(covariance) / size + 1e-6
+        quarter = np.stack([_quarter(angle), _quarter(-angle)])
+        both = np.stack([heads, _mirrored(heads)])
+        return cls(place, quarter, both, mean, cho_factor(covariance.astype(float), lower=True))
+
+    def templates(self, used: NDArray[np.bool_]) -> HeadTemplates:
+        """Templates of the heads (n,) that are used."""
+        heads, quarter = self.seen[:, used].reshape(-1, len(self.mean)), self.quarter[:, used].ravel()
+        shared = heads.mean(axis=0)
+        means = []
+        for k in range(_QUARTERS):
+            own = heads[quarter == k]
+            means.append((own.sum(axis=0) + _SHARED * shared) / (len(own) + _SHARED) - self.mean)
+        apart = np.array(means, float)
+        weight = cho_solve(self.factor, apart.T).T
+        bias = -0.5 * np.einsum("kd,kd->k", weight, apart) - weight @ self.mean
+        return HeadTemplates(weight.astype(np.float32), bias, _usual_place(self.place[used]))
+
+
+def _usual_place(head: FloatArray) -> FloatArray:
+    """Mean and spread (2, 2) of most heads (n, 2)."""
+    middle = np.median(head, axis=0)
+    spread = 1.48 * np.median(np.abs(head - middle), axis=0)
+    return np.stack([middle, np.clip(spread, 0.03, 0.06)])
+
+
+def head_of_crop(box: FloatArray, scale: float) -> FloatArray:
+    """The middle (2,) of a head's box (4,) in pixels of an upright cut of a patch, which `crop_of` made."""
+    left, top, width, height = box / scale
+    return of_patch(np.array([left + width / 2.0 + _CROP[0], top + height / 2.0 + _CROP[1]]))
+
+
+_CROP = (35, 19, 90, 176)
+"""Left, top, width and height of a patch's part in which the package's localiser looks for heads."""
+
+
+def crop_of(patch: Image) -> Image:
+    """The part of a patch that is a person's box with a margin."""
+    left, top, width, height = _CROP
+    return np.ascontiguousarray(patch[top : top + height, left : left + width])
+
+
+CLASSES = PoseClasses.circle(8)
+"""Of bodies and heads."""
+
+_FOLDS = 5
+_CHOICES = ((1.0, 0.0), (3.0, 0.0))
+"""Shrinkages, and what rendered people count in all, in those who walk; people left out choose."""
+_CHOICES_WITH_RENDERED = (*_CHOICES, (10.0, 1.0), (10.0, 3.0))
+"""The same where people are rendered."""
+_NEVER = 100.0
+"""Log density by which a direction that nobody walked in is behind the others."""
+_LEAST_PEOPLE = 2
+"""Who must have walked in a direction, or its mirror image, for it to count as seen."""
+_MIRROR = (-np.arange(len(CLASSES))) % len(CLASSES)
+_COLOURS: Window = (-0.1, -0.09, 0.2, 0.18)
+_COLOUR_SIDE = 8
+_CELL = 8
+"""Pixels of a cell of gradients."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What a model looks at.
+
+    Attributes
+    ----------
+    window : about the middle of the head, in heights of the box
+    size : columns and rows to which it is brought
+    """
+
+    window: Window
+    size: tuple[int, int]
+
+    def features(self, patch: Image, head: FloatArray) -> NDArray[np.float32]:
+        """Gradients of the window and colours of the head, (d,): first what a mirror leaves as it is.
+
+        What changes places in a mirror image counts as sum and difference; `sign` says which is which.
+        """
+        shape = grey(cut(patch, head, self.window, self.size))
+        colours = cut(patch, head, _COLOURS, (_COLOUR_SIDE, _COLOUR_SIDE)).astype(np.float32) / 255.0
+        lab = np.asarray(cv2.cvtColor(colours, cv2.COLOR_BGR2LAB)) / 100.0
+        gradients = np.asarray(self._hog.compute(shape))
+        values = np.concatenate([gradients.ravel(), lab.ravel()]).astype(np.float32)
+        same, one, other = self._pairs
+        half = np.float32(math.sqrt(0.5))
+        return np.concatenate(
+            [values[same], half * (values[one] + values[other]), half * (values[one] - values[other])]
+        )
+
+    def all_features(self, patches: Sequence[Image], heads: Iterable[FloatArray]) -> NDArray[np.float32]:
+        """Those (n, d) of n patches with heads (2,) each."""
+        return np.array([self.features(patch, head) for patch, head in zip(patches, heads, strict=True)])
+
+    @cached_property
+    def _hog(self) -> cv2.HOGDescriptor:
+        return cv2.HOGDescriptor(self.size, (2 * _CELL, 2 * _CELL), (_CELL, _CELL), (_CELL, _CELL), BINS)
+
+    @cached_property
+    def sign(self) -> NDArray[np.float32]:
+        """What a mirror multiplies the features with, (d,)."""
+        same, one, _ = self._pairs
+        return np.repeat(np.array([1.0, -1.0], np.float32), [len(same) + len(one), len(one)])
+
+    @cached_property
+    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Which values a mirror leaves in their places, and which it puts in the places of which others."""
+        columns, rows = (size // _CELL - 1 for size in self.size)
+        # OpenCV goes down the blocks of a column, and down the cells of a block's column.
+        gradients = np.arange(columns * rows * 4 * BINS).reshape(columns, rows, 2, 2, BINS)
+        colours = np.arange(3 * _COLOUR_SIDE**2).reshape(_COLOUR_SIDE, _COLOUR_SIDE, 3) + gradients.size
+        image = np.concatenate([gradients[::-1, :, ::-1, :, ::-1].ravel(), colours[:, ::-1].ravel()])
+        place = np.arange(len(image))
+        one = np.flatnonzero(place < image)
+        return np.flatnonzero(place == image), one, image[one]
+
+
+BODY = View((-0.25, -0.11, 0.5, 1.04), (48, 96))
+HEAD = View((-0.18, -0.14, 0.36, 0.36), (64, 64))
+
+
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """A linear model of the eight directions.
+
+    Attributes
+    ----------
+    weight : (8, d); bias : (8,)
+    temperature, share : as in `fit_temperature_and_share`
+    seen : (8,) whether people walked in the direction, or its mirror image, or rendered people did
+    """
+
+    weight: NDArray[np.float32]
+    bias: FloatArray
+    temperature: float
+    share: float
+    seen: NDArray[np.bool_]
+
+    def log_likelihoods(self, features: NDArray[np.float32], sign: NDArray[np.float32]) -> FloatArray:
+        """Calibrated (n, 8), of features (n, d) and with `View.sign` (d,) of the mirror images too."""
+        scores = _of_both(features, sign, self.weight, self.bias)
+        return calibrated(scores, self.temperature, self.share, self.seen)
+
+
+def calibrated(scores: FloatArray, temperature: float, share: float, seen: NDArray[np.bool_]) -> FloatArray:
+    """Log likelihoods (n, 8); a direction that nobody walked in is as likely as the others on average."""
+    p = with_neighbours(np.exp(log_softmax(scores / temperature, axis=1)), share)
+    p = np.where(seen, p, 0.0)
+    p /= np.maximum(p.sum(axis=1, keepdims=True), 1e-12)
+    p = np.where(seen, p, 1.0 / max(int(seen.sum()), 1))
+    return np.asarray(np.log(np.maximum(p / p.sum(axis=1, keepdims=True), 1e-6)), float)
+
+
+def _of_both(
+    features: NDArray[np.float32], sign: NDArray[np.float32], weight: NDArray[np.float32], bias: FloatArray
+) -> FloatArray:
+    """Mean log scores (n, 8) of pictures and of their mirror images, which say the mirrored directions."""
+    scores, of_mirror = features @ weight.T + bias, features @ (weight * sign).T + bias
+    return np.asarray(0.5 * (log_softmax(scores, axis=1) + log_softmax(of_mirror, axis=1)[:, _MIRROR]), float)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What models say of people whom they have not seen.
+
+    Attributes
+    ----------
+    log_likelihood : (n, 8) calibrated, by people left out too
+    """
+
+    log_likelihood: FloatArray
+
+    def errors(self, angle: FloatArray) -> FloatArray:
+        """(n,) radians between what is said and an angle (n,)."""
+        return np.abs(difference(CLASSES.mean_pan(self.log_likelihood), angle))
+
+    def loss(self, angle: FloatArray) -> float:
+        """Mean negative log likelihood of the true class."""
+        rows = np.arange(len(angle))
+        return -float(self.log_likelihood[rows, CLASSES.index(angle)].mean())
+
+    def calibration_error(self, angle: FloatArray) -> float:
+        """The expected one."""
+        return reliability(self.log_likelihood, CLASSES.index(angle)).expected_calibration_error
+
+
+def folds_of(person: NDArray[np.int64], rng: np.random.Generator, most: int = _FOLDS) -> NDArray[np.int64]:
+    """The part (n,) that each person's rows (n,) are in, so that no one is in two."""
+    people, place = np.unique(person, return_inverse=True)
+    return np.asarray(rng.permutation(len(people))[place] % min(most, len(people)), np.int64)
+
+
+def taught(
+    features: NDArray[np.float32],
+    sign: NDArray[np.float32],
+    angle: FloatArray,
+    person: NDArray[np.int64],
+    fold: NDArray[np.int64],
+    rendered: tuple[NDArray[np.float32], FloatArray] | None = None,
+) -> tuple[Taught, HeldOut]:
+    """A model of all, and what models without a person say of that person.
+
+    Parameters
+    ----------
+    features : (n, d)
+    sign : (d,) as `View.sign`
+    angle : (n,) radians in the image frame
+    person, fold : (n,) as from `folds_of`
+    rendered : features (m, d) and angles (m,) of rendered people, who help where that makes people left out
+        likelier
+    """
+    label = CLASSES.index(angle)
+    more = None if rendered is None else _sums_of_rendered(*rendered, sign)
+    tried = _CHOICES if rendered is None else _CHOICES_WITH_RENDERED
+    parts = np.unique(fold).tolist()
+    sums = [Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
+    everybody = reduce(Sums.__add__, sums)
+    scores = np.zeros((len(tried), len(label), len(CLASSES)))
+    for k, of_part in zip(parts, sums, strict=True):
+        rest = everybody - of_part
+        for s, (shrinkage, share) in enumerate(tried):
+            model = rest.helped(more, share).discriminant(sign, shrinkage)
+            scores[s, fold == k] = _of_both(features[fold == k], sign, *model)
+    walked = seen_directions(label, person)
+    # Who is rendered goes everywhere.
+    seen = [walked | (share > 0.0) for _, share in tried]
+    found = [_honest(*one, label, fold) for one in zip(scores, seen, strict=True)]
+    best = int(np.argmin([one.loss(angle) for one in found]))
+    temperature, beside = fit_temperature_and_share(scores[best], label)
+    shrinkage, share = tried[best]
+    weight, bias = everybody.helped(more, share).discriminant(sign, shrinkage)
+    return Taught(weight, bias, temperature, beside, seen[best]), found[best]
+
+
+def _sums_of_rendered(rendered: NDArray[np.float32], angle: FloatArray, sign: NDArray[np.float32]) -> Sums:
+    """Those of rendered people (m, d), each of whom is somebody else."""
+    return Sums.of(rendered, sign, CLASSES.index(angle), np.arange(len(angle)))
+
+
+def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether enough people (n,) walked in each direction (8,), or in its mirror image, by labels (n,)."""
+    people = [len(np.unique(person[(label == k) | (label == _MIRROR[k])])) for k in range(len(CLASSES))]
+    return np.array(people) >= _LEAST_PEOPLE
+
+
+def _honest(
+    scores: FloatArray, seen: NDArray[np.bool_], label: NDArray[np.int64], fold: NDArray[np.int64]
+) -> HeldOut:
+    """Scores (n, 8) calibrated by those of people in other parts."""
+    result = np.empty_like(scores)
+    for k in np.unique(fold).tolist():
+        rest = fold != k
+        values = fit_temperature_and_share(scores[rest], label[rest])
+        result[~rest] = calibrated(scores[~rest], *values, seen)
+    return HeldOut(result)
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What a linear discriminant is made of, so that people can be left out by subtraction.
+
+    Pictures count with their mirror images, so that features of different `View.sign` do not go together.
+
+    Attributes
+    ----------
+    weight : (8,) of each direction's pictures and mirror images
+    total : (8, d) of their features
+    squares : of the products of features that a mirror leaves as they are, and of the others
+    """
+
+    weight: FloatArray
+    total: FloatArray
+    squares: tuple[FloatArray, FloatArray]
+
+    @classmethod
+    def of(
+        cls,
+        features: NDArray[np.float32],
+        sign: NDArray[np.float32],
+        label: NDArray[np.int64],
+        person: NDArray[np.int64],
+    ) -> Sums:
+        """Those of n pictures; who stays long does not count for all."""
+        _, place, count = np.unique(person, return_inverse=True, return_counts=True)
+        weight = 1.0 / np.sqrt(count[place])
+        weighted = features * weight[:, None].astype(np.float32)
+        of_class, total = np.zeros(len(CLASSES)), np.zeros((len(CLASSES), features.shape[1]))
+        for k in np.unique(label).tolist():
+            size, sums = weight[label == k].sum(), weighted[label == k].sum(axis=0)
+            for direction, of_image in ((k, sums), (_MIRROR[k], sums * sign)):
+                of_class[direction] += size
+                total[direction] += of_image
+        parts = _parts(sign)
+        even, odd = (2.0 * (features[:, part].T @ weighted[:, part]).astype(float) for part in parts)
+        return cls(of_class, total, (even, odd))
+
+    def __add__(self, other: Sums) -> Sums:
+        even, odd = (a + b for a, b in zip(self.squares, other.squares, strict=True))
+        return Sums(self.weight + other.weight, self.total + other.total, (even, odd))
+
+    def __sub__(self, other: Sums) -> Sums:
+        even, odd = (a - b for a, b in zip(self.squares, other.squares, strict=True))
+        return Sums(self.weight - other.weight, self.total - other.total, (even, odd))
+
+    def helped(self, others: Sums | None, share: float) -> Sums:
+        """With other people, moved to where these are, who count ``share`` of what these do in all."""
+        if others is None or share == 0.0:
+            return self
+        factor = share * float(self.weight.sum()) / float(others.weight.sum())
+        moved = others.moved_to(self)
+        even, odd = (factor * square for square in moved.squares)
+        return self + Sums(factor * moved.weight, factor * moved.total, (even, odd))
+
+    def moved_to(self, others: Sums) -> Sums:
+        """These, all moved by how far others are from those of the same direction on average.
+
+        Features that change sign in a mirror do not move: no side differs from the other.
+        """
+        even = self.squares[0].shape[0]
+        means = self.total[:, :even] / np.maximum(self.weight, 1e-9)[:, None]
+        apart = (others.total[:, :even] - others.weight[:, None] * means).sum(axis=0) / others.weight.sum()
+        total = self.total.copy()
+        total[:, :even] += self.weight[:, None] * apart
+        crossed = np.outer(self.total[:, :even].sum(axis=0), apart)
+        square = self.squares[0] + crossed + crossed.T + self.weight.sum() * np.outer(apart, apart)
+        return Sums(self.weight, total, (square, self.squares[1]))
+
+    def discriminant(
+        self, sign: NDArray[np.float32], shrinkage: float
+    ) -> tuple[NDArray[np.float32], FloatArray]:
+        """Weights (8, d) and biases (8,) of the log densities of Gaussians of one covariance.
+
+        All directions are equally likely. The covariance is that within directions, with ``shrinkage`` times
+        its mean variance on the diagonal.
+        """
+        some = self.weight > 1e-9
+        middle = self.total.sum(axis=0) / self.weight.sum()
+        means = np.tile(middle, (len(CLASSES), 1))
+        means[some] = self.total[some] / self.weight[some, None]
+        parts, within = _parts(sign), []
+        for part, square in zip(parts, self.squares, strict=True):
+            of_means = (means[some, part] * self.weight[some, None]).T @ means[some, part]
+            within.append((square - of_means) / self.weight.sum())
+        variance = sum(float(np.trace(block)) for block in within) / len(sign)
+        weight = np.zeros_like(means)
+        for part, block in zip(parts, within, strict=True):
+            block[np.diag_indices(len(block))] += shrinkage * max(variance, 1e-9)
+            if len(block):
+                factor = cho_factor(block, lower=True, overwrite_a=True)
+                weight[:, part] = cho_solve(factor, (means - middle)[:, part].T).T
+        bias = -0.5 * np.einsum("kd,kd->k", weight, means + middle)
+        bias[~some] = -_NEVER
+        return weight.astype(np.float32), bias
+
+
+def _parts(sign: NDArray[np.float32]) -> tuple[slice, slice]:
+    """The features that a mirror leaves as they are, and the others."""
+    even = int((sign > 0).sum())
+    return slice(0, even), slice(even, len(sign))
+
+
+OUTLIERS = "class_outlier_probability"
+"""What the card of a camera's models calls it."""
+_SHARES = np.linspace(0.05, 0.98, 94)
+_EQUAL = 0.01
+"""Log likelihood a person by which no share is better than another."""
+
+
+def class_outlier_probability(
+    parts: list[FloatArray], angle: FloatArray, person: NDArray[np.int64], count: FloatArray
+) -> float:
+    """The graph's ``likelihood.class_outlier_probability`` for what such models say.
+
+    People left out are likeliest under it to go where they go, and not some eighths of a turn to the side.
+
+    Parameters
+    ----------
+    parts : log likelihoods (n, 8) of the classes by models that have not seen the person, of body and head
+    angle : (n,) radians, where they go in the image frame
+    person : (n,) numbers
+    count : (n,) frames that each row stands for
+    """
+    turned = (CLASSES.index(angle)[:, None] + np.arange(len(CLASSES))) % len(CLASSES)
+    said = [np.take_along_axis(np.exp(log_softmax(part, axis=1)), turned, axis=1) for part in parts]
+    people, whose = np.unique(person, return_inverse=True)
+
+    def loss(share: float) -> float:
+        of_row = sum(np.log((1.0 - share) * p + share / len(CLASSES)) for p in said)
+        of_person = np.zeros((len(people), len(CLASSES)))
+        np.add.at(of_person, whose, of_row * count[:, None])
+        return -float(log_softmax(of_person, axis=1)[:, 0].mean())
+
+    # Where several do, the models are believed as far as they can be.
+    losses = np.array([loss(share) for share in _SHARES.tolist()])
+    return float(_SHARES[np.flatnonzero(losses <= losses.min() + _EQUAL)[0]])
+
+
+def with_outliers(model: Model, share: float) -> Model:
+    """The same graph, for which a share of class likelihoods says nothing."""
+    parameters = model.parameters
+    likelihood = replace(parameters.likelihood, class_outlier_probability=share)
+    return model.with_parameters(replace(parameters, likelihood=likelihood))

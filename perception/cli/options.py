@@ -1,0 +1,165 @@
+"""Options that commands on video share, checks of places, and what the commands say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import emit, progress_bar
+from graphtrack.errors import InputError
+from graphtrack.tracks.display import counted
+
+if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
+    from perception.images.frames import Frame, FrameSource
+
+_SHOWN = 5
+_FPS = 25.0
+
+VideoOrFolder = Annotated[
+    Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
+]
+Boxes = Annotated[
+    Path | None,
+    typer.Option(
+        help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
+        "people are detected.",
+        exists=True,
+        dir_okay=False,
+    ),
+]
+Render = Annotated[
+    Path | None, typer.Option(help="Draw it all: a video .mp4 or .avi, or else a folder of images.")
+]
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Options that say how a camera looks at the ground, and how often.
+
+    Camera
+    ------
+    homography : File with 3×3 numbers: image → ground in metres.
+    calibration : Camera calibration (.ci), of a fisheye too.
+    fps : Frames a second, if not the video's (else 25).
+    """
+
+    homography: options.InputFile | None = None
+    calibration: options.InputFile | None = None
+    fps: Annotated[float | None, typer.Option(min=0.1)] = None
+
+    @property
+    def files(self) -> dict[str, Path | None]:
+        """The files to read, by the names of their options."""
+        return {"--homography": self.homography, "--calibration": self.calibration}
+
+    @property
+    def stamps(self) -> tuple[object, object]:
+        """Identity of the files' contents: path, size and time."""
+        return stamp_of(self.homography), stamp_of(self.calibration)
+
+    def rate(self, frames: FrameSource) -> float:
+        """Frames a second: those that are asked for, or else the video's."""
+        return self.fps or frames.fps or _FPS
+
+    def on_ground(self) -> GroundCamera | None:
+        """The camera; None if the options name none."""
+        from graphtrack.geometry.camera import GroundCamera
+        from graphtrack.io.cameras import read_calibration, read_homography
+
+        if self.homography is not None and self.calibration is not None:
+            raise InputError("--homography and --calibration", "one of them")
+        if self.calibration is not None:
+            return read_calibration(self.calibration)
+        if self.homography is None:
+            return None
+        return GroundCamera.from_homography(read_homography(self.homography))
+
+
+def stamp_of(path: Path | None) -> object:
+    """Identity of a file's content: path, size and time."""
+    if path is None:
+        return None
+    state = path.stat()
+    return str(path), state.st_size, state.st_mtime_ns
+
+
+def check_places(
+    outputs: Mapping[str, Path | Sequence[Path] | None],
+    render: Path | None,
+    source: Path,
+    inputs: Mapping[str, Path | Sequence[Path] | None],
+    *,
+    table: Path | None = None,
+) -> None:
+    """Refuse, before the work, what could not be written in the end, as `check_outputs` does.
+
+    Parameters
+    ----------
+    outputs, inputs, table : as there, besides the two that follow
+    render : a video or a folder of images to write
+    source : a video or a folder of images to read
+    """
+    from perception.images.frames import FrameSource
+    from perception.images.pixels import check_render, is_video
+
+    if render is not None:
+        check_render(render)
+    in_folder = render is not None and not is_video(render)
+    options.check_outputs(
+        {**outputs, "--render": None if in_folder else render},
+        {"the input": FrameSource.files(source), **inputs},
+        folders={"--render": render if in_folder else None},
+        table=table,
+    )
+
+
+@contextmanager
+def decoded_frames(
+    frames: FrameSource,
+    wanted: Callable[[int], bool],
+    count: int,
+    *,
+    unit: str = "frames",
+    one_size: bool = False,
+) -> Iterator[Iterator[Frame]]:
+    """The frames whose numbers are wanted, ``count`` of them, with a progress bar.
+
+    Parameters
+    ----------
+    one_size : whether a frame of another size than the first is an `InputError`
+    """
+    from perception.images.frames import told_frames
+
+    with told_frames(frames, wanted, count, progress_bar, unit=unit, one_size=one_size) as decoded:
+        yield decoded
+
+
+def in_time(count: int, seconds: float) -> str:
+    """Describe the time that so many frames took."""
+    return f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)"
+
+
+def print_skipped(reasons: Sequence[str]) -> None:
+    """Say what was left out: the first few reasons, and how many more there are."""
+    for reason in reasons[:_SHOWN]:
+        emit(f"  skipped: {reason}")
+    if len(reasons) > _SHOWN:
+        emit(f"  skipped: {len(reasons) - _SHOWN} more")
+
+
+def print_camera_note(camera: GroundCamera | None) -> None:
+    """Say what positions are if no camera is known."""
+    if camera is None:
+        emit("  note: no camera is known: positions are pixels times a scale")
+
+
+def print_written(output: Path, render: Path | None) -> None:
+    """Say where everything is."""
+    emit(f"wrote {output}" + ("" if render is None else f" and {render}"))

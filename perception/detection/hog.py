@@ -1,0 +1,167 @@
+"""Gradient histograms of an image as a grid of blocks, and linear filters over windows of it.
+
+People in single frames: OpenCV's HOG + SVM detector at all scales.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from graphtrack.geometry.angles import FloatArray
+from perception.detection.boxes import Detections
+from perception.images.pixels import Image, non_maximum_suppression
+
+CELL = 8
+"""Pixels from block to block."""
+WINDOW = (7, 15)
+"""Columns and rows of blocks in the window of OpenCV's people detector, of 64 × 128 pixels."""
+ORIENTATIONS = 36
+"""Numbers in a block: 2 × 2 cells of 9 orientations."""
+TALL = 102.0
+"""Height of the person in the window, in pixels; in its middle."""
+WIDE = 40.0
+"""Width of the person's box, in pixels."""
+FOOT = (32.0, 64.0 + TALL / 2.0)
+"""Pixel of the window where the feet are."""
+
+_BLOCK = cv2.HOGDescriptor((16, 16), (16, 16), (8, 8), (8, 8), 9, 1, -1.0, 0, 0.2, True)
+
+Grid = NDArray[np.float32]
+
+
+def gradient_blocks(image: Image) -> Grid:
+    """Blocks (rows, columns, `ORIENTATIONS`) of an image, as OpenCV's people detector has them."""
+    rows, columns = ((length - 2 * CELL) // CELL + 1 for length in image.shape[:2])
+    found = np.asarray(_BLOCK.compute(image, winStride=(CELL, CELL)), np.float32)
+    return found.reshape(rows, columns, ORIENTATIONS)
+
+
+def resized(image: Image, size: tuple[int, int]) -> Image:
+    """An image at a size in columns and rows, halved first as long as it stays larger."""
+    while image.shape[0] >= 2 * size[1] and image.shape[1] >= 2 * size[0]:
+        half = image.shape[1] // 2, image.shape[0] // 2
+        image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def mean_blocks(values: NDArray[np.float32]) -> Grid:
+    """Means (rows, columns, 1) over the pixels of the same blocks, of values (h, w)."""
+    rows, columns = (length // CELL for length in values.shape)
+    cells = cv2.resize(
+        values[: rows * CELL, : columns * CELL], (columns, rows), interpolation=cv2.INTER_AREA
+    ).reshape(rows, columns)
+    both = cells[:-1] + cells[1:]
+    return np.asarray((both[:, :-1] + both[:, 1:]) / 4.0, np.float32)[..., None]
+
+
+@dataclass(frozen=True, eq=False)
+class WindowFilter:
+    """A linear function of the blocks of a window.
+
+    Attributes
+    ----------
+    weight : (15, 7, channels)
+    bias : of it
+    """
+
+    weight: NDArray[np.float32]
+    bias: float
+
+    @classmethod
+    def of_opencv(cls) -> WindowFilter:
+        """OpenCV's default people detector; its weights come with the library."""
+        values = np.asarray(cv2.HOGDescriptor.getDefaultPeopleDetector(), np.float32).ravel()
+        across, down = WINDOW
+        weight = values[:-1].reshape(across, down, ORIENTATIONS).transpose(1, 0, 2)
+        return cls(np.ascontiguousarray(weight), float(values[-1]))
+
+    def scores(self, grid: Grid) -> NDArray[np.float32]:
+        """The function at every window (rows − 14, columns − 6) of a grid."""
+        across, down = WINDOW
+        rows, columns = grid.shape[0] - down + 1, grid.shape[1] - across + 1
+        if rows < 1 or columns < 1:
+            return np.zeros((max(rows, 0), max(columns, 0)), np.float32)
+        weight = self.weight.reshape(down * across, -1)
+        product = (weight @ grid.reshape(-1, grid.shape[2]).T).reshape(down, across, *grid.shape[:2])
+        found = np.full((rows, columns), self.bias, np.float32)
+        for i in range(down):
+            for j in range(across):
+                found += product[i, j, i : i + rows, j : j + columns]
+        return found
+
+
+def window_at(grid: Grid, row: int, column: int) -> NDArray[np.float32]:
+    """The blocks (15 · 7 · channels,) of one window."""
+    across, down = WINDOW
+    return grid[row : row + down, column : column + across].ravel()
+
+
+def foot_boxes(foot: FloatArray, height: FloatArray) -> FloatArray:
+    """Boxes (n, 4), left, top, width, height, of people (n,) pixels high with feet at pixels (n, 2)."""
+    width = height * WIDE / TALL
+    return np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
+
+
+_ROWS = 720
+_OVERLAP = 0.4
+"""Intersection over union above which the weaker of two boxes is dropped."""
+_STEP = 1.08
+"""Ratio of neighbouring scales."""
+_MARGIN = 16
+"""Pixels by which a window may reach beyond the image."""
+_SLOPE = 2.0
+"""Log odds of a score of one; those of zero are even."""
+
+
+class PeopleDetector:
+    """OpenCV's default people detector at all scales; its weights come with the library.
+
+    An image of fewer than 720 rows is enlarged to that, by a factor of 8 at most.
+
+    Parameters
+    ----------
+    threshold : least score of the SVM
+    """
+
+    def __init__(self, threshold: float = 0.3) -> None:
+        self.threshold = threshold
+        self._filter = WindowFilter.of_opencv()
+
+    def detect(self, image: Image) -> Detections:
+        """Return people with the probabilities of them, best first."""
+        found, heights, scores = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
+        for scale in self._scales(image):
+            feet, values = self._at(image, scale)
+            kept = values > self.threshold
+            found.append(feet[kept])
+            heights.append(np.full(int(kept.sum()), TALL / scale))
+            scores.append(values[kept].astype(float))
+        boxes, score = foot_boxes(np.vstack(found), np.concatenate(heights)), np.concatenate(scores)
+        best = non_maximum_suppression(boxes, score, _OVERLAP)
+        return Detections(boxes[best], np.asarray(expit(_SLOPE * score[best]), float))
+
+    def _scales(self, image: Image) -> list[float]:
+        """Factors of the image, from the largest to the last at which a window fits in it."""
+        rows, columns = image.shape[:2]
+        largest = float(np.clip(_ROWS / rows, 1.0, 8.0))
+        least = max(128 / rows, 64 / columns)
+        if largest < least:
+            return []
+        count = int(np.log(largest / least) / np.log(_STEP))
+        return [largest / _STEP**k for k in range(count + 1)]
+
+    def _at(self, image: Image, scale: float) -> tuple[FloatArray, NDArray[np.float32]]:
+        """Feet (n, 2) and scores (n,) of all windows of the image at a scale."""
+        size = max(64, round(image.shape[1] * scale)), max(128, round(image.shape[0] * scale))
+        large = cv2.copyMakeBorder(
+            resized(image, size), _MARGIN, _MARGIN, _MARGIN, _MARGIN, cv2.BORDER_REPLICATE
+        )
+        scores = self._filter.scores(gradient_blocks(np.asarray(large, np.uint8)))
+        rows, columns = np.indices(scores.shape)
+        feet = np.stack([columns * CELL + FOOT[0], rows * CELL + FOOT[1]], axis=-1) - _MARGIN
+        return feet.reshape(-1, 2) / scale, scores.ravel()

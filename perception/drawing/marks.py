@@ -1,0 +1,287 @@
+"""What pictures are drawn with: colours, text, arrows and fans of directions.
+
+One person's body and head, as single frames have them and as estimated (Chen et al. 2011, Fig. 5, 6, 8
+and 9).
+"""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from graphtrack.geometry.angles import FloatArray, direction, unit
+from graphtrack.geometry.camera import GroundCamera
+from perception.images.pixels import Image
+from perception.pose.classes import PoseClasses
+
+Colour = tuple[int, int, int]
+"""Blue, green, red."""
+Place = Callable[[FloatArray], FloatArray]
+"""From points (n, 2) of a plane, about a person, in lengths of an arrow, to pixels (n, 2)."""
+
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+DARK: Colour = (40, 40, 40)
+LIGHT: Colour = (245, 245, 245)
+
+_LEAST_HEIGHT = 400
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
+FRACTION = 4
+"""Bits behind the point of the pixels that OpenCV draws."""
+_DASH = 6
+_FARTHEST = 2.0**20
+"""Pixels: farther away OpenCV's numbers do not reach."""
+_LIKELY = 0.95
+_STEP = np.deg2rad(3.0)
+_BETWEEN = np.deg2rad(0.7)
+_FAINTEST, _STRONGEST = 0.12, 0.6
+_REACH = 1.7
+"""Lengths of an arrow that a sector reaches."""
+
+
+def enlargement(image: Image) -> int:
+    """Factor by which an image is enlarged before it is drawn on, so that marks can be told apart."""
+    return max(1, -(-_LEAST_HEIGHT // image.shape[0]))
+
+
+def enlarged_image(image: Image) -> Image:
+    """A copy of an image to draw on, `enlargement` times as large."""
+    factor = enlargement(image)
+    if factor == 1:
+        return image.copy()
+    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def line_width(picture: Image) -> int:
+    """Pixels of a line that is seen in a picture of this size."""
+    return max(1, round(picture.shape[0] / 450))
+
+
+def person_colour(track_id: int) -> Colour:
+    """A colour for a person, always the same, and far from those of the ids next to it."""
+    hue = (0.08 + track_id * _GOLDEN) % 1.0
+    red, green, blue = colorsys.hsv_to_rgb(hue, 0.75, 1.0)
+    return round(255 * blue), round(255 * green), round(255 * red)
+
+
+def points(pixel: ArrayLike) -> NDArray[Any]:
+    """Pixels (n, 2) as OpenCV draws them with ``shift=FRACTION``."""
+    inside = np.clip(np.asarray(pixel, float), -_FARTHEST, _FARTHEST)
+    return np.asarray((inside * 2**FRACTION).round(), np.int32)
+
+
+def box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
+    """A box (left, top, width, height)."""
+    left, top, w, h = np.asarray(values, float)
+    corners = points([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
+    cv2.polylines(picture, [corners], True, colour, width, cv2.LINE_AA, FRACTION)
+
+
+def dashed_box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
+    """A box (left, top, width, height) of dashes."""
+    left, top, w, h = np.asarray(values, float)
+    corners = np.array([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        count = max(1, round(float(np.linalg.norm(end - start)) / (_DASH * width)))
+        share = np.linspace(0.0, 1.0, count + 1)[:, None]
+        between = start + share * (end - start)
+        for k in range(0, count, 2):
+            cv2.polylines(picture, [points(between[k : k + 2])], False, colour, width, cv2.LINE_AA, FRACTION)
+
+
+def text(picture: Image, words: str, corner: tuple[int, int], colour: Colour, size: float) -> None:
+    """Words with a dark edge, so that they are read on anything; the corner is their lower left."""
+    width = max(1, round(2.2 * size))
+    cv2.putText(picture, words, corner, FONT, size, DARK, width + 2, cv2.LINE_AA)
+    cv2.putText(picture, words, corner, FONT, size, colour, width, cv2.LINE_AA)
+
+
+def arrow(picture: Image, place: Place, angle: float, colour: Colour, width: int) -> None:
+    """From the middle of a plane in a direction (radians) of it; not drawn where the plane is not seen."""
+    ends = place(np.array([[0.0, 0.0], unit(angle)]))
+    if not np.isfinite(ends).all():
+        return
+    start, end = (tuple(int(value) for value in point) for point in points(ends))
+    for shade, wide in ((DARK, width + 2), (colour, width)):
+        cv2.arrowedLine(picture, start, end, shade, wide, cv2.LINE_AA, FRACTION, 0.25)
+
+
+def likely(distribution: FloatArray) -> NDArray[np.bool_]:
+    """The fewest classes (n,) that together hold 95 % of a distribution (n,)."""
+    order = np.argsort(-distribution, kind="stable")
+    before = np.cumsum(distribution[order]) - distribution[order]
+    chosen = np.zeros(len(distribution), bool)
+    chosen[order] = before < _LIKELY * distribution.sum()
+    return chosen
+
+
+def peak(distribution: FloatArray, classes: PoseClasses) -> float:
+    """Direction (radians) of the greatest class of a circle and its two neighbours, weighed."""
+    near = (int(distribution.argmax()) + np.array([-1, 0, 1])) % len(distribution)
+    return float(direction(distribution[near] @ unit(classes.pan[near])))
+
+
+def fan(picture: Image, place: Place, distribution: FloatArray, classes: PoseClasses, colour: Colour) -> None:
+    """The `likely` classes of a direction as sectors of a circle, the likelier the stronger.
+
+    Parameters
+    ----------
+    distribution : (n_pan,) over the pans of the classes, which are directions in the plane of ``place``
+    """
+    half = classes.step / 2.0 - _BETWEEN
+    across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
+    strength = distribution / max(float(distribution.max()), 1e-300)
+    for k in np.flatnonzero(likely(distribution)):
+        edge = place(np.vstack([[0.0, 0.0], unit(classes.pan[k] + across)]))
+        if np.isfinite(edge).all():
+            _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * float(strength[k]))
+
+
+def sector(picture: Image, place: Place, angle: float, half: float, colour: Colour) -> None:
+    """The part of a circle about a direction (radians), so wide to each side; the narrower the stronger.
+
+    It reaches beyond an arrow in that direction, which would hide a narrow one.
+    """
+    across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
+    edge = place(np.vstack([[0.0, 0.0], _REACH * unit(angle + across)]))
+    if np.isfinite(edge).all():
+        strength = float(np.exp(-half))
+        _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * strength)
+        cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
+
+
+def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> None:
+    """Fill a polygon (n, 2), the picture shining through; only the part that it covers is touched."""
+    h, w = picture.shape[:2]
+    left, top = np.clip(np.floor(edge.min(axis=0)) - 1, 0, (w, h)).astype(int)
+    right, bottom = np.clip(np.ceil(edge.max(axis=0)) + 2, 0, (w, h)).astype(int)
+    if right <= left or bottom <= top:
+        return
+    part = picture[top:bottom, left:right]
+    over = part.copy()
+    cv2.fillPoly(over, [points(edge - (left, top))], colour, cv2.LINE_AA, FRACTION)
+    cv2.addWeighted(over, opacity, part, 1.0 - opacity, 0.0, dst=part)
+
+
+def planes(
+    camera: GroundCamera,
+    position: FloatArray,
+    head: FloatArray,
+    radii: tuple[float, float],
+    shown: Place,
+) -> tuple[Place, Place]:
+    """The ground at a person's feet, and the same moved to the middle of the head.
+
+    Parameters
+    ----------
+    camera : over the ground
+    position : (2,) metres, of the feet
+    head : (2,) pixels of the image
+    radii : metres on the ground of an arrow's length, at the feet and at the head
+    shown : from pixels of the image to those of the picture
+    """
+    feet = camera.ground_to_image(position)
+
+    def on_ground(offset: FloatArray) -> FloatArray:
+        return shown(camera.ground_to_image(position + radii[0] * offset))
+
+    def at_head(offset: FloatArray) -> FloatArray:
+        return shown(camera.ground_to_image(position + radii[1] * offset) - feet + head)
+
+    return on_ground, at_head
+
+
+def identity(picture: Image, track_id: int, box: FloatArray, colour: Colour, width: int) -> None:
+    """A person's id above their box (4,), both in pixels of the picture."""
+    left, top = box[:2].round().astype(int).tolist()
+    text(picture, str(track_id), (max(left, 2), max(top - 4, 14)), colour, 0.3 + 0.25 * width)
+
+
+_RADIUS = 0.5
+"""Metres of the horizontal circles at feet and head (Chen et al. 2011, §4.2)."""
+_BODY: Colour = (60, 60, 235)
+_HEAD: Colour = (40, 220, 245)
+_BOX: Colour = (235, 160, 60)
+_TRUE: Colour = (120, 220, 90)
+_GROWN = 0.15
+"""Of the box's height, above and below, that is shown besides."""
+_ASPECT = 0.75
+
+
+@dataclass(frozen=True, eq=False)
+class Cues:
+    """What is known of a person in a frame; angles in radians in the world.
+
+    Attributes
+    ----------
+    box, head_box : (4,) left, top, width, height in pixels
+    position : (2,) metres, of the feet
+    seen : (2,) likeliest classes of body and head in this frame alone
+    estimated : (2,) body and head
+    true : (2,) body and head; None if they are not known
+    """
+
+    box: FloatArray
+    head_box: FloatArray
+    position: FloatArray
+    seen: FloatArray
+    estimated: FloatArray
+    true: FloatArray | None = None
+
+
+def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320) -> Image:
+    """The part of a frame about a person, with circles of 50 cm at the feet (body) and at the head.
+
+    As in Chen et al. 2011, Fig. 5: the detection is dashed, the head's box solid; thin lines are the
+    likeliest classes of the frame alone, thick arrows the estimates. Green ticks on the circles are the
+    truth.
+
+    Parameters
+    ----------
+    image : the whole frame
+    camera : over the ground
+    height : of the picture in pixels
+    """
+    left, top, width, tall = cues.box
+    side = tall * (1.0 + 2.0 * _GROWN)
+    corner = np.array([left + width / 2.0 - _ASPECT * side / 2.0, top - _GROWN * tall])
+    factor = height / side
+    size = round(_ASPECT * height), height
+    shift = np.array([[factor, 0.0, -factor * corner[0]], [0.0, factor, -factor * corner[1]]])
+    picture = np.asarray(cv2.warpAffine(image, shift, size, flags=cv2.INTER_LINEAR), np.uint8)
+
+    def shown(pixel: FloatArray) -> FloatArray:
+        return np.asarray((pixel - corner) * factor, float)
+
+    head = cues.head_box[:2] + cues.head_box[2:] / 2.0
+    both = planes(camera, cues.position, head, (_RADIUS, _RADIUS), shown)
+    dashed_box(picture, np.concatenate([shown(cues.box[:2]), factor * cues.box[2:]]), _BOX, 1)
+    box(picture, np.concatenate([shown(cues.head_box[:2]), factor * cues.head_box[2:]]), _BOX, 1)
+    for k, (place, colour) in enumerate(zip(both, (_BODY, _HEAD), strict=True)):
+        _circle(picture, place, colour)
+        if cues.true is not None:
+            _line(picture, place, float(cues.true[k]), (0.8, 1.25), _TRUE, 3)
+        _line(picture, place, float(cues.seen[k]), (0.0, 1.0), colour, 1)
+        arrow(picture, place, float(cues.estimated[k]), colour, 2)
+    return picture
+
+
+def _circle(picture: Image, place: Place, colour: Colour) -> None:
+    edge = place(unit(np.linspace(-np.pi, np.pi, 49)))
+    if np.isfinite(edge).all():
+        cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, 4)
+
+
+def _line(
+    picture: Image, place: Place, angle: float, reach: tuple[float, float], colour: Colour, width: int
+) -> None:
+    """A part of a radius, from one share of it to another."""
+    ends = place(np.outer(reach, unit(angle)))
+    if np.isfinite(ends).all():
+        cv2.polylines(picture, [points(ends)], False, DARK, width + 2, cv2.LINE_AA, 4)
+        cv2.polylines(picture, [points(ends)], False, colour, width, cv2.LINE_AA, 4)

@@ -1,0 +1,321 @@
+"""People as they were observed, drawn: boxes, ids, and where bodies and heads point.
+
+Estimated people, drawn into their frames: boxes, identities, paths, and where bodies and heads point.
+
+What a tracker says of a frame, drawn: particles, box, pan, tilt and cues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
+from perception.drawing import marks
+from perception.drawing.marks import FONT, Place
+from perception.images.pixels import Image
+from perception.observe.pipeline import SeenFrame, head_in_image
+from perception.observe.tables import SeenTracks
+from perception.pose.classes import PoseClasses
+from perception.trackers.tracker import BoxEstimate
+
+_BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
+_RADII = 0.8, 0.55
+"""Metres on the ground, of the arrows of body and head."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPerson:
+    """A person in one frame.
+
+    Attributes
+    ----------
+    track_id : whose colour it has
+    box, head_box : (4,) left, top, width, height in pixels
+    position : (2,) metres
+    body, head : (8,) and (12,) likelihoods in the world; they sum to 1
+    """
+
+    track_id: int
+    box: FloatArray
+    head_box: FloatArray
+    position: FloatArray
+    body: FloatArray
+    head: FloatArray
+
+
+def people_by_frame(observed: SeenTracks, frames: Mapping[int, SeenFrame]) -> dict[int, list[DrawnPerson]]:
+    """Return the people to draw in each frame, of tracks and the frames that they were made of."""
+    row_of = {
+        (track.track_id, frame): (track, row)
+        for track in observed.tracks
+        for row, frame in enumerate(track.frame.tolist())
+    }
+    found: dict[int, list[DrawnPerson]] = {}
+    for number in sorted(frames):
+        for item in sorted(frames[number].people, key=lambda item: item.track_id):
+            if (item.track_id, number) not in row_of:
+                continue
+            track, row = row_of[item.track_id, number]
+            assert track.body_likelihood is not None and track.head_likelihood is not None
+            person = DrawnPerson(
+                track.track_id,
+                np.array(item.box),
+                head_in_image(item, int(observed.heads[track.track_id][row])),
+                track.position[row],
+                track.body_likelihood[row],
+                track.head_likelihood[row],
+            )
+            found.setdefault(number, []).append(person)
+    return found
+
+
+def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera: GroundCamera) -> Image:
+    """A frame with people's boxes and ids in colours of their own, and where bodies and heads point.
+
+    At the feet a fan lies on the ground: the directions that hold 95 % of the body's likelihood, the likelier
+    the stronger, and an arrow at the likeliest. At the head is the head's, light, as it would lie on the
+    ground below.
+
+    Parameters
+    ----------
+    number : of the frame
+    camera : over the ground
+    """
+    picture, factor = marks.enlarged_image(image), marks.enlargement(image)
+    width = marks.line_width(picture)
+    people = sorted(
+        people, key=lambda person: float(person.box[1] + person.box[3])
+    )  # who is near is in front
+    for person in people:  # fans first, so that they hide no box
+        on_ground, at_head = _planes(person, camera, factor)
+        marks.fan(picture, on_ground, person.body, _BODY, marks.person_colour(person.track_id))
+        marks.fan(picture, at_head, person.head, _HEAD, marks.LIGHT)
+    for person in people:
+        colour = marks.person_colour(person.track_id)
+        on_ground, at_head = _planes(person, camera, factor)
+        marks.box(picture, person.box * factor, colour, width)
+        marks.box(picture, person.head_box * factor, marks.LIGHT, width)
+        marks.arrow(picture, on_ground, marks.peak(person.body, _BODY), colour, 2 * width)
+        marks.arrow(picture, at_head, marks.peak(person.head, _HEAD), marks.LIGHT, width)
+        marks.identity(picture, person.track_id, person.box * factor, colour, width)
+    marks.text(picture, f"frame {number}", (8, 26), marks.LIGHT, 0.3 + 0.25 * width)
+    return picture
+
+
+def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
+    head = person.head_box[:2] + person.head_box[2:] / 2.0
+    return marks.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)
+
+
+_TRACKED_RADII = 0.8, 0.6
+"""Metres on the ground, of the arrows of body and head."""
+_HEAD_BELOW = 0.08
+"""Height of the head's middle below the top of a box, in its heights."""
+_INTERVAL = 1.96
+"""Standard deviations to each side, of the sectors that hold 95 %."""
+_WIDEST = np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class ShownPerson:
+    """An estimated person in one frame.
+
+    Attributes
+    ----------
+    track_id : whose colour it has
+    box : (4,) left, top, width, height in pixels
+    seen : whether somebody was seen there; else the box is where it should be
+    position : (2,) metres
+    body, body_std, head, head_std : radians; NaN where not known
+    path : (n, 2) pixels, on the ground, of the last seconds
+    """
+
+    track_id: int
+    box: FloatArray
+    seen: bool
+    position: FloatArray
+    body: float
+    body_std: float
+    head: float
+    head_std: float
+    path: FloatArray
+
+
+def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera: GroundCamera) -> Image:
+    """A frame with people's boxes, identities and paths, in colours that each person keeps.
+
+    At the feet a sector lies on the ground, in which the body points with 95 % probability, and an arrow at
+    the estimate; at the head the same of the head, light. Who was not seen has a dashed box, where the
+    estimate is.
+
+    Parameters
+    ----------
+    words : in the corner
+    camera : over the ground
+    """
+    picture, factor = marks.enlarged_image(image), marks.enlargement(image)
+    width = marks.line_width(picture)
+    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # near is in front
+    for person in people:
+        _path(picture, person, factor, width)
+    for person in people:
+        colour = marks.person_colour(person.track_id)
+        on_ground, at_head = _planes_of(person, camera, factor)
+        _sector(picture, on_ground, person.body, person.body_std, colour)
+        _sector(picture, at_head, person.head, person.head_std, marks.LIGHT)
+    for person in people:
+        colour = marks.person_colour(person.track_id)
+        on_ground, at_head = _planes_of(person, camera, factor)
+        (marks.box if person.seen else marks.dashed_box)(picture, person.box * factor, colour, width)
+        if np.isfinite(person.body):
+            marks.arrow(picture, on_ground, person.body, colour, 2 * width)
+        if np.isfinite(person.head):
+            marks.arrow(picture, at_head, person.head, marks.LIGHT, width)
+        marks.identity(picture, person.track_id, person.box * factor, colour, width)
+    marks.text(picture, words, (8, round(16 + 12 * width)), marks.LIGHT, 0.3 + 0.25 * width)
+    return picture
+
+
+def _path(picture: Image, person: ShownPerson, factor: int, width: int) -> None:
+    path = person.path[np.isfinite(person.path).all(axis=1)] * factor
+    if len(path) > 1:
+        colour = marks.person_colour(person.track_id)
+        for shade, wide in ((marks.DARK, width + 2), (colour, width)):
+            cv2.polylines(picture, [marks.points(path)], False, shade, wide, cv2.LINE_AA, marks.FRACTION)
+
+
+def _sector(picture: Image, place: Place, angle: float, std: float, colour: marks.Colour) -> None:
+    if np.isfinite(angle) and np.isfinite(std):
+        marks.sector(picture, place, angle, min(_INTERVAL * std, _WIDEST), colour)
+
+
+def _planes_of(person: ShownPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
+    left, top, width, height = person.box
+    head = np.array([left + width / 2.0, top + _HEAD_BELOW * height])
+    return marks.planes(camera, person.position, head, _TRACKED_RADII, lambda pixel: pixel * factor)
+
+
+_FOUND, _LOST, _PARTICLE = (80, 220, 80), (80, 80, 230), (240, 200, 60)
+_PAN = (60, 240, 255)
+_TEXT, _PANEL, _TRACK = (225, 225, 225), (38, 38, 38), (80, 80, 80)
+_PANEL_WIDTH = 190
+_ROW = 24
+
+
+def draw(image: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClasses | None = None) -> Image:
+    """A frame with everything in an estimate, and a panel on its right; always of one size for one video.
+
+    Parameters
+    ----------
+    number : of the frame
+    pan_classes : of the tracker; None for one without pans
+    """
+    factor = marks.enlargement(image)
+    shown = marks.enlarged_image(image)
+    _particles(shown, estimate, factor)
+    if estimate.pan is not None and pan_classes is not None:
+        _pointer(shown, estimate, pan_classes, factor)
+    _box(shown, estimate, factor)
+    panel = np.full((shown.shape[0], _PANEL_WIDTH, 3), _PANEL, np.uint8)
+    _panel(panel, number, estimate, pan_classes)
+    return np.asarray(np.hstack([shown, panel]), np.uint8)
+
+
+def mean_pan(estimate: BoxEstimate, pan_classes: PoseClasses) -> float:
+    """Circular mean (radians, image frame) of the tracker's distribution of the pan."""
+    assert estimate.pan is not None
+    return float(pan_classes.mean_of(estimate.pan))
+
+
+def _particles(shown: Image, estimate: BoxEstimate, factor: int) -> None:
+    """Middles of the particles; the heavier one, the larger."""
+    centres = estimate.particles[:, :2] + estimate.particles[:, 2:] / 2.0
+    share = estimate.weights / max(float(estimate.weights.max()), 1e-300)
+    for (u, v), weight in zip((centres * factor).round().astype(int).tolist(), share.tolist(), strict=True):
+        cv2.circle(shown, (u, v), 1 + round(2.0 * weight), _PARTICLE, -1, cv2.LINE_AA)
+
+
+def _box(shown: Image, estimate: BoxEstimate, factor: int) -> None:
+    left, top, width, height = (value * factor for value in estimate.box)
+    marks.box(shown, (left, top, width, height), _FOUND if estimate.found else _LOST, 2)
+    if not estimate.found:
+        first, last = (round(left), round(top)), (round(left + width), round(top + height))
+        cv2.line(shown, first, last, _LOST, 1, cv2.LINE_AA)
+        marks.text(shown, "not found", (10, 26), _LOST, 0.7)
+
+
+def _pointer(shown: Image, estimate: BoxEstimate, pan_classes: PoseClasses, factor: int) -> None:
+    """Where the face points, seen from above: down is to the camera, right the image's right."""
+    assert estimate.pan is not None
+    length = 0.9 * estimate.box[3] * factor
+
+    def place(offset: FloatArray) -> FloatArray:
+        return np.asarray(estimate.centre * factor + length * offset[:, ::-1], float)
+
+    marks.fan(shown, place, estimate.pan, pan_classes, _PAN)
+    marks.arrow(shown, place, mean_pan(estimate, pan_classes), _PAN, 2)
+
+
+def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClasses | None) -> None:
+    cv2.putText(panel, f"frame {number}", (10, 22), FONT, 0.5, _TEXT, 1, cv2.LINE_AA)
+    row = 34
+    bars = {"confidence": estimate.confidence, **estimate.cues}
+    # Cues are shares; what goes beyond 1, such as reliabilities, is drawn against the greatest.
+    greatest = max(1.0, *(value for value in bars.values() if np.isfinite(value)))
+    for name, value in bars.items():
+        if row + _ROW > len(panel):
+            return
+        _bar(panel, row, name, value, greatest if name.startswith("reliability") else 1.0)
+        row += _ROW
+    if estimate.pan is not None and pan_classes is not None and row + 150 <= len(panel):
+        _clock(panel, (_PANEL_WIDTH // 2, row + 85), estimate, pan_classes)
+        row += 160
+    if estimate.tilt is not None and row + 120 <= len(panel):
+        _level(panel, (_PANEL_WIDTH // 2 - 24, row + 68), estimate.tilt)
+
+
+def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
+    """A bar that is full at ``full``."""
+    whole = _PANEL_WIDTH - 20
+    share = float(np.clip(value / full, 0.0, 1.0)) if np.isfinite(value) else 0.0
+    # OpenCV's letters are ASCII; a long name is written smaller, so that its end is seen.
+    text = f"{name} {value:.2f}".replace("·", " x ").encode("ascii", "replace").decode()
+    length = cv2.getTextSize(text, FONT, 0.4, 1)[0][0]
+    cv2.putText(panel, text, (10, row + 12), FONT, 0.4 * min(1.0, whole / length), _TEXT, 1, cv2.LINE_AA)
+    cv2.rectangle(panel, (10, row + 16), (10 + whole, row + 20), _TRACK, -1)
+    cv2.rectangle(panel, (10, row + 16), (10 + round(share * whole), row + 20), _PARTICLE, -1)
+
+
+def _clock(panel: Image, middle: tuple[int, int], estimate: BoxEstimate, pan_classes: PoseClasses) -> None:
+    """The distribution of the pan around a circle, 0 below and +90° right, and a hand at its mean."""
+    assert estimate.pan is not None
+    centre, radius = np.array(middle), 48.0
+    cv2.circle(panel, middle, round(radius), _TRACK, 1, cv2.LINE_AA)
+    highest = max(float(estimate.pan.max()), 1e-300)
+    for pan, p in zip(pan_classes.pan.tolist(), (estimate.pan / highest).tolist(), strict=True):
+        out = np.array([np.sin(pan), np.cos(pan)])
+        ends = [centre + r * out for r in (radius, radius + 1.0 + 18.0 * p)]
+        points = [tuple(int(value) for value in end.round()) for end in ends]
+        cv2.line(panel, points[0], points[1], _PARTICLE, 3, cv2.LINE_AA)
+    pan = mean_pan(estimate, pan_classes)
+    tip = centre + 0.85 * radius * np.array([np.sin(pan), np.cos(pan)])
+    cv2.arrowedLine(panel, middle, tuple(int(value) for value in tip.round()), _PAN, 2, cv2.LINE_AA)
+    text = f"pan {round(float(np.rad2deg(pan))):+d} deg"
+    cv2.putText(panel, text, (middle[0] - 42, middle[1] - 72), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
+
+
+def _level(panel: Image, middle: tuple[int, int], tilt: float) -> None:
+    """The tilt, seen from the side: level to the right, the hand above it where the head looks up."""
+    radius = 48
+    cv2.ellipse(panel, middle, (radius, radius), 0, -90, 90, _TRACK, 1, cv2.LINE_AA)
+    cv2.line(panel, middle, (middle[0] + radius, middle[1]), _TRACK, 1, cv2.LINE_AA)
+    tip = (round(middle[0] + 0.85 * radius * np.cos(tilt)), round(middle[1] - 0.85 * radius * np.sin(tilt)))
+    cv2.arrowedLine(panel, middle, tip, _PAN, 2, cv2.LINE_AA)
+    text = f"tilt {round(float(np.rad2deg(tilt))):+d} deg"
+    cv2.putText(panel, text, (middle[0] - 18, middle[1] - 54), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)

@@ -1,0 +1,331 @@
+"""CAVIAR's lobby adapted to itself: learned on some sequences of the view, judged on another one.
+
+The camera looks down, so that people lean in the picture; `perception.ground.upright` turns them upright.
+
+Town Centre adapted to itself, and tracked by every method: nobody is judged by models that saw them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from graphtrack.errors import InputError
+from graphtrack.evaluation.identities import score
+from graphtrack.experiments.harness import Cell, Progress, Table, quietly
+from graphtrack.geometry.angles import FloatArray, difference, direction
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io import read
+from graphtrack.io.cameras import read_calibration
+from graphtrack.io.formats.caviar import FPS, lobby_camera
+from graphtrack.smoothing import smooth
+from graphtrack.tracks.track import Track, TrackSet
+from perception.adaptation.directions import CLASSES, folds_of, with_outliers
+from perception.adaptation.labels import looks_of, patches_in, walking_labels
+from perception.adaptation.learning import (
+    AdaptationParameters,
+    PackageModels,
+    Recording,
+    adapted,
+    learn,
+    thinned,
+)
+from perception.adaptation.models import CameraModels
+from perception.detection.boxes import PersonBox, read_boxes
+from perception.ground.upright import LeaningView
+from perception.images.frames import FrameSource
+from perception.images.pixels import Image
+from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+from perception.observe.pipeline import Models, SeenPerson, by_frame, observe_frame
+from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
+
+
+@dataclass(frozen=True, eq=False)
+class LobbySequence:
+    """A sequence of the lobby.
+
+    Attributes
+    ----------
+    name : of the sequence
+    recording : frames and labelled boxes
+    gaze : by frame and person the labelled one, radians in the image frame
+    """
+
+    name: str
+    recording: Recording
+    gaze: dict[tuple[int, int], float]
+
+
+def sequences_of(folder: Path) -> list[LobbySequence]:
+    """The lobby's sequences of a CAVIAR folder, as far as their frames are there.
+
+    Raises
+    ------
+    InputError
+        If there are less than two.
+    """
+    paths = [path for path in sorted(folder.glob("xml/*.xml")) if (folder / "frames" / path.stem).is_dir()]
+    if len(paths) < 2:
+        raise InputError(
+            f"{len(paths)} sequences", "two or more in frames/NAME and xml/NAME.xml", path=folder
+        )
+    return [_sequence(path, folder / "frames" / path.stem) for path in paths]
+
+
+def _sequence(path: Path, folder: Path) -> LobbySequence:
+    camera, frames = lobby_camera(), FrameSource.open(folder)
+    there = set(frames.numbers())
+    people = [item for item in read_boxes(path) if item.frame in there]
+    gaze: dict[tuple[int, int], float] = {}
+    for track in quietly(path):
+        if track.head is None:
+            continue
+        angle = camera.image_angle(track.head, track.position)
+        for frame, value in zip(track.frame.tolist(), angle.tolist(), strict=True):
+            if np.isfinite(value):
+                gaze[frame, track.track_id] = value
+    return LobbySequence(path.stem, Recording(frames, people, FPS), gaze)
+
+
+def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
+    """Tells nobody how far it came."""
+    return nullcontext(lambda done: None)
+
+
+def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
+    """Errors in each sequence by what the others taught."""
+    package = PackageModels(
+        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
+    )
+    rows = []
+    for one in sequences:
+        others = [other.recording for other in sequences if other is not one]
+        rng = np.random.default_rng(seed)
+        found = adapted(others, lobby_camera(), package, rng, _silent, lambda reason: None)
+        rows.append(_sequence_errors(found.models, package, one, found.people))
+        progress(1)
+    return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)
+
+
+def _sequence_errors(
+    models: CameraModels, package: PackageModels, sequence: LobbySequence, taught_by: int
+) -> dict[str, Cell]:
+    camera, recording = lobby_camera(), sequence.recording
+    people = recording.people
+    view = LeaningView.of(camera, recording.frames.size())
+    labels = walking_labels(people, None, camera, recording.rate, view=view)
+    walking = {
+        (people[k].frame, people[k].track_id): angle
+        for k, angle in zip(labels.box.tolist(), labels.angle.tolist(), strict=True)
+    }
+    wanted = walking.keys() | sequence.gaze.keys()
+    parts = package.head_localiser, package.body_pose, package.head_pose
+    said = {}
+    for name, of_camera in (("taught", models), ("package", None)):
+        looking = Models(*parts, of_camera=of_camera).seeing(camera, recording.frames.size)
+        body, head, everybody = {}, {}, []
+        for frame in recording.frames:
+            of_frame = [item for item in people if (item.frame, item.track_id) in wanted]
+            of_frame = [item for item in of_frame if item.frame == frame.number]
+            if frame.image is None or not of_frame:
+                continue
+            for seen in observe_frame(frame.image, frame.number, of_frame, looking, lambda reason: None):
+                key = seen.frame, seen.track_id
+                everybody += [seen] if key in walking else []
+                body[key] = float(CLASSES.mean_pan(seen.body[None])[0])
+                head[key] = float(looking.head_classes.mean_pan(seen.pan[:1])[0])
+        said[name] = body, head
+        if of_camera is not None:
+            smoothed = _smoothed(everybody, of_camera, recording.rate)
+    body, head = said["taught"]
+    return {
+        "judged on": sequence.name,
+        "learned from (people)": taught_by,
+        "walking (people)": len(np.unique(labels.person)),
+        "boxes": len(walking),
+        "body, walking": _error(body, walking),
+        "body, smoothed": _error(smoothed, walking),
+        "head, walking": _error(head, walking),
+        "head against gaze": _error(head, sequence.gaze),
+        "travel against gaze": _error(walking, sequence.gaze),
+        "gazes": len(sequence.gaze),
+        "the package's body, walking": _error(said["package"][0], walking),
+        "in learning: body of people left out": models.card.figures["body_error_deg"],
+    }
+
+
+def _smoothed(seen: list[SeenPerson], models: CameraModels, rate: float) -> dict[tuple[int, int], float]:
+    """The body as the graph has it, which knows how people move besides, radians in the image frame."""
+    camera = lobby_camera()
+    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, rate).tracks
+    found: dict[tuple[int, int], float] = {}
+    for track in estimated(tracks, camera, "smoother", lambda count: None, models.graph)[0]:
+        if track.body is None:
+            continue
+        angles = camera.image_angle(track.body, track.position)
+        found |= dict(
+            zip(((frame, track.track_id) for frame in track.frame.tolist()), angles.tolist(), strict=True)
+        )
+    return found
+
+
+def _error(said: dict[tuple[int, int], float], truth: dict[tuple[int, int], float]) -> float | None:
+    """Mean of what is said where the truth is known, degrees."""
+    shared = sorted(said.keys() & truth.keys())
+    if not shared:
+        return None
+    apart = difference(np.array([said[k] for k in shared]), np.array([truth[k] for k in shared]))
+    return float(np.rad2deg(np.abs(apart).mean()))
+
+
+PARTS = 2
+"""Into which people are divided."""
+RATE = 2.5
+"""Frames a second of the recording."""
+_MATCH = 1.0
+"""Metres on the ground within which an estimate is of a true person."""
+_WALKING = 0.5
+"""Metres a second."""
+_BAND = 1.96
+
+
+def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[TrackSet, GroundCamera, float]:
+    """Town Centre's first minute as a camera sees it that learned from other people.
+
+    The people who surely walk are divided; each part is looked at by models that learned from the rest. Also
+    the mean of the graph's ``class_outlier_probability`` by these.
+    """
+    camera = read_calibration(folder / "calibration.ci")
+    frames = FrameSource.open(folder / "frames_001_150" / "img1")
+    people = read_boxes(folder / "frames_001_150" / "det.txt")
+    looks, usable = looks_of(frames, people, _nothing)
+    found = patches_in(frames, people, _nothing)
+    labels = walking_labels(people, looks, camera, RATE)
+    rng = np.random.default_rng(seed)
+    fold = folds_of(labels.person, rng, PARTS)
+    part_of = np.zeros(len(people), np.int64)
+    part_of[labels.box] = fold
+    seconds = len(frames.numbers()) / RATE
+    package = PackageModels(
+        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
+    )
+    seen: list[SeenPerson] = []
+    shares: list[float] = []
+    for part in range(PARTS):
+        parameters = AdaptationParameters()
+        rest = thinned(labels.taken(np.flatnonzero(fold != part)), parameters)
+        patches = [found[k] for k in rest.box.tolist()]
+        models = learn(patches, rest, seconds, frames.size(), package, rng, parameters)
+        rows = [k for k in np.flatnonzero(usable & (part_of == part)).tolist() if k in found]
+        seen += _seen(models, rows, people, found, looks)
+        shares.append(models.class_outlier_probability or 0.0)
+        progress(1)
+    table = to_detections(by_frame(seen), CameraModels.classes.pans, camera, RATE)
+    return associated(table.columns, table.number, people), camera, float(np.mean(shares))
+
+
+def _seen(
+    models: CameraModels,
+    rows: Sequence[int],
+    people: Sequence[PersonBox],
+    patches: dict[int, Image],
+    looks: NDArray[np.uint8],
+) -> list[SeenPerson]:
+    said = models.look_at([patches[k] for k in rows], [people[k].box for k in rows])
+    return [
+        SeenPerson(
+            people[k].frame, people[k].track_id, people[k].box, *one, score=people[k].score, looks=looks[k]
+        )
+        for k, one in zip(rows, said, strict=True)
+    ]
+
+
+def _nothing(reason: str) -> None:
+    """Of boxes that hold nothing."""
+
+
+def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
+    """Position, body and head of those who walk, and identities, by every method of `perception report`."""
+    tracks, camera, share = observed_by_others(folder, seed, progress)
+    truth = read(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
+    reference = _travel(truth)
+    rows = []
+    for method in methods:
+        for news in (None, share):
+            graph = (lambda model: model) if news is None else partial(with_outliers, share=news)
+            found, _ = estimated(tracks, camera, method, lambda count: None, graph)
+            known = score(found, truth, metres=_MATCH).together
+            rows.append(
+                {
+                    "method": method,
+                    "outliers": "as packaged" if news is None else f"{news:.2f}, learned",
+                    **_method_errors(found, reference),
+                    "IDF1": known.idf1,
+                    "MOTA": known.mota,
+                }
+            )
+        progress(1)
+    return Table.of("Town Centre's first minute by every method, models of other people", rows)
+
+
+Reference = dict[int, tuple[FloatArray, FloatArray, FloatArray]]
+"""By frame: true positions (n, 2), directions of travel (n,), and speeds (n,)."""
+
+
+def _travel(truth: TrackSet) -> Reference:
+    """Where people truly are and go, of those who are seen in more than a few frames."""
+    long = truth.with_tracks(replace(track, body=None, head=None) for track in truth if len(track) >= 4)
+    found: dict[int, list[tuple[FloatArray, float, float]]] = {}
+    for track in smooth(long, "position"):
+        assert track.velocity is not None
+        speed, way = np.linalg.norm(track.velocity, axis=1), direction(track.velocity)
+        for k, frame in enumerate(track.frame.tolist()):
+            found.setdefault(frame, []).append((track.position[k], float(way[k]), float(speed[k])))
+    return {
+        frame: (
+            np.array([place for place, _, _ in one]),
+            np.array([way for _, way, _ in one]),
+            np.array([speed for _, _, speed in one]),
+        )
+        for frame, one in found.items()
+    }
+
+
+def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
+    of_frame: dict[int, list[tuple[Track, int]]] = {}
+    for track in found:
+        for k, frame in enumerate(track.frame.tolist()):
+            of_frame.setdefault(frame, []).append((track, k))
+    away: list[float] = []
+    errors: dict[str, list[float]] = {"body": [], "head": []}
+    inside: dict[str, list[bool]] = {"body": [], "head": []}
+    for frame, rows in of_frame.items():
+        if frame not in reference:
+            continue
+        places, ways, speeds = reference[frame]
+        apart = np.linalg.norm(np.array([track.position[k] for track, k in rows])[:, None] - places, axis=2)
+        for i, j in zip(*linear_sum_assignment(np.minimum(apart, 2.0 * _MATCH)), strict=True):
+            if apart[i, j] > _MATCH or speeds[j] < _WALKING:
+                continue
+            track, k = rows[i]
+            away.append(float(apart[i, j]))
+            for name, angle in (("body", track.body), ("head", track.head)):
+                if angle is None or not np.isfinite(angle[k]):
+                    continue
+                error = float(np.abs(difference(angle[k], ways[j])))
+                errors[name].append(error)
+                std = track.std(name)
+                if std is not None and np.isfinite(std[k]):
+                    inside[name].append(error <= _BAND * std[k])
+    row: dict[str, Cell] = {"rows": len(away), "position (m)": float(np.median(away))}
+    for name, values in errors.items():
+        row[f"{name} (°)"] = float(np.rad2deg(np.mean(values))) if values else None
+        row[f"{name} within 95 %"] = 100.0 * float(np.mean(inside[name])) if inside[name] else None
+    return row

@@ -1,0 +1,384 @@
+"""The reliability and the confusion of pose classifiers, as a figure.
+
+The network's last layer learned anew on a part of heads and judged on the rest (Baxter et al. 2014,
+§III-C, Fig. 3).
+
+Recognition of nine pans as Ba & Odobez (2003) measure it, on rendered heads.
+
+How good body and head by keypoints are, on rendered people whose skeleton is known.
+
+Chen et al.'s perception as printed beside ours, learned from the same rendered images and judged on the
+same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+from scipy.special import log_softmax
+
+from graphtrack.geometry.angles import FloatArray, difference
+from perception.images.pixels import Image
+from perception.pose.classes import PoseClasses
+from perception.pose.classifier import FeatureClassifier, PoseScores, evaluate, reliability
+from perception.pose.deep_belief import DeepBelief
+from perception.pose.exemplars import Density, Exemplars
+from perception.pose.head_detection import HeadLocaliser
+from perception.pose.keypoints import BODY, HEAD, KeypointPose
+from perception.synthetic import make_pedestrians
+from perception.synthetic.heads import HeadSet, HeadVariation, make_heads
+from perception.synthetic.people import Appearance, random_appearance
+from perception.synthetic.skeletons import (
+    NetworkErrors,
+    Skeletons,
+    make_rendered_skeletons,
+    make_skeletons,
+    perceived,
+)
+from perception.training import FOUND_AS_WALKING, PUBLISHED, localisation_figures, train_on_rendered
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+
+
+def class_rates(confusion: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Return the true and false positive rates (k,) of each class; NaN for classes unseen."""
+    of_class, said, hits = confusion.sum(axis=1), confusion.sum(axis=0), np.diag(confusion)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        false = (said - hits) / (of_class.sum() - of_class)
+        return hits / of_class, np.where(of_class > 0, false, np.nan)
+
+
+def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, np.ndarray]) -> Figure:
+    """Accuracy against confidence of classifiers by name, and the confusion matrix of each.
+
+    Parameters
+    ----------
+    scores : on the same kind of images
+    degrees : (n_pan,) centres of the pan classes of each
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.2 + 3.4 * len(scores), 3.9 + 0.16 * len(scores)), layout="constrained")
+    curves, *squares = figure.subplots(1, 1 + len(scores), width_ratios=[1.2] + [1.0] * len(scores))
+    curves.plot([0, 1], [0, 1], color="#8A8F98", lw=1, ls="--")
+    for (name, found), colour in zip(scores.items(), _COLOURS * len(scores), strict=False):
+        curve = found.reliability
+        label = f"{name.replace('_', ' ')}, error {curve.expected_calibration_error:.3f}"
+        curves.plot(curve.confidence, curve.accuracy, color=colour, lw=1.2, label=label)
+        curves.scatter(
+            curve.confidence, curve.accuracy, s=160 * curve.count / curve.count.sum(), color=colour
+        )
+    curves.set(xlim=(0, 1), ylim=(0, 1), xlabel="likelihood of the most likely class", ylabel="share right")
+    curves.set_title("Reliability (area of a dot: images)", fontsize=10)
+    # Below the axes: inside, it would cover curves of classifiers that are too modest.
+    curves.legend(
+        fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.16), borderaxespad=0.0, frameon=False
+    )
+    for (name, found), axes in zip(scores.items(), squares, strict=True):
+        order = np.argsort(degrees[name])
+        ticks = [f"{degree:.0f}" for degree in degrees[name][order]]
+        title = f"{name.replace('_', ' ')}: {100 * found.accuracy:.0f} % right"
+        draw_confusion(axes, found.confusion[np.ix_(order, order)], ticks, title, numbers=len(ticks) <= 8)
+    return figure
+
+
+def draw_confusion(
+    axes: Axes, confusion: NDArray[np.number], names: Sequence[str], title: str, *, numbers: bool = True
+) -> None:
+    """Draw a confusion matrix (n, n), rows the true classes, in per cent of the true class.
+
+    Parameters
+    ----------
+    names : of the classes, degrees
+    numbers : whether cells show their per cent
+    """
+    percent = 100.0 * confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1e-9)
+    axes.imshow(percent, cmap="Blues", vmin=0.0, vmax=100.0)
+    axes.set_xticks(range(len(names)), names, fontsize=7, rotation=90)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    for (row, column), value in np.ndenumerate(percent):
+        if numbers and value >= 0.5:
+            colour = "white" if value > 50.0 else "black"
+            axes.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=colour)
+    axes.set(xlabel="most likely (°)", ylabel="true (°)")
+    axes.set_title(title, fontsize=9)
+
+
+PENALTY = 1e-3
+"""Of the squared weights, for standardised inputs."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplitScores:
+    """What the last layer makes of heads that it was not learned from, over all repetitions.
+
+    Attributes
+    ----------
+    confusion : (k, k) heads by true (row) and most likely (column) class
+    mean_error : degrees, of the centre of the most likely class
+    rates : (repetitions,) share of the most likely classes that are right
+    """
+
+    confusion: NDArray[np.int64]
+    mean_error: float
+    rates: FloatArray
+
+
+def split_scores(
+    model: DeepBelief,
+    images: Sequence[Image],
+    pan: ArrayLike,
+    share: float,
+    rng: np.random.Generator,
+    *,
+    repetitions: int = 5,
+    groups: ArrayLike | None = None,
+) -> SplitScores:
+    """Learn the last layer on a share of the heads and their reflections, and judge it on the rest.
+
+    Parameters
+    ----------
+    model : whose other layers stay
+    images : of heads, cut out
+    pan : (n,) radians in the image frame
+    share : that is learned from; 0.8 for 80:20
+    rng : source of the splits
+    repetitions : splits
+    groups : (n,) who each head is, so that nobody is in both parts; else heads are split one by one
+    """
+    classes, pan = model.classes, np.asarray(pan, float)
+    labels = classes.index(pan)
+    hidden, mirrored = hidden_both_ways(model, images)
+    unit = np.arange(len(labels)) if groups is None else np.asarray(groups)
+    confusion = np.zeros((len(classes), len(classes)), np.int64)
+    errors, rates = [], []
+    for _ in range(repetitions):
+        names = rng.permutation(np.unique(unit))
+        learned = np.isin(unit, names[: max(1, round(share * len(names)))])
+        inputs = np.concatenate([hidden[learned], mirrored[learned]])
+        of_inputs = np.concatenate([labels[learned], classes.reflected(labels[learned])])
+        weight, bias = softmax_layer(inputs, of_inputs, len(classes))
+        found = (hidden[~learned] @ weight + bias).argmax(axis=1)
+        np.add.at(confusion, (labels[~learned], found), 1)
+        errors.append(np.abs(difference(classes.pan[found], pan[~learned])))
+        rates.append(float(np.mean(found == labels[~learned])))
+    return SplitScores(confusion, float(np.degrees(np.concatenate(errors).mean())), np.array(rates))
+
+
+def hidden_both_ways(
+    model: DeepBelief, images: Sequence[Image]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """The last hidden layer (n, d) of heads, and of their reflections."""
+    mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in images]
+    return model.hidden(model.features(images)), model.hidden(model.features(mirrored))
+
+
+def softmax_layer(
+    inputs: NDArray[np.floating], labels: NDArray[np.int64], n_classes: int, *, penalty: float = PENALTY
+) -> tuple[FloatArray, FloatArray]:
+    """Weights (d, n_classes) and biases (n_classes,) of multinomial logistic regression; it is convex."""
+    mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
+    x = (np.asarray(inputs, float) - mean) / spread
+    rows, size = np.arange(len(labels)), x.shape[1] * n_classes
+
+    def loss(values: FloatArray) -> tuple[float, FloatArray]:
+        weight, bias = values[:size].reshape(-1, n_classes), values[size:]
+        log_p = log_softmax(x @ weight + bias, axis=1)
+        slope = np.exp(log_p)
+        slope[rows, labels] -= 1.0
+        slope /= len(labels)
+        gradient = np.concatenate([(x.T @ slope + penalty * weight).ravel(), slope.sum(axis=0)])
+        return -float(log_p[rows, labels].mean()) + 0.5 * penalty * float(np.sum(weight**2)), gradient
+
+    start = np.zeros(size + n_classes)
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x
+    weight = found[:size].reshape(-1, n_classes) / spread[:, None]
+    return weight, np.asarray(found[size:] - mean @ weight, float)
+
+
+ALIGNED = HeadVariation(size=(64, 64), offset=0.0, scale=0.0, roll=0.0, elevation=(0.0, 0.0), shoulders=0.05)
+"""Heads as in a studio: tight boxes at the camera's height, tilt set by the caller."""
+
+
+@dataclass(frozen=True)
+class RecognitionRow:
+    """One cell of Ba & Odobez's Tables 1 and 3: recognition rate (mean and 1-σ over the repetitions)."""
+
+    exemplars: int
+    density: Density
+    rate: float
+    deviation: float
+
+
+def recognition_table(
+    people: int,
+    exemplars: Sequence[int],
+    rng: np.random.Generator,
+    *,
+    repetitions: int = 1,
+    as_published: bool = False,
+) -> tuple[list[RecognitionRow], FloatArray]:
+    """Ba & Odobez's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits), rendered.
+
+    With ``as_published`` the exemplars are those of `Exemplars.as_published`.
+
+    Half of the people train, the other half test; each is seen once at the nine pans −90° … 90°.
+
+    Returns
+    -------
+    The rows, and the confusion matrix (9, 9) in percent (Ba & Odobez's Table 2) of two exemplars (or the
+    last number asked for) with the saturated density, over all repetitions.
+    """
+    classes = PoseClasses.half_circle()
+    persons = [random_appearance(rng) for _ in range(people)]
+    heads, labels = _one_of_each(persons, classes, rng)
+    person = np.arange(len(labels)) // len(classes)
+    rates: dict[tuple[int, Density], list[float]] = {}
+    confusion = np.zeros((len(classes), len(classes)))
+    shown = 2 if 2 in exemplars else exemplars[-1]
+    for train, test in _splits(people, repetitions, rng):
+        fitted, judged = (np.flatnonzero(np.isin(person, part)) for part in (train, test))
+        for count, density in _cells(exemplars):
+            model = Exemplars(classes, exemplars=count, density=density, plain=as_published)
+            features = model.features([heads.images[i] for i in fitted])
+            model.fit_features(features, labels[fitted], np.random.default_rng(0))
+            found = model.scores(model.features([heads.images[i] for i in judged])).argmax(axis=1)
+            rates.setdefault((count, density), []).append(float(np.mean(found == labels[judged])))
+            if (count, density) == (shown, "saturated"):
+                np.add.at(confusion, (labels[judged], found), 1.0)
+    rows = [RecognitionRow(*cell, float(np.mean(r)), float(np.std(r))) for cell, r in rates.items()]
+    return rows, 100.0 * confusion / confusion.sum(axis=1, keepdims=True)
+
+
+def _cells(exemplars: Sequence[int]) -> Iterator[tuple[int, Density]]:
+    for count in exemplars:
+        yield count, "gaussian"
+        yield count, "saturated"
+
+
+def _one_of_each(
+    persons: list[Appearance], classes: PoseClasses, rng: np.random.Generator
+) -> tuple[HeadSet, NDArray[np.int64]]:
+    """Every person at every pan, person by person."""
+    labels = np.tile(np.arange(len(classes)), len(persons))
+    looks = [person for person in persons for _ in range(len(classes))]
+    count = len(labels)
+    return make_heads(
+        count, rng, ALIGNED, pan=classes.pan[labels], tilt=np.zeros(count), people=looks
+    ), labels
+
+
+def _splits(
+    people: int, repetitions: int, rng: np.random.Generator
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    for _ in range(repetitions):
+        order = rng.permutation(people)
+        yield order[: people // 2], order[people // 2 :]
+
+
+_SIZES = ((30.0, 50.0), (50.0, 100.0), (100.0, 200.0))
+_NETWORKS = {
+    "as in training": NetworkErrors(),
+    "points half as far off": NetworkErrors(deviation=0.5, pixels=0.5),
+    "points 1.5 times as far off": NetworkErrors(deviation=1.5, pixels=1.5),
+    "left and right exchanged in a tenth": NetworkErrors(swapped=0.1),
+    "without confidences": NetworkErrors(unsaid=1.0),
+    "unsure points left out": NetworkErrors(cut=1.0, unsaid=0.0),
+}
+
+
+def keypoint_table(model: KeypointPose, count: int, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Rows of errors in degrees and calibration errors: sizes of people, and kinds of networks.
+
+    Parameters
+    ----------
+    count : rendered people of each size
+    """
+    rows = []
+    sets = [make_rendered_skeletons(count, rng, size) for size in _SIZES]
+    for (least, most), people in zip(_SIZES, sets, strict=True):
+        rows.append(_row(f"rendered, {least:g}-{most:g} pixels", model, people, NetworkErrors(), rng))
+    for name, errors in _NETWORKS.items():
+        rows.append(_row(f"rendered, all sizes: {name}", model, joined(sets), errors, rng))
+    drawn = make_skeletons(3 * count, rng, (_SIZES[0][0], _SIZES[-1][1]))
+    rows.append(_row("skeletons as in training", model, drawn, NetworkErrors(), rng))
+    return rows
+
+
+def joined(sets: list[Skeletons]) -> Skeletons:
+    """All people together."""
+    names = ("points", "visibility", "height", "body", "head")
+    return Skeletons(*(np.concatenate([getattr(people, name) for people in sets]) for name in names))
+
+
+def _row(
+    name: str, model: KeypointPose, people: Skeletons, errors: NetworkErrors, rng: np.random.Generator
+) -> dict[str, Any]:
+    points = perceived(people.points, people.visibility, people.height, rng, errors)
+    found: dict[str, Any] = {"people": name}
+    parts = (("body", BODY, model.body, people.body), ("head", HEAD, model.head, people.head))
+    for part, classes, layers, angle in parts:
+        of_part = _figures(classes, layers.log_likelihoods(points), angle)
+        found |= {f"{part}_{figure}": value for figure, value in of_part}
+    return found
+
+
+def _figures(
+    classes: PoseClasses, log_likelihood: FloatArray, angle: FloatArray
+) -> Iterator[tuple[str, float]]:
+    error = np.degrees(np.abs(difference(classes.mean_pan(log_likelihood), angle)))
+    yield "mean_deg", float(error.mean())
+    yield "median_deg", float(np.median(error))
+    yield "beyond_90_percent", 100.0 * float((error > 90.0).mean())
+    curve = reliability(log_likelihood, classes.index(angle))
+    yield "calibration_error", curve.expected_calibration_error
+
+
+FORMS = {"ours": False, "as printed": True}
+
+
+def published_beside_ours(
+    train: int, count: int, rng: np.random.Generator, *, seed: int = 0
+) -> dict[str, list[dict[str, str | float]]]:
+    """Rows of figures by model: head localiser, body pose and templates in both forms.
+
+    Parameters
+    ----------
+    train : rendered images that each learns from
+    count : other images that they are judged on
+    rng : source of those
+    seed : of the training
+    """
+    people = make_pedestrians(count, rng)
+    exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
+    rows: dict[str, list[dict[str, str | float]]] = {name: [] for name in PUBLISHED}
+    for name in PUBLISHED:
+        for form, as_published in FORMS.items():
+            model = train_on_rendered(
+                name, images=train, test_images=50, seed=seed, as_published=as_published
+            )
+            if isinstance(model, HeadLocaliser):
+                rows[name].append({"form": form, **localisation_figures(model, people)})
+                continue
+            assert isinstance(model, FeatureClassifier)
+            if name == "body_pose":
+                sets = {"people of 70-140 pixels": (people.images, people.body)}
+            else:
+                sets = {
+                    "heads of 16-32 pixels": (exact.images, exact.pan),
+                    "heads as they are found": (found.images, found.pan),
+                }
+            for what, (images, angle) in sets.items():
+                figures = evaluate(model, images, angle).figures()
+                rows[name].append({"form": form, "images": what, **figures})
+    return rows

@@ -1,0 +1,540 @@
+"""What the graph adds to a tracker: errors of its boxes and pans before and after, and lost targets.
+
+The head trackers on rendered sequences before things of the head's own colours, scored as in Ba & Odobez
+2003, §4.2.
+
+The trackers of heads on real heads of Oxford Town Centre, at the few frames a second that are at hand.
+
+Ba & Odobez 2003, Tables 1 to 3: identification of the pan of still heads, and which pans are taken for
+which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.experiments.harness import Cell, Progress, Settings, Table
+from graphtrack.geometry.angles import FloatArray, difference, direction
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.formats.towncentre import FPS
+from graphtrack.model import Model
+from graphtrack.smoothing import smooth
+from graphtrack.tracks.track import TrackSet
+from perception.evaluation.classifiers import RecognitionRow, recognition_table
+from perception.experiments.street_heads import STEP, WALKING, head_boxes, labelled_runs
+from perception.follow.following import Followed, follow, to_track
+from perception.follow.ground import PERSON_IN_HEADS, BoxCamera
+from perception.follow.guidance import GraphGuide
+from perception.images.frames import Frame, FrameSource
+from perception.images.pixels import intersection_over_union
+from perception.pose.classes import PoseClasses
+from perception.pose.exemplars import Density
+from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
+from perception.trackers.color import ColourParameters, ColourTracker
+from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
+from perception.trackers.mixed_state import ColourMemory, MixedStateParameters, MixedStateTracker
+from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal, Tracker
+
+_HALF = 0.5
+
+
+@dataclass(frozen=True)
+class GraphOnTop:
+    """Mean errors over frames: the tracker's own, and the graph's.
+
+    Attributes
+    ----------
+    tracker_centre, graph_centre : of the middle of the box, in widths of the true box
+    tracker_pan, graph_pan : radians; NaN for a tracker that knows no pan
+    """
+
+    tracker_centre: float
+    graph_centre: float
+    tracker_pan: float
+    graph_pan: float
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Where the target is in n frames.
+
+    Attributes
+    ----------
+    boxes : (n, 4) pixels
+    pan : (n,) of the head, radians in the image frame
+    fps : frames a second
+    """
+
+    boxes: FloatArray
+    pan: FloatArray
+    fps: float
+
+
+def graph_on_top(
+    estimates: Sequence[BoxEstimate],
+    truth: Truth,
+    boxes: BoxCamera,
+    pan_classes: PoseClasses | None,
+    model: Model | str | None = None,
+    *,
+    filtered: bool = False,
+    believed: Sequence[bool] | None = None,
+    hidden: bool = False,
+) -> GraphOnTop:
+    """Smooth what a tracker said, and compare both with the truth where the target was found.
+
+    Parameters
+    ----------
+    estimates : of all frames
+    truth : of the same
+    boxes : to the ground and back
+    model : of the graph; by default the package's
+    filtered : whether the graph is given the tracker's own distribution of the pan; see `to_track`
+    believed : n, whether the graph that guided the tracker believes each; by default all
+    hidden : whether frames count in which the target was not found, or not believed
+    """
+    if believed is None:
+        believed = [True] * len(estimates)
+    followed = [
+        Followed(k, estimate, bool(is_true))
+        for k, (estimate, is_true) in enumerate(zip(estimates, believed, strict=True))
+    ]
+    observed = to_track(followed, boxes, pan_classes, truth.fps, filtered=filtered)
+    smoothed = smooth(TrackSet((observed,)), model).tracks[0]
+    found = np.asarray(np.isfinite(observed.position).all(axis=1) | hidden)
+    middle = np.array([estimate.centre for estimate in estimates])
+    height = np.array([estimate.box[3] for estimate in estimates])
+    true_middle = truth.boxes[:, :2] + truth.boxes[:, 2:] / 2.0
+    of_centre = [
+        np.linalg.norm(place - true_middle, axis=1) / truth.boxes[:, 2]
+        for place in (middle, boxes.box_centre(smoothed.position, height))
+    ]
+    of_pan = [np.full(len(found), np.nan)] * 2
+    pans = [estimate.pan for estimate in estimates if estimate.pan is not None]
+    if pan_classes is not None and smoothed.head is not None and len(pans) == len(estimates):
+        of_tracker = pan_classes.mean_of(np.array(pans))
+        of_graph = boxes.camera.image_angle(smoothed.head, smoothed.position)
+        of_pan = [np.abs(difference(pan, truth.pan)) for pan in (of_tracker, of_graph)]
+    means = [float(error[found].mean()) for error in (*of_centre, *of_pan)]
+    return GraphOnTop(*means)
+
+
+def survives(
+    found_boxes: FloatArray,
+    true_boxes: FloatArray,
+    visible: FloatArray,
+    *,
+    after: int = 10,
+    share: float = 0.9,
+) -> bool:
+    """Whether a tracker is on its target again after an occlusion.
+
+    That is: its boxes (n, 4) overlap the true ones (n, 4) in at least ``share`` of the frames from ``after``
+    frames after the target's reappearance on. It reappears when half of it is seen (``visible`` (n,), 0…1)
+    after it was last hidden altogether.
+    """
+    hidden = np.flatnonzero(visible == 0.0)
+    last = int(hidden[-1]) if len(hidden) else -1
+    back = np.flatnonzero((visible >= _HALF) & (np.arange(len(visible)) > last))
+    if not len(back) or back[0] + after >= len(visible):
+        raise ValueError("the target does not come back before the end")
+    rest = slice(int(back[0]) + after, None)
+    overlap = intersection_over_union(found_boxes[rest], true_boxes[rest])
+    return bool(np.mean(overlap > 0.0) >= share)
+
+
+SEQUENTIAL, REMEMBERED = "colour, then pose", "colour with memory, then pose"
+JOINT, AS_PRINTED = "mixed-state", "mixed-state, as in the paper"
+OUR_EXEMPLARS = "mixed-state, as in the paper with our exemplars"
+
+_MEMORY = ColourMemory().rate
+
+METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
+    SEQUENTIAL: lambda exemplars, seed: ColourTracker(
+        ColourParameters.of_the_paper(), exemplars=exemplars, seed=seed
+    ),
+    REMEMBERED: lambda exemplars, seed: ColourTracker(
+        ColourParameters(rate=_MEMORY), exemplars=exemplars, seed=seed
+    ),
+    AS_PRINTED: lambda exemplars, seed: MixedStateTracker(MixedStateParameters.of_the_paper(), seed=seed),
+    OUR_EXEMPLARS: lambda exemplars, seed: MixedStateTracker(
+        MixedStateParameters.of_the_paper(), exemplars=exemplars, seed=seed
+    ),
+    JOINT: lambda exemplars, seed: MixedStateTracker(exemplars=exemplars, seed=seed),
+}
+"""Same frames, first box, number of particles and motion of boxes for all. The memory of colours is that of
+the mixed-state tracker; as in the paper: `MixedStateParameters.of_the_paper`, with plain exemplars or with
+those of the others."""
+
+PAN_LIMIT = float(np.pi / 2.0)
+"""Ba & Odobez (2003) know heads that face the camera by 90° at most; in its experiment all methods do."""
+
+
+@dataclass(frozen=True)
+class HeadJob:
+    """One sequence.
+
+    Attributes
+    ----------
+    seed : of the sequence and of the trackers
+    frames : its length
+    all_around : whether the head turns through all pans; if not, methods know that it faces the camera
+    occlusion : first frame and number of frames in which the head is hidden
+    clutter : amount of things of the head's colours
+    tilt : 1-σ of the head's tilt, radians
+    methods : which of `METHODS`
+    """
+
+    seed: tuple[int, ...]
+    frames: int = 100
+    all_around: bool = False
+    occlusion: tuple[int, int] | None = None
+    clutter: float = 1.0
+    tilt: float = 0.12
+    methods: tuple[str, ...] = (SEQUENTIAL, JOINT)
+
+    def render(self) -> HeadClip:
+        """The sequence."""
+        parameters = HeadClipParameters(
+            frames=self.frames,
+            all_around=self.all_around,
+            occlusion=self.occlusion,
+            clutter=self.clutter,
+            tilt=self.tilt,
+        )
+        return head_clip(np.random.default_rng(self.seed), parameters)
+
+    def tracker(self, method: str) -> Tracker:
+        """A tracker for it."""
+        exemplars = load_head_exemplars()
+        if not self.all_around:
+            exemplars = exemplars.within(PAN_LIMIT)
+        return METHODS[method](exemplars, self.seed[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One method on one sequence of n frames.
+
+    Attributes
+    ----------
+    boxes : (n, 4) pixels
+    error : (n,) e(t), 0…1
+    pan : (n,) estimated pan (radians), mean of the distribution
+    pan_error : (n,) radians
+    mode_error : (n,) radians, of the most likely pan (eq. 10)
+    tilt_error : (n,) radians
+    on_top : what smoothing in the graph makes of it
+    """
+
+    boxes: FloatArray
+    error: FloatArray
+    pan: FloatArray
+    pan_error: FloatArray
+    mode_error: FloatArray
+    tilt_error: FloatArray
+    on_top: GraphOnTop
+
+    @property
+    def lost(self) -> bool:
+        """Whether the box did not touch the head's in some frame."""
+        return bool((self.error >= 1.0).any())
+
+
+def run_job(job: HeadJob) -> tuple[HeadClip, dict[str, Run]]:
+    """Render a sequence, follow the head with every method, and smooth that in the graph."""
+    clip = job.render()
+    runs = {}
+    for name in job.methods:
+        tracker = job.tracker(name)
+        runs[name] = scored(followed(tracker, clip), tracker.pan_classes, clip)
+    return clip, runs
+
+
+def run_occlusion(job: HeadJob) -> dict[tuple[str, bool], bool]:
+    """Whether each method, without and with the graph's guidance, is on the head after it was hidden."""
+    clip = job.render()
+    survived = {}
+    for name in job.methods:
+        for guided in (False, True):
+            found = followed(job.tracker(name), clip, guided=guided)
+            boxes = np.array([item.box for item in found])
+            survived[name, guided] = survives(boxes, clip.boxes, clip.visible)
+    return survived
+
+
+def followed(tracker: Tracker, clip: HeadClip, *, guided: bool = False) -> list[BoxEstimate]:
+    """All estimates, begun with the true box of the first frame."""
+    left, top, width, height = (float(value) for value in clip.boxes[0])
+
+    def guide(first: Box) -> GraphGuide:
+        return GraphGuide(BoxCamera.from_box(first, PERSON_IN_HEADS), tracker.pan_classes, fps=clip.fps)
+
+    frames = (Frame(k, image) for k, image in enumerate(clip.images))
+    box = (left, top, width, height)
+    found = follow(tracker, frames, lambda image: box, guide=guide if guided else None)
+    return [item.estimate for item in found]
+
+
+def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: HeadClip) -> Run:
+    """Errors of the estimates of one sequence."""
+    assert classes is not None
+    distribution = np.array([item.pan for item in found])
+    pan, mode = classes.mean_of(distribution), classes.pan[distribution.argmax(axis=1)]
+    boxes, tilt = np.array([item.box for item in found]), np.array([item.tilt for item in found], float)
+    ground = BoxCamera.from_box(found[0].box, PERSON_IN_HEADS)
+    on_top = graph_on_top(found, Truth(clip.boxes, clip.pan, clip.fps), ground, classes)
+    return Run(
+        boxes=boxes,
+        error=tracking_error(boxes, clip.boxes),
+        pan=pan,
+        pan_error=np.abs(difference(pan, clip.pan)),
+        mode_error=np.abs(difference(mode, clip.pan)),
+        tilt_error=np.abs(tilt - clip.tilt),
+        on_top=on_top,
+    )
+
+
+def tracking_error(boxes: ArrayLike, truth: ArrayLike) -> FloatArray:
+    """e(t) (n,) of boxes (n, 4): mean share of the two boxes that they do not have in common (Ba & Odobez
+    2003, §4.2)."""
+    a, b = np.asarray(boxes, float), np.asarray(truth, float)
+    low = np.maximum(a[:, :2], b[:, :2])
+    high = np.minimum(a[:, :2] + a[:, 2:], b[:, :2] + b[:, 2:])
+    shared = np.prod(np.maximum(high - low, 0.0), axis=1)
+    return 1.0 - 0.5 * (shared / np.prod(a[:, 2:], axis=1) + shared / np.prod(b[:, 2:], axis=1))
+
+
+_FEWEST, _MOST = 12, 25
+"""Pictures in a row that somebody must be in, and that are looked at."""
+_TOLD = 0.5
+"""1-σ, in sizes of the head, of the place that trackers are told."""
+
+
+@dataclass(frozen=True, eq=False)
+class WalkingHead:
+    """A head in n pictures one after the other.
+
+    Attributes
+    ----------
+    person : number
+    frame : (n,) of the pictures
+    boxes : (n, 4) of the head, pixels, by the person's labelled box
+    pan : (n,) radians, where the person goes in the image frame
+    """
+
+    person: int
+    frame: NDArray[np.int64]
+    boxes: FloatArray
+    pan: FloatArray
+
+
+def slower(dynamics: BoxDynamics, steps: int) -> BoxDynamics:
+    """The same motion of the centre over so many frames at once."""
+    a = dynamics.persistence
+    gone = (1.0 - a ** np.arange(1, steps + 1)) / (1.0 - a)
+    return replace(
+        dynamics,
+        persistence=float(a**steps),
+        centre_std=float(dynamics.centre_std * np.sqrt(np.square(gone).sum())),
+        size_std=float(dynamics.size_std * np.sqrt(steps)),
+        reversion=float(1.0 - (1.0 - dynamics.reversion) ** steps),
+    )
+
+
+def heads_of(folder: Path, most: int) -> tuple[FrameSource, list[WalkingHead]]:
+    """Return the pictures of a Town Centre folder and the heads of the ``most`` people who walk longest.
+
+    Raises
+    ------
+    InputError
+        If something of it is not there, or nobody walks.
+    """
+    frames, camera, runs = labelled_runs(folder, _FEWEST)
+    found = [head for run in runs for head in _head(*run, camera)]
+    if not found:
+        expected = f"people in {_FEWEST} pictures in a row"
+        raise InputError("nobody who walks", expected, path=folder / "boxes.csv")
+    return frames, sorted(found, key=lambda one: -len(one.frame))[:most]
+
+
+def _head(person: int, frame: NDArray[np.int64], box: FloatArray, camera: GroundCamera) -> list[WalkingHead]:
+    """The head of somebody who walks; none of others."""
+    left, top, width, height = box[:_MOST].T
+    position = camera.image_to_ground(np.column_stack([left + width / 2.0, top + height]))
+    step = np.gradient(position, axis=0)
+    if not np.linalg.norm(step, axis=1).mean() * FPS / STEP > WALKING:
+        return []
+    pan = camera.image_angle(direction(step), position)
+    return [WalkingHead(person, frame[:_MOST], head_boxes(box[:_MOST]), pan)]
+
+
+def _methods(seed: int) -> Mapping[str, tuple[Tracker, bool]]:
+    """By name: a tracker, and whether it is told about where the head is."""
+    exemplars = load_head_exemplars()
+    mixed, colour = MixedStateParameters(), ColourParameters()
+    slow = replace(mixed, dynamics=slower(mixed.dynamics, STEP))
+    slow_colour = replace(colour, dynamics=slower(colour.dynamics, STEP))
+    return {
+        "mixed-state": (MixedStateTracker(mixed, exemplars=exemplars, seed=seed), False),
+        "mixed-state, motion of 0.4 s": (MixedStateTracker(slow, exemplars=exemplars, seed=seed), False),
+        "mixed-state, told the place": (MixedStateTracker(mixed, exemplars=exemplars, seed=seed), True),
+        "colour": (ColourTracker(colour, exemplars=exemplars, seed=seed), False),
+        "colour, motion of 0.4 s": (ColourTracker(slow_colour, exemplars=exemplars, seed=seed), False),
+        "colour, told the place": (ColourTracker(colour, exemplars=exemplars, seed=seed), True),
+    }
+
+
+def heads_table(folder: Path, people: int, seed: int, progress: Progress) -> Table:
+    """What each tracker makes of heads, begun with the first labelled box."""
+    frames, heads = heads_of(folder, people)
+    rows: list[dict[str, Cell]] = []
+    every: dict[str, list[dict[str, float]]] = {}
+    for head in heads:
+        moved = np.linalg.norm(np.diff(head.boxes[:, :2] + head.boxes[:, 2:] / 2.0, axis=0), axis=1)
+        step = float(np.median(moved / head.boxes[1:, 2]))
+        pictures = list(frames.where(set(head.frame.tolist()).__contains__))
+        for name, (tracker, told) in _methods(seed).items():
+            figures = _followed(tracker, pictures, head, told=told)
+            every.setdefault(name, []).append({"step": step, **figures})
+            who: dict[str, Cell] = {"person": str(head.person), "pictures": len(head.frame), "method": name}
+            rows.append({**who, **_row(every[name][-1:])})
+        progress(1)
+    for name, figures_of in every.items():
+        mean: dict[str, Cell] = {"person": "mean", "pictures": None, "method": name}
+        rows.append({**mean, **_row(figures_of)})
+    return Table.of("Real heads (Town Centre, 2.5 pictures a second), from the first labelled box", rows)
+
+
+def _row(figures: list[dict[str, float]]) -> dict[str, Cell]:
+    names = {
+        "step": "step (head widths)",
+        "on": "on the head (%)",
+        "touching": "touching (%)",
+        "until": "pictures until it is lost",
+        "pan": "pan, while on it (°)",
+    }
+    values = {key: [one[key] for one in figures if np.isfinite(one[key])] for key in names}
+    return {label: float(np.mean(values[key])) if values[key] else None for key, label in names.items()}
+
+
+def _followed(
+    tracker: Tracker, pictures: Sequence[Frame], head: WalkingHead, *, told: bool
+) -> dict[str, float]:
+    """Figures of a tracker; one that is told has a proposal about the true place in every picture."""
+    said: list[BoxEstimate] = []
+    known = []
+    at = {frame: k for k, frame in enumerate(head.frame.tolist())}
+    for picture in pictures:
+        if picture.image is None:
+            continue
+        k = at[picture.number]
+        left, top, width, height = (float(value) for value in head.boxes[k])
+        if not said:
+            said.append(tracker.start(picture.image, (left, top, width, height)))
+        else:
+            place = np.array([left + width / 2.0, top + height / 2.0])
+            about = Proposal(place, np.diag(np.square([_TOLD * width, _TOLD * height])))
+            said.append(tracker.step(picture.image, about if told else None))
+        known.append(k)
+    boxes, truth = np.array([one.box for one in said]), head.boxes[known]
+    centre = boxes[:, :2] + boxes[:, 2:] / 2.0
+    inside = (centre >= truth[:, :2]) & (centre <= truth[:, :2] + truth[:, 2:])
+    on = np.asarray(inside.all(axis=1))
+    off = np.flatnonzero(tracking_error(boxes, truth) >= 1.0)
+    assert tracker.pan_classes is not None
+    pan = tracker.pan_classes.mean_of(np.array([one.pan for one in said]))
+    error = np.asarray(np.abs(difference(pan, head.pan[known])))
+    return {
+        "on": 100.0 * float(on[1:].mean()),
+        "touching": 100.0 * float(np.mean(tracking_error(boxes, truth)[1:] < 1.0)),
+        "until": float(off[0]) if len(off) else float(len(said)),
+        "pan": float(np.rad2deg(error[on].mean())) if on.any() else float("nan"),
+    }
+
+
+PANS = (90.0, 67.5, 45.0, 22.5, 0.0, -22.5, -45.0, -67.5, -90.0)
+"""Degrees, in the order of Ba & Odobez's Table 2."""
+
+CONFUSION = np.array(
+    [
+        [100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [14.7, 85.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 5.9, 94.1, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 5.9, 94.1, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 5.9, 94.1, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.1, 91.0, 5.9],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0],
+    ]
+)
+"""Ba & Odobez 2003, Table 2, as printed: per cent of the heads of each pan (rows) that are taken for each
+pan (columns)."""
+
+_PAPER: dict[tuple[int, Density, int], str] = {
+    (68, "gaussian", 1): "90",
+    (68, "saturated", 1): "94",
+    (68, "gaussian", 2): "87.5",
+    (68, "saturated", 2): "94.8",
+    (140, "gaussian", 3): "67.2 ± 2.4",
+    (140, "saturated", 4): "70.5 ± 2.3",
+}
+"""Ba & Odobez 2003, Tables 1 and 3: identification in per cent, by people (half of them learned from) and
+exemplars."""
+
+FIRST = 68
+"""People of Ba & Odobez's Tables 1 and 2."""
+_EXEMPLARS = {68: (1, 2), 140: (1, 2, 3, 4)}
+
+
+def still_heads(settings: Settings) -> tuple[Table, Table, FloatArray]:
+    """Tables 1 and 3 in one, Table 2, and our confusion matrix (9, 9) in per cent, in the order of `PANS`."""
+    splits = 2 if settings.quick else 10
+    records: list[dict[str, Cell]] = []
+    confusion = np.zeros((len(PANS), len(PANS)))
+    for k, (people, exemplars) in enumerate(_EXEMPLARS.items()):
+        if settings.quick:
+            people, exemplars = people // 4 // 2 * 2, exemplars[:2]
+        rows, found = recognition_table(people, exemplars, settings.rng(100 + k), repetitions=splits)
+        printed, _ = recognition_table(
+            people, exemplars, settings.rng(100 + k), repetitions=splits, as_published=True
+        )
+        records += [_record(people, *both) for both in zip(rows, printed, strict=True)]
+        if k == 0:
+            confusion = found[::-1, ::-1]
+    named = Table.of("Identification of nine pans (Ba & Odobez 2003, Tables 1 and 3)", records)
+    return named, _confusions(confusion), confusion
+
+
+def _record(people: int, row: RecognitionRow, printed: RecognitionRow) -> dict[str, Cell]:
+    return {
+        "people learned from": people // 2,
+        "exemplars a pose": row.exemplars,
+        "density": row.density,
+        "paper (%)": _PAPER.get((people, row.density, row.exemplars)),
+        "ours (%)": f"{100.0 * row.rate:.1f} ± {100.0 * row.deviation:.1f}",
+        "as printed (%)": f"{100.0 * printed.rate:.1f} ± {100.0 * printed.deviation:.1f}",
+    }
+
+
+def _confusions(ours: FloatArray) -> Table:
+    """A row for each true pan, of the paper and of ours."""
+    records: list[dict[str, Cell]] = [
+        {"true pan (°)": pan, "of": name, **_cells(matrix[k])}
+        for k, pan in enumerate(PANS)
+        for name, matrix in (("paper", CONFUSION), ("ours", ours))
+    ]
+    return Table.of(
+        "Confusions of pans in per cent, 2 exemplars, saturated density (Ba & Odobez 2003, Table 2)", records
+    )
+
+
+def _cells(row: Sequence[float] | FloatArray) -> dict[str, Cell]:
+    return {f"{pan:g}": round(float(value), 1) for pan, value in zip(PANS, row, strict=True)}

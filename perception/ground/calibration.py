@@ -1,0 +1,303 @@
+"""Which boxes tell about the ground: whole ones, grouped by people, no more than are needed.
+
+A camera without a calibration: the view that the boxes of people tell, or that they do not tell it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import PERSON_HEIGHT, write_calibration
+from perception.detection.boxes import PersonBox, foot_point
+from perception.ground.fitting import Fit, HeightData, View, fitted
+from perception.images.pixels import intersection_over_union
+
+_OVERLAP = 0.3
+_BORDER = 2.0
+
+
+def whole(box: FloatArray, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which boxes (n, 4) do not touch the border of an image of that size (columns, rows): others are cut."""
+    left, top, width, height = box.T
+    columns, rows = size
+    inside = (left > _BORDER) & (left + width < columns - _BORDER)
+    return np.asarray(inside & (top > _BORDER) & (top + height < rows - _BORDER))
+
+
+def people_of(boxes: Sequence[PersonBox]) -> NDArray[np.int64]:
+    """(n,) who is in each box, from 0: by identities or, without, by overlap from a frame to the next.
+
+    Someone who is lost and found again counts as two.
+    """
+    if boxes and boxes[0].identified:
+        ids = np.array([item.track_id for item in boxes])
+        return np.asarray(np.unique(ids, return_inverse=True)[1], np.int64)
+    frame = np.array([item.frame for item in boxes], np.int64)
+    box = np.array([item.box for item in boxes], float).reshape(-1, 4)
+    who: NDArray[np.int64] = np.full(len(boxes), -1)
+    order = np.argsort(frame, kind="stable")
+    before: NDArray[np.int64] = np.zeros(0, np.int64)
+    count = 0
+    for now in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1) if len(order) else ():
+        if len(before):
+            overlap = intersection_over_union(box[now][:, None], box[before])
+            first, second = linear_sum_assignment(-overlap)
+            near = overlap[first, second] > _OVERLAP
+            who[now[first[near]]] = who[before[second[near]]]
+        new = now[who[now] < 0]
+        who[new] = count + np.arange(len(new))
+        count += len(new)
+        before = now
+    return who
+
+
+def thinned(who: NDArray[np.int64], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Places of at most ``most`` boxes, as many of each person as possible, in their order.
+
+    Parameters
+    ----------
+    who : (n,) who is in each box
+    """
+    if len(who) <= most:
+        return np.arange(len(who))
+    order = rng.permutation(len(who))
+    by_person = order[np.argsort(who[order], kind="stable")]
+    start = np.flatnonzero(np.diff(who[by_person], prepend=-1))
+    turn = np.arange(len(who)) - np.repeat(start, np.diff(np.append(start, len(who))))
+    # Everybody's first box comes before anybody's second; within a turn the order is by chance.
+    chosen = by_person[np.lexsort((rng.permutation(len(who)), turn))[:most]]
+    return np.sort(chosen)
+
+
+_DRAWS, _BEYOND = 200, 1e3
+_STEEPEST = np.deg2rad(60.0)
+
+
+class ViewUnknown(InputError):
+    """Boxes that do not tell how the camera looks at the ground."""
+
+
+@dataclass(frozen=True)
+class CalibrationParameters:
+    """What is enough to tell a view.
+
+    Attributes
+    ----------
+    person_height : metres, of people (or rather of what boxes enclose) on average
+    least_people, least_boxes : below, nothing is said
+    most_boxes : of which a view is fitted
+    least_growth : of the boxes' heights, the 95th percentile over the 5th
+    largest_focal, largest_distance : relative 1-σ of focal length and ground distances, beyond which nothing
+        is said
+    largest_tilt : 1-σ in radians, likewise
+    wide : share of these three beyond which it is said that the view tells little
+    least_inliers : share of the boxes whose heights follow the view
+    """
+
+    person_height: float = PERSON_HEIGHT
+    least_people: int = 6
+    least_boxes: int = 20
+    most_boxes: int = 3000
+    least_growth: float = 1.15
+    largest_focal: float = 0.45
+    largest_distance: float = 0.3
+    largest_tilt: float = float(np.deg2rad(9.0))
+    wide: float = 0.5
+    least_inliers: float = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class FoundView:
+    """A view that boxes tell.
+
+    Attributes
+    ----------
+    view : focal length, tilt, roll and height
+    std : 1-σ of each, in the same units, by the names of `View`
+    distance_std : relative 1-σ of distances on the ground between people, but for the people's mean height
+    size : columns and rows of the image
+    boxes, people : that it was fitted to
+    inliers : share of the boxes whose heights follow it
+    notes : what is to be known of it
+    """
+
+    view: View
+    std: Mapping[str, float]
+    distance_std: float
+    size: tuple[int, int]
+    boxes: int
+    people: int
+    inliers: float
+    notes: tuple[str, ...]
+
+    @property
+    def camera(self) -> GroundCamera:
+        """The view as everything else knows it."""
+        return self.view.camera(self.size)
+
+    def write(self, path: str | Path) -> None:
+        """Write a calibration that `graphtrack.io.cameras.read_calibration` reads, and how uncertain it is.
+
+        Raises
+        ------
+        InputError
+            If the place cannot be written to.
+        """
+        view = self.view
+        remarks = {
+            "TiltDegrees": np.degrees(view.tilt),
+            "RollDegrees": np.degrees(view.roll),
+            "CameraHeight": view.height,
+            "FocalLengthStd": self.std["focal"],
+            "TiltDegreesStd": np.degrees(self.std["tilt"]),
+            "RollDegreesStd": np.degrees(self.std["roll"]),
+            "CameraHeightStd": self.std["height"],
+            "GroundDistanceRelativeStd": self.distance_std,
+        }
+        write_calibration(path, view.rotation, view.translation, view.intrinsics(self.size), remarks=remarks)
+
+
+def found_view(
+    boxes: Sequence[PersonBox],
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    parameters: CalibrationParameters = CalibrationParameters(),
+) -> FoundView:
+    """The view of a camera over the ground, by how high the boxes of people are at each place.
+
+    The lens is taken to be without distortion, its principal point to be the middle of the image.
+
+    Parameters
+    ----------
+    boxes : of people, some of whom may be false; with identities or without
+    size : columns and rows of the image
+    rng : chooses among more boxes than are needed
+
+    Raises
+    ------
+    ViewUnknown
+        If the view does not tell: too few people, all at one depth, a view from above, or an uncertainty
+        beyond what is of any use.
+    InputError
+        If the boxes are of another image size.
+    """
+    _check_size(boxes, size)
+    box = np.array([item.box for item in boxes], float).reshape(-1, 4)
+    kept = np.flatnonzero(whole(box, size))
+    who = people_of(boxes)[kept]
+    places = thinned(who, parameters.most_boxes, rng)
+    kept, who = kept[places], np.unique(who[places], return_inverse=True)[1]
+    people = int(who.max(initial=-1)) + 1
+    if people < parameters.least_people or len(kept) < parameters.least_boxes:
+        raise ViewUnknown(
+            f"{len(kept)} whole boxes of {people} people: the view does not tell the ground",
+            f"at least {parameters.least_boxes} of {parameters.least_people}, or a calibration",
+        )
+    feet = np.array([foot_point(item.box) for item in boxes])[kept] - np.array(size) / 2.0
+    height = box[kept, 3]
+    low, high = np.percentile(height, [5.0, 95.0])
+    if high < parameters.least_growth * low:
+        raise ViewUnknown(
+            f"people all at one depth, in boxes of {low:.0f} to {high:.0f} pixels: "
+            "the view does not tell the ground",
+            "people near and far, or a calibration",
+        )
+    fit = fitted(HeightData(feet, height, who, people, float(max(size))))
+    draws = rng.multivariate_normal(fit.vector, fit.covariance, _DRAWS)
+    distance_std = _distance_std(draws, fit.vector, feet, size, rng)
+    _check_told(fit, distance_std, parameters)
+    view = View.from_vector(fit.vector, parameters.person_height)
+    deviation = np.sqrt(np.diag(fit.covariance)).tolist()
+    std = {
+        "focal": deviation[0] * view.focal,
+        "tilt": deviation[1],
+        "roll": deviation[2],
+        "height": deviation[3] * view.height,
+    }
+    return FoundView(
+        view, std, distance_std, size, len(kept), people, fit.inliers, _notes(fit, distance_std, parameters)
+    )
+
+
+def _check_size(boxes: Sequence[PersonBox], size: tuple[int, int]) -> None:
+    """Refuse boxes of another image, as far as it shows."""
+    feet = np.array([foot_point(item.box) for item in boxes]).reshape(-1, 2)
+    inside = ((feet > 0.0) & (feet < np.array(size) * 1.05)).all(axis=1)
+    if len(feet) and inside.mean() < 0.5:
+        raise InputError(
+            f"{int((~inside).sum())} of {len(feet)} boxes outside the image of {size[0]} × {size[1]} pixels",
+            "boxes in the pixels of these frames",
+        )
+
+
+def _distance_std(
+    draws: FloatArray, best: FloatArray, feet: FloatArray, size: tuple[int, int], rng: np.random.Generator
+) -> float:
+    """Relative 1-σ, in the median, of ground distances between places where people are."""
+    chosen = feet[rng.integers(len(feet), size=(2, 200))] + np.array(size) / 2.0
+
+    def distances(vector: FloatArray) -> FloatArray:
+        ground = View.from_vector(vector, 1.0).camera(size).image_to_ground(chosen)
+        return np.asarray(np.linalg.norm(ground[0] - ground[1], axis=-1), float)
+
+    known = distances(best)
+    far = np.isfinite(known) & (known > 1.0)
+    if not far.any():
+        return float("inf")
+    ratio = np.stack([distances(one)[far] / known[far] for one in draws])
+    # Places that draws have beyond the horizon are as far as can be.
+    low, high = np.quantile(
+        np.where(np.isfinite(ratio), ratio, _BEYOND), (0.16, 0.84), axis=0, method="nearest"
+    )
+    return float(np.median((high - low) / 2.0))
+
+
+def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> None:
+    focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
+    if fit.inliers < parameters.least_inliers or fit.error > 0.3:
+        raise ViewUnknown(
+            f"boxes whose heights follow no ground plane ({100 * fit.inliers:.0f} % do)",
+            "people who stand upright on one plane, before a camera that does not move",
+        )
+    if abs(fit.vector[1]) > _STEEPEST:
+        raise ViewUnknown(
+            f"a view from above ({np.degrees(fit.vector[1]):.0f}° down): "
+            "the heights of boxes do not tell the ground",
+            "a camera that looks down by less than 60°, or a calibration",
+        )
+    beyond = (
+        focal > parameters.largest_focal,
+        tilt > parameters.largest_tilt,
+        distance_std > parameters.largest_distance,
+    )
+    if any(beyond):
+        raise ViewUnknown(
+            f"boxes that do not tell the ground: focal length ± {100 * focal:.0f} %, tilt ± "
+            f"{np.degrees(tilt):.0f}°, distances ± {100 * distance_std:.0f} %",
+            "more people, nearer and farther ones, or a calibration",
+        )
+
+
+def _notes(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> tuple[str, ...]:
+    notes = [
+        f"scale: people's boxes are taken to be {parameters.person_height:g} m high on average",
+        "the lens is taken to be without distortion, its axis to pass through the middle of the image",
+    ]
+    focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
+    share = max(
+        focal / parameters.largest_focal,
+        tilt / parameters.largest_tilt,
+        distance_std / parameters.largest_distance,
+    )
+    if share > parameters.wide:
+        notes.append("this view tells little: more people, nearer and farther ones, would tell more")
+    return tuple(notes)

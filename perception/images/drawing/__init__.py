@@ -1,1 +1,0 @@
-"""Observed and estimated people, drawn into their frames."""

@@ -1,0 +1,379 @@
+"""Rows of detections, which stand alone, made some frames at a time.
+
+Tracks of observed people, made in two passes over the frames: few of them are in memory at a time.
+
+Estimates of the people in boxes: identities, then position, motion, body and head.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.association.associate import associate
+from graphtrack.errors import InputError
+from graphtrack.evaluation.compare import make_method, own_model
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.offline import engine_of
+from graphtrack.inference.result import Solution
+from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
+from graphtrack.model import Model
+from graphtrack.smoothing import solve_tracks
+from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
+from graphtrack.tracks.validation import APPEARANCE
+from perception.detection.boxes import PersonBox
+from perception.observe.pipeline import SeenFrame, SeenPerson, channels_of, in_heights, is_on_ground
+from perception.pose.classes import PoseClasses
+from perception.pose.features import LENGTH, Projection
+from perception.pose.head_detection import HeadCandidates, HeadPath, select_along_track, select_so_far
+
+_AT_ONCE = 512
+"""Rows that are made together."""
+_LOOKS = 8192
+"""People by whom it is found out what varies."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenDetections:
+    """The table of detections, and what was left out.
+
+    Attributes
+    ----------
+    columns : of the native table, by name, in the order of frames; ``track_id`` is −1
+    number : (n,) of each row's box
+    camera : over the ground
+    refused : why rows were left out, and how many
+    """
+
+    columns: dict[str, NDArray[Any]]
+    number: NDArray[np.int64]
+    camera: GroundCamera
+    refused: Mapping[str, int]
+
+
+def scene_of(
+    frames: Mapping[int, SeenFrame], camera: GroundCamera | None, *, causal: bool
+) -> tuple[GroundCamera, Projection]:
+    """The camera, one by people's height where none is given, and how looks are described.
+
+    Raises
+    ------
+    InputError
+        If nobody was seen.
+    """
+    if not any(known.people for known in frames.values()):
+        raise InputError("a video without people", "at least one person")
+    camera = scaled_camera(frames, causal=causal) if camera is None else camera
+    return camera, Projection.fixed() if causal else projection_of(frames)
+
+
+def to_detections(
+    frames: Mapping[int, SeenFrame],
+    head_classes: PoseClasses,
+    camera: GroundCamera | None,
+    fps: float,
+    *,
+    causal: bool = False,
+) -> SeenDetections:
+    """Return the rows of `to_tracks` for people without identities.
+
+    Parameters
+    ----------
+    frames : what was seen, by number; it is gone through two or three times
+    head_classes, camera, fps, causal : as in `perception.observe.tables.to_tracks`
+
+    Raises
+    ------
+    InputError
+        If nobody was seen, or all are beyond the horizon.
+    """
+    camera, projection = scene_of(frames, camera, causal=causal)
+    names: list[str] = []
+    parts: list[FloatArray] = []
+    numbers: list[NDArray[np.int64]] = []
+    seen = 0
+    for items in _some_at_once(frames):
+        seen += len(items)
+        items = [item for item in items if is_on_ground(item, camera)]
+        if items:
+            names, values = _rows(items, head_classes, camera, fps, projection)
+            parts.append(values)
+            numbers.append(np.array([item.track_id for item in items], np.int64))
+    if not parts:
+        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
+    table = np.concatenate(parts)
+    del parts
+    number = np.concatenate(numbers)
+    columns: dict[str, NDArray[Any]] = {"track_id": np.full(len(table), -1, np.int64)}
+    columns |= {name: table[:, k] for k, name in enumerate(names)}
+    columns["frame"] = columns["frame"].astype(np.int64)
+    if not np.isfinite(columns["score"]).any():
+        del columns["score"]
+    beyond = seen - len(table)
+    return SeenDetections(columns, number, camera, {BEYOND_HORIZON: beyond} if beyond else {})
+
+
+def _rows(
+    items: list[SeenPerson],
+    head_classes: PoseClasses,
+    camera: GroundCamera,
+    fps: float,
+    projection: Projection,
+) -> tuple[list[str], FloatArray]:
+    """Names of columns, and rows (n, columns); a score that is not known is NaN."""
+    heads = np.array([HeadPath().update(in_heights(item)) for item in items], np.int64)
+    known = channels_of(items, heads, head_classes, camera, fps, projection=projection)
+    at = {name: np.asarray(known[name], float) for name in ("frame", "t")}
+    place = np.arange(len(items))
+    score = np.array([item.score for item in items], float)
+    track = Track(track_id=0, **known | {"frame": place, "t": place.astype(float), "score": score})
+    columns = to_columns(TrackSet((track,))) | at
+    names = [name for name in columns if name != "track_id"]
+    return names, np.column_stack([columns[name] for name in names])
+
+
+def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]:
+    """Everybody, frame by frame, and in each by number."""
+    items: list[SeenPerson] = []
+    for number in sorted(frames):
+        items += sorted(frames[number].people, key=lambda item: item.track_id)
+        if len(items) >= _AT_ONCE:
+            yield items
+            items = []
+    if items:
+        yield items
+
+
+def scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCamera:
+    """A view from above in which the median box, of the first frame if ``causal``, is as high as a person."""
+    heights: list[float] = []
+    for number in sorted(frames):
+        heights += [item.height for item in frames[number].people]
+        if causal and heights:
+            break
+    return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median(heights)))
+
+
+def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
+    """The one that keeps most of what people look like, as `Projection.fitted` of all of them."""
+    count = sum(item.looks is not None for known in frames.values() for item in known.people)
+    step = -(-count // _LOOKS) or 1
+    looks: list[NDArray[np.uint8]] = []
+    at = 0
+    for items in _some_at_once(frames):
+        for item in items:
+            if item.looks is not None:
+                if at % step == 0:
+                    looks.append(item.looks)
+                at += 1
+    return Projection.fitted(np.array(looks, np.uint8).reshape(-1, LENGTH))
+
+
+_ROWS_AT_ONCE = 64
+"""Rows of a track that are made together."""
+
+
+@dataclass(eq=False)
+class _Heads:
+    """The head's candidates in the frames of one track, in heights of the person: boxes and scores."""
+
+    values: array[float] = field(default_factory=lambda: array("d"))
+    count: array[int] = field(default_factory=lambda: array("H"))
+
+    def add(self, found: HeadCandidates) -> None:
+        self.values.extend(np.column_stack([found.boxes, found.scores]).ravel().tolist())
+        self.count.append(len(found.scores))
+
+    def chosen(self, *, causal: bool) -> NDArray[np.int64]:
+        rows = np.split(np.array(self.values).reshape(-1, 5), np.cumsum(self.count)[:-1])
+        candidates = [HeadCandidates(one[:, :4], one[:, 4]) for one in rows]
+        return select_so_far(candidates) if causal else select_along_track(candidates)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenTracks:
+    """Tracks with positions and likelihoods in the world, and their heads.
+
+    Attributes
+    ----------
+    tracks : with a row for each frame
+    heads : by the id of a track, which candidate is the head in each row, (n,)
+    """
+
+    tracks: TrackSet
+    heads: dict[int, NDArray[np.int64]]
+
+
+def to_tracks(
+    frames: Mapping[int, SeenFrame],
+    head_classes: PoseClasses,
+    camera: GroundCamera | None,
+    fps: float,
+    *,
+    causal: bool = False,
+) -> SeenTracks:
+    """Return tracks with positions in metres and class likelihoods in the world frame.
+
+    People at or beyond the camera's horizon are left out, and counted by the summary.
+
+    Parameters
+    ----------
+    frames : observations by number, each person once a frame; they are read three or four times
+    head_classes : pan classes of ``SeenPerson.pan``
+    camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
+    causal : whether rows are made of the frames up to their own alone: the heads are those that
+        `select_so_far` gives, the scale is that of the first frame and appearance is projected in a fixed
+        way. Else heads are chosen along whole tracks, and the projection is fitted to the recording.
+
+    Raises
+    ------
+    InputError
+        If nobody was seen, or all are beyond the horizon.
+    """
+    camera, projection = scene_of(frames, camera, causal=causal)
+    candidates: dict[int, _Heads] = {}
+    seen = sum(len(known.people) for known in frames.values())
+    for item in _on_ground(frames, camera):
+        candidates.setdefault(item.track_id, _Heads()).add(in_heights(item))
+    if not candidates:
+        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
+    heads = {track_id: candidates.pop(track_id).chosen(causal=causal) for track_id in sorted(candidates)}
+    parts: dict[int, list[dict[str, Any]]] = {track_id: [] for track_id in heads}
+    pending: dict[int, list[SeenPerson]] = {track_id: [] for track_id in heads}
+    done = dict.fromkeys(heads, 0)
+
+    def make(track_id: int) -> None:
+        items, start = pending[track_id], done[track_id]
+        if items:
+            chosen = heads[track_id][start : start + len(items)]
+            parts[track_id].append(_fields(items, chosen, head_classes, camera, fps, projection))
+            pending[track_id], done[track_id] = [], start + len(items)
+
+    for item in _on_ground(frames, camera):
+        pending[item.track_id].append(item)
+        if len(pending[item.track_id]) == _ROWS_AT_ONCE:
+            make(item.track_id)
+    for track_id in heads:
+        make(track_id)
+    tracks = tuple(_joined(track_id, parts.pop(track_id)) for track_id in heads)
+    beyond = seen - sum(map(len, tracks))
+    refused = {BEYOND_HORIZON: beyond} if beyond else {}
+    return SeenTracks(TrackSet(tracks, camera, ReadSummary("video", seen, refused)), heads)
+
+
+def _on_ground(frames: Mapping[int, SeenFrame], camera: GroundCamera) -> Iterator[SeenPerson]:
+    for number in sorted(frames):
+        yield from (item for item in frames[number].people if is_on_ground(item, camera))
+
+
+def _fields(
+    items: list[SeenPerson],
+    heads: NDArray[np.int64],
+    head_classes: PoseClasses,
+    camera: GroundCamera,
+    fps: float,
+    projection: Projection,
+) -> dict[str, Any]:
+    """Those of a piece of a track, with what is not known as NaN or left out."""
+    known = channels_of(items, heads, head_classes, camera, fps, projection=projection)
+    inputs = known.pop("inputs")
+    return known | inputs | {"score": np.array([item.score for item in items], float)}
+
+
+def _joined(track_id: int, parts: list[dict[str, Any]]) -> Track:
+    names = set.intersection(*(set(part) for part in parts))
+    known: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    inputs = {name: known.pop(name) for name in (APPEARANCE,) if name in known}
+    score = known.pop("score")
+    return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **known)
+
+
+METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
+"""The graph's smoother; Chen et al.'s joint particle filter, smoothed (``ffbs``) or online (``particle``);
+the graph online."""
+FILTERS = ("ffbs", "particle")
+"""What a camera teaches itself of the graph's share of outliers is none of theirs: they forget as they go."""
+
+BOX = "box"
+"""The input of a track that says which box each row was seen in; NaN in rows of nothing."""
+
+
+def numbered(tracks: TrackSet, boxes: Sequence[PersonBox]) -> TrackSet:
+    """Add the number of each row's box, as an input, to tracks of boxes with identities."""
+    number = {(item.track_id, item.frame): k for k, item in enumerate(boxes)}
+
+    def with_boxes(track: Track) -> Track:
+        of_rows = [number[track.track_id, frame] for frame in track.frame.tolist()]
+        return replace(track, inputs={**track.inputs, BOX: np.array(of_rows, float)})
+
+    return tracks.map(with_boxes)
+
+
+def associated(
+    columns: Mapping[str, NDArray[Any]], number: NDArray[np.int64], boxes: Sequence[PersonBox]
+) -> TrackSet:
+    """Associate detections to tracks; each row has the number of its box as an input.
+
+    Parameters
+    ----------
+    columns : as `perception.observe.tables.to_detections` makes them
+    number : (n,) of each row's box
+    boxes : that were looked at
+
+    Raises
+    ------
+    InputError
+        If no track is left.
+    """
+    of_box = {item.track_id: k for k, item in enumerate(boxes)}
+    found = associate({**columns, f"input_{BOX}": np.array([of_box[k] for k in number.tolist()], float)})
+    if not len(found):
+        raise InputError("detections that are all taken for false", "people who are seen for a while")
+    return found
+
+
+def estimated(
+    tracks: TrackSet,
+    camera: GroundCamera,
+    method: str,
+    advance: Callable[[int], None],
+    adapted: Callable[[Model], Model] = lambda model: model,
+) -> tuple[TrackSet, list[str]]:
+    """Where everybody is, how they move and point, and what is to be said of it.
+
+    Parameters
+    ----------
+    tracks : of observations
+    camera : over the ground
+    method : one of `METHODS`
+    advance : is told of person-frames that are done
+    adapted : makes of a model that of the camera, as `CameraModels.graph`
+
+    Raises
+    ------
+    InputError
+        If nobody's track can be estimated.
+    """
+    chosen = make_method(method, adapted(own_model(method)))
+    placed = replace(tracks, camera=camera)
+    said: list[str] = []
+    if method == "smoother":
+        model = adapted(Model.named(None))
+        found = solve_tracks(placed, model, engine_of(model), progress=advance)
+        good = [result.track for result in found if isinstance(result, Solution)]
+        bad = [one for one in found if not isinstance(one, Solution)]
+        said += [f"track {one.track_id} is left out: {one.reason}" for one in bad]
+    else:
+        good = []
+        for track in placed:
+            good.append(chosen.estimate(track, camera))
+            advance(len(track))
+    if not good:
+        raise InputError("no track that can be estimated", "people who are seen for a while")
+    return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *said]

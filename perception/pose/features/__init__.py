@@ -1,1 +1,0 @@
-"""Features of images: arrays in, arrays out."""

@@ -1,0 +1,396 @@
+"""The folder of a report: what is in it, and which of its stages are done.
+
+Where estimated people are in the pictures.
+
+What a report shows: the video, the view from above, and the page.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.interaction.attention import attention
+from graphtrack.interaction.groups import groups
+from graphtrack.io.atomic import atomic_path, check_place
+from graphtrack.report.content import Card, Note, Picture, Section
+from graphtrack.report.html import write_html
+from graphtrack.report.interaction import Behaviour, behaviour_of
+from graphtrack.report.page import tracking_report
+from graphtrack.report.plots.scene import plot_tracks
+from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.viewer.pictures import PersonBoxes
+from perception.detection.boxes import PersonBox
+from perception.drawing.people import ShownPerson, draw_tracked
+from perception.images.frames import Frame
+from perception.images.pixels import Image, pictures
+from perception.observe.tables import BOX
+
+STAGES = "stages.json"
+"""Which stages are done, and what they said."""
+TRACKS = "tracks.csv"
+"""The estimates; `graphtrack.read` of the folder reads them."""
+
+FILES = {
+    "boxes": "boxes.txt",
+    "calibration": "calibration.ci",
+    "models": "camera.npz",
+    "observations": "observations.csv",
+    "tracks": TRACKS,
+    "video": "annotated.mp4",
+    "above": "above.png",
+    "page": "report.html",
+    "assumptions": "assumptions.txt",
+}
+
+
+@dataclass
+class ReportFolder:
+    """A folder whose stages are done one after the other, each once.
+
+    Attributes
+    ----------
+    path : the folder
+    tell : is told of each stage that begins or was done before
+    count : number of stages
+    """
+
+    path: Path
+    count: int
+    tell: Callable[[str], object]
+    _done: dict[str, dict[str, Any]] = field(default_factory=dict)
+    _key: str = ""
+    _number: int = 0
+
+    def file(self, name: str) -> Path:
+        """Where one of `FILES` is."""
+        return self.path / FILES[name]
+
+    def open(self) -> None:
+        """Make the folder, or see what is done in it.
+
+        Raises
+        ------
+        InputError
+            If it cannot be made, or holds something else.
+        """
+        check_folder(self.path)
+        self.path.mkdir(exist_ok=True)
+        stages = self.path / STAGES
+        if not stages.is_file():
+            self._save()  # from now on it is known for what it is
+            return
+        try:
+            known = json.loads(stages.read_text("utf-8"))
+            self._done = {
+                str(name): {"key": str(s["key"]), "said": list(s["said"])} for name, s in known.items()
+            }
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise InputError("something else", "what `perception report` wrote", path=stages) from error
+
+    def stage(
+        self, name: str, asked: object, outputs: Sequence[str], work: Callable[[str], Sequence[str]]
+    ) -> list[str]:
+        """Do a stage, unless it was done with the same before.
+
+        Parameters
+        ----------
+        name : in words
+        asked : all that its outputs depend on, besides the stages before it
+        outputs : names of `FILES` that are there when it is done
+        work : does it, given a key of what it depends on; says what is to be said of it
+
+        Returns
+        -------
+        list of str
+            What it said.
+        """
+        self._number += 1
+        self._key = key_of(self._key, name, asked)
+        known = self._done.get(name)
+        label = f"[{self._number}/{self.count}] {name}"
+        if known is not None and known["key"] == self._key and all(self.file(o).is_file() for o in outputs):
+            self.tell(f"{label}: done before")
+            return list(known["said"])
+        self.tell(label)
+        said = list(work(self._key))
+        self._done[name] = {"key": self._key, "said": said}
+        self._save()
+        return said
+
+    def _save(self) -> None:
+        with atomic_path(self.path / STAGES) as temporary:
+            temporary.write_text(json.dumps(self._done, indent=1) + "\n", encoding="utf-8")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a place that is neither free nor the folder of a report.
+
+    Raises
+    ------
+    InputError
+        As `check_place` does.
+    """
+    if not (path / STAGES).is_file():
+        check_place(path, directory=True)
+
+
+def key_of(*asked: object) -> str:
+    """What tells one run from another."""
+    return hashlib.sha256(repr(asked).encode()).hexdigest()
+
+
+class ShownPeople(Mapping[int, list[ShownPerson]]):
+    """What there is to draw in each frame, made when it is asked for: of an hour, only columns are kept.
+
+    Parameters
+    ----------
+    tracks : of everybody
+    """
+
+    def __init__(self, tracks: Sequence[_Shown]) -> None:
+        self._tracks = tracks
+        number, frame, row = [], [], []
+        for k, one in enumerate(tracks):
+            rows = np.flatnonzero(np.isfinite(one.place).all(axis=1))
+            number.append(np.full(len(rows), k))
+            frame.append(one.track.frame[rows])
+            row.append(rows)
+        frames: NDArray[np.int64] = np.concatenate([*frame, np.zeros(0, np.int64)])
+        order = np.argsort(frames, kind="stable")
+        self._frames, start = np.unique(frames[order], return_index=True)
+        self._start = np.append(start, len(frames))
+        self._number = np.concatenate([*number, np.zeros(0, np.int64)])[order]
+        self._row = np.concatenate([*row, np.zeros(0, np.int64)])[order]
+
+    def __getitem__(self, frame: int) -> list[ShownPerson]:
+        k = int(np.searchsorted(self._frames, frame))
+        if k == len(self._frames) or self._frames[k] != frame:
+            raise KeyError(frame)
+        inside = slice(self._start[k], self._start[k + 1])
+        return [
+            self._tracks[number].person(row)
+            for number, row in zip(self._number[inside].tolist(), self._row[inside].tolist(), strict=True)
+        ]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._frames.tolist())
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """Where somebody is in the picture.
+
+    Attributes
+    ----------
+    place, seen : (n, 4) boxes of the rows of the track, and whether they were seen (n,)
+    angles : (n, 4) of body and head, each with its standard deviation
+    pixel : (n, 2) of the feet
+    first : (n,) row at which the path begins that is drawn at each
+    """
+
+    track: Track
+    place: FloatArray
+    seen: NDArray[np.bool_]
+    angles: FloatArray
+    pixel: FloatArray
+    first: NDArray[np.int64]
+
+    def person(self, row: int) -> ShownPerson:
+        """The person in a row."""
+        body, body_std, head, head_std = self.angles[row].tolist()
+        return ShownPerson(
+            self.track.track_id,
+            self.place[row],
+            bool(self.seen[row]),
+            self.track.position[row],
+            body,
+            body_std,
+            head,
+            head_std,
+            self.pixel[self.first[row] : row + 1],
+        )
+
+
+def shown_by_frame(
+    estimates: TrackSet,
+    observations: TrackSet,
+    boxes: Sequence[PersonBox],
+    camera: GroundCamera,
+    *,
+    trail: float = 4.0,
+) -> ShownPeople:
+    """What there is to draw in each frame.
+
+    Parameters
+    ----------
+    estimates, observations : matched by ``track_id``; the latter from `numbered` or `associated`
+    boxes : that were looked at
+    trail : seconds of the path
+    """
+    observed = {track.track_id: track for track in observations}
+    found = []
+    for track in estimates:
+        place, seen = _boxes_of(track, observed[track.track_id], boxes, camera)
+        angles = np.column_stack([*_angle(track, "body"), *_angle(track, "head")])
+        first = np.searchsorted(track.t, track.t - trail)
+        pixel = camera.ground_to_image(track.position)
+        found.append(_Shown(track, place, seen, angles, pixel, first))
+    return ShownPeople(found)
+
+
+def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
+    """The boxes of what `shown_by_frame` found."""
+    frame: list[int] = []
+    number: list[int] = []
+    box: list[FloatArray] = []
+    for one, of_frame in people.items():
+        frame += [one] * len(of_frame)
+        number += [person.track_id for person in of_frame]
+        box += [person.box for person in of_frame]
+    return PersonBoxes(
+        np.array(frame, np.int64), np.array(number, np.int64), np.array(box, float).reshape(-1, 4)
+    )
+
+
+def _angle(track: Track, name: str) -> tuple[FloatArray, FloatArray]:
+    unknown = np.full(len(track), np.nan)
+    angle, std = getattr(track, name), track.std("body" if name == "body" else "head")
+    return unknown if angle is None else angle, unknown if std is None else std
+
+
+def _boxes_of(
+    track: Track, observation: Track, boxes: Sequence[PersonBox], camera: GroundCamera
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Boxes (n, 4) of the rows of an estimate, and whether they were seen (n,).
+
+    Between two that were seen there are those of the estimated feet, of sizes in between.
+    """
+    number = observation.inputs[BOX].reshape(-1)
+    known = np.flatnonzero(np.isfinite(number))
+    at = {int(observation.frame[k]): boxes[int(number[k])].box for k in known.tolist()}
+    seen = np.array([frame in at for frame in track.frame.tolist()])
+    found = np.full((len(track), 4), np.nan)
+    if not seen.any():
+        return found, seen
+    found[seen] = [at[frame] for frame in track.frame[seen].tolist()]
+    for side in (2, 3):
+        found[~seen, side] = np.interp(track.t[~seen], track.t[seen], found[seen, side])
+    feet = camera.ground_to_image(track.position[~seen])
+    found[~seen, 0], found[~seen, 1] = feet[:, 0] - found[~seen, 2] / 2.0, feet[:, 1] - found[~seen, 3]
+    return found, seen
+
+
+_PHOTOS, _PHOTO_WIDTH, _QUALITY = 6, 1100, 85
+
+
+def write_video(
+    path: Path,
+    frames: Iterable[Frame],
+    people: Mapping[int, Sequence[ShownPerson]],
+    camera: GroundCamera,
+    rate: float,
+) -> int:
+    """Write the frames with their people; how many there are. One at a time is in memory."""
+    count = 0
+    with pictures(path, rate) as write:
+        for frame in frames:
+            if frame.image is not None:
+                words = f"frame {frame.number}  {frame.number / rate:.2f} s"
+                write(frame.number, draw_tracked(frame.image, words, people.get(frame.number, ()), camera))
+                count += 1
+    return count
+
+
+def write_above(path: Path, estimates: TrackSet, observations: TrackSet) -> None:
+    """Write a picture of everybody's path from above."""
+    figure = plot_tracks(estimates, observations)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=160)
+
+
+def write_page(
+    path: Path,
+    title: str,
+    estimates: TrackSet,
+    observations: TrackSet,
+    video: Path,
+    assumptions: Sequence[str],
+    cards: tuple[Card, ...] = (),
+) -> None:
+    """Write the page, with some frames of the annotated video in it."""
+    photos = tuple(
+        Picture(f"Frame {k + 1} of {count} that were drawn", data, _DESCRIPTION)
+        for k, count, data in _photos(video)
+    )
+    words = Note(f"All frames are in {video.name}. {_DESCRIPTION}")
+    report = tracking_report(
+        estimates,
+        observations,
+        title=title,
+        cards=cards,
+        behaviour=what_they_do(estimates),
+        sections=(
+            Section("Frames", (words, *photos)),
+            Section("What was assumed", tuple(Note(line) for line in assumptions)),
+        ),
+    )
+    write_html(path, report)
+
+
+def what_they_do(estimates: TrackSet) -> Behaviour | None:
+    """Who is in a group with whom and, where heads are known, who looks at whom; None of fewer than two."""
+    if len(estimates) < 2:
+        return None
+    found = groups(estimates)
+    known = any(track.head is not None and np.isfinite(track.head).any() for track in estimates)
+    looks = attention(estimates, groups=found) if known else None
+    return behaviour_of(estimates, groups=found, attention=looks)
+
+
+_DESCRIPTION = (
+    "Boxes and ids in everybody's colour, dashed where nobody was seen and the estimate stands; on the "
+    "ground the path of the last seconds, an arrow along the body and the sector that holds it with 95 %; at "
+    "the head the same of the head, light."
+)
+
+
+def _photos(video: Path) -> list[tuple[int, int, bytes]]:
+    """Numbers of frames of a video, from 0, how many it has, and the frames, evenly chosen, as JPEG."""
+    reader = cv2.VideoCapture(str(video.absolute()))
+    found = []
+    try:
+        count = int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+        wanted = set(np.linspace(0, count - 1, min(_PHOTOS, count)).round().astype(int).tolist())
+        for k in range(count):
+            if not reader.grab():
+                break
+            if k in wanted:
+                good, image = reader.retrieve()
+                if good:
+                    found.append((k, count, _as_jpeg(np.asarray(image, np.uint8))))
+    finally:
+        reader.release()
+    return found
+
+
+def _as_jpeg(image: Image) -> bytes:
+    factor = min(1.0, _PHOTO_WIDTH / image.shape[1])
+    small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    encoded: NDArray[np.uint8] = np.asarray(data, np.uint8)
+    return encoded.tobytes()

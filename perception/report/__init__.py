@@ -1,1 +1,0 @@
-"""From a recording to a folder with everything that is found out about its people."""

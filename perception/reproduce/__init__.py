@@ -1,1 +1,0 @@
-"""The papers' experiments on pixels, with their own numbers beside ours."""

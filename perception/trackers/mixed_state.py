@@ -1,0 +1,296 @@
+"""The mixed-state particle filter: head box and exemplar label in one state (Ba & Odobez 2003, §3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from graphtrack.baselines.particle_weights import generator
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image, enlarged, grey
+from perception.pose.classes import PoseClasses
+from perception.pose.features import SIDE
+from perception.trackers.color import BoxColours, bhattacharyya
+from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
+from perception.trackers.tracker import (
+    PATCH_MARGIN,
+    Box,
+    BoxDynamics,
+    BoxEstimate,
+    Cloud,
+    Proposal,
+    boxes_of,
+    check_frame,
+    cut,
+    equalised,
+    first_state,
+    predict,
+    resampled,
+)
+
+Labels = Literal["sampled", "summed"]
+Likelihood = Literal["ratio", "density"]
+
+
+@dataclass(frozen=True)
+class ColourMemory:
+    """What the head's colours add to the logarithm of the ratio: ``sharpness``·(similarity − ``typical``).
+
+    Attributes
+    ----------
+    colours : how they are counted
+    sharpness : per unit of the Bhattacharyya coefficient
+    typical : the coefficient that says nothing; rendered heads have 0.88 or more for 95 % of the frames,
+        boxes elsewhere 0.83 or less for 95 %
+    rate : share of the remembered histogram that a frame replaces, while the head is seen
+    """
+
+    colours: BoxColours = field(default_factory=BoxColours)
+    sharpness: float = 20.0
+    typical: float = 0.8
+    rate: float = 0.05
+
+
+@dataclass(frozen=True)
+class MixedStateParameters:
+    """How the mixed-state tracker moves, looks and doubts.
+
+    Attributes
+    ----------
+    particles : number of particles
+    labels : "sampled": every particle has one label, as in the paper; "summed": every particle has the
+        distribution of its labels given its path, so that only boxes are sampled (Rao–Blackwell)
+    likelihood : "ratio": p(z|X)/p(z|no head) with a weight for each filter, and the head may be hidden;
+        "density": p_T(z|k) of eq. 5 as it is printed, by which the head is always there
+    colour : the colours of the head that is followed, by which it is told from other heads and from what
+        hides it; None: exemplars alone, as in the paper
+    dynamics : of the box
+    pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
+        faces with backs of heads; Ba & Odobez (2003) have −90° to 90° only.
+    pan_std : radians a frame, of p(θ_t|θ_{t−1})
+    tilt_share : a frame, to each neighbouring tilt class, relative to staying
+    stay : probability of the same exemplar while the pose stays
+    start_std : 1-σ of the first boxes about the given one, as a share of its size
+    vanish, appear : probabilities a frame that a seen head is hidden, and that a hidden one is seen
+    resample_below : share of the particles; resampling is systematic, below this effective sample size
+    plain_exemplars : whether the package's exemplars are those of the form as printed (`HeadExemplars.plain`)
+    """
+
+    particles: int = 200
+    labels: Labels = "summed"
+    likelihood: Likelihood = "ratio"
+    colour: ColourMemory | None = field(default_factory=ColourMemory)
+    dynamics: BoxDynamics = field(default_factory=BoxDynamics)
+    pan_limit: float = float(np.pi)
+    pan_std: float = float(np.radians(12.0))
+    tilt_share: float = 0.05
+    stay: float = 0.9
+    start_std: float = 0.04
+    vanish: float = 0.02
+    appear: float = 0.05
+    resample_below: float = 0.5
+    plain_exemplars: bool = False
+
+    def __post_init__(self) -> None:
+        if self.particles < 2:
+            raise InputError(f"{self.particles} particles", "at least 2")
+        if self.likelihood not in ("ratio", "density"):
+            raise InputError(f"likelihood {self.likelihood!r}", "'ratio' or 'density'")
+        if self.labels not in ("sampled", "summed"):
+            raise InputError(f"labels {self.labels!r}", "'sampled' or 'summed'")
+        if not 0.0 <= self.pan_limit <= np.pi + 1e-9:
+            raise InputError(f"pan_limit = {self.pan_limit} radians", "an angle from 0 to π")
+
+    @classmethod
+    def of_the_paper(cls, particles: int = 200) -> MixedStateParameters:
+        """Ba & Odobez 2003 as it is printed, and nothing else.
+
+        Likelihoods of eq. 5, labels that are sampled, resampling in every step (§3.1), pans from −90° to 90°
+        (§2.1); no colours; exemplars with the deviations of their own clusters (§2.1) and transitions by
+        common people alone (§3.3). The head is never hidden. The motion of boxes, of which the paper says
+        its kind but no numbers, is ours.
+        """
+        return cls(
+            particles,
+            likelihood="density",
+            labels="sampled",
+            colour=None,
+            pan_limit=float(np.pi / 2.0),
+            resample_below=1.0,
+            plain_exemplars=True,
+        )
+
+
+class MixedStateTracker:
+    """Follow a head, its pan and its tilt.
+
+    The weight of a particle is 1 − P + P·p(z|X)/p(z|no head), P being the probability that the head can be
+    seen: a hidden Markov chain of two states, which the particles' mean ratio drives. While P is small the
+    weights stay as they are and the cloud spreads; they cannot all vanish. With ``likelihood="density"`` it
+    is p_T(z|k) (eq. 6), and the confidence is how like the exemplars the patches are
+    (`HeadExemplars.fit`).
+
+    Parameters
+    ----------
+    exemplars : the appearance model; by default that of the package, see ``plain_exemplars``
+    particles : in place of the parameters' number
+    """
+
+    name: ClassVar[str] = "mixed-state"
+
+    def __init__(
+        self,
+        parameters: MixedStateParameters = MixedStateParameters(),
+        *,
+        exemplars: HeadExemplars | None = None,
+        particles: int | None = None,
+        seed: int | np.random.Generator = 0,
+    ) -> None:
+        self.parameters = parameters if particles is None else replace(parameters, particles=particles)
+        plain = self.parameters.plain_exemplars
+        loaded = load_head_exemplars(plain=plain) if exemplars is None else exemplars
+        self.exemplars = loaded.within(self.parameters.pan_limit)
+        classes = self.exemplars.classes
+        self.pan_classes: PoseClasses | None = classes.pans
+        self._rng = generator(seed)
+        p = self.parameters
+        self._transitions = self.exemplars.transitions(p.pan_std, p.tilt_share, p.stay)
+        self._reach = np.cumsum(self._transitions, axis=1)
+        self._shape: tuple[int, int] = (0, 0)
+        self._seen = 1.0
+        self._colours: FloatArray | None = None
+
+    def start(self, image: Image, box: Box | None) -> BoxEstimate:
+        """Begin with the head's box; see `Tracker.start`."""
+        first = first_state(image, box)
+        self._shape = image.shape[0], image.shape[1]
+        self._colours = None
+        n, p = self.parameters.particles, self.parameters
+        self._reference = first[2:]
+        self._cloud = Cloud.about(first, n, p.start_std, self._rng)
+        self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
+        self._belief = np.tile(self.exemplars.prior(), (n, 1))
+        # A given box is known to hold a head, however little it looks like one.
+        self._seen = 1.0
+        if p.colour is not None:
+            colours = p.colour.colours
+            self._colours = colours.of_boxes(colours.of_pixels(image), boxes_of(first[None]))[0]
+        return self._look(image, 1.0)
+
+    def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
+        """Go on to the next frame; see `Tracker.step`."""
+        check_frame(image, self._shape)
+        p = self.parameters
+        cloud, ancestors = resampled(self._cloud, p.resample_below, self._rng)
+        self._label, self._belief = self._label[ancestors], self._belief[ancestors]
+        self._cloud = predict(cloud, self._reference, p.dynamics, self._rng, proposal, self._shape)
+        if p.labels == "sampled":
+            drawn = self._rng.random((p.particles, 1))
+            last = self.exemplars.labels - 1
+            self._label = np.minimum((self._reach[self._label] < drawn).sum(axis=1), last)
+        else:
+            self._belief = self._belief @ self._transitions
+        return self._look(image, self._seen * (1.0 - p.vanish) + (1.0 - self._seen) * p.appear)
+
+    def _look(self, image: Image, visible: float) -> BoxEstimate:
+        """Weigh the particles by the frame; ``visible`` is the probability before it."""
+        before = self._cloud.weights
+        patches = cut(grey(image), enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
+        features = self.exemplars.features(equalised(patches))
+        of_colour, pixels = self._by_colour(image)
+        if self.parameters.likelihood == "ratio":
+            by_label = self.exemplars.log_ratio(features)
+            by_shape = self._over_labels(by_label)
+            weights, self._seen = _perhaps_hidden(before, np.exp(by_shape + of_colour), visible)
+            odds = float(before @ np.exp(by_shape))
+            like, confidence = odds / (1.0 + odds), self._seen
+        else:
+            by_label = self.exemplars.log_density(features)
+            weights = _normalised(before, self._over_labels(by_label) + of_colour)
+            fit = (self._labels() * self.exemplars.fit(by_label)).sum(axis=1)
+            like = confidence = float(weights @ fit)
+        self._cloud = replace(self._cloud, weights=weights)
+        box, spread = self._cloud.mean()
+        cues = {"exemplars": like}
+        if pixels is not None:
+            cues["colour"] = self._remember(pixels, box)
+        of_labels = weights @ self._labels()
+        return BoxEstimate(
+            box=box,
+            spread=spread,
+            confidence=confidence,
+            found=self._seen > 0.5,
+            particles=self._cloud.boxes,
+            weights=weights,
+            pan=self._by_pan(of_labels),
+            pan_likelihood=self._pan_likelihood(by_label, weights),
+            tilt=self.exemplars.mean_tilt(of_labels),
+            cues=cues,
+        )
+
+    def _over_labels(self, by_label: FloatArray) -> FloatArray:
+        """Log likelihoods (n,) of the particles, of values (n, labels); beliefs take them in."""
+        if self.parameters.labels == "sampled":
+            return np.asarray(by_label[np.arange(len(by_label)), self._label])
+        with np.errstate(divide="ignore"):
+            joint = by_label + np.log(self._belief)
+        total = np.asarray(logsumexp(joint, axis=1), float)
+        self._belief = np.exp(joint - total[:, None])
+        return total
+
+    def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
+        """What the colours add to the log ratio (n,), and the bins (h, w) of the frame."""
+        memory = self.parameters.colour
+        if memory is None or self._colours is None:
+            return np.zeros(len(self._cloud.weights)), None
+        pixels = memory.colours.of_pixels(image)
+        similarity = bhattacharyya(memory.colours.of_boxes(pixels, self._cloud.boxes), self._colours)
+        return memory.sharpness * (similarity - memory.typical), pixels
+
+    def _remember(self, pixels: NDArray[np.int32], box: Box) -> float:
+        """Similarity of the colours at the estimate, which then are learned as far as the head is seen."""
+        memory = self.parameters.colour
+        assert memory is not None and self._colours is not None
+        here = memory.colours.of_boxes(pixels, np.array([box]))[0]
+        similarity = float(bhattacharyya(here[None], self._colours)[0])
+        rate = memory.rate * self._seen
+        self._colours = (1.0 - rate) * self._colours + rate * here
+        return similarity
+
+    def _labels(self) -> FloatArray:
+        """Distribution (n, labels) of each particle's label."""
+        if self.parameters.labels == "summed":
+            return self._belief
+        return np.eye(self.exemplars.labels)[self._label]
+
+    def _by_pan(self, of_labels: FloatArray) -> FloatArray:
+        """Labels (labels,) summed for each pan (eq. 10)."""
+        classes = self.exemplars.classes
+        return np.asarray(of_labels.reshape(classes.n_tilt, classes.n_pan, -1).sum(axis=(0, 2)), float)
+
+    def _pan_likelihood(self, ratio: FloatArray, weights: FloatArray) -> FloatArray:
+        """p(z|pan) (n_pan,), over the boxes and the tilts, without what earlier frames say of the pose."""
+        poses = self.exemplars.pose_log_likelihood(ratio)
+        with np.errstate(divide="ignore"):
+            over_boxes = logsumexp(poses + np.log(weights)[:, None], axis=0)
+        pans = self.exemplars.classes.pan_log_likelihood(over_boxes)
+        return np.exp(pans - logsumexp(pans))
+
+
+def _perhaps_hidden(before: FloatArray, likelihood: FloatArray, visible: float) -> tuple[FloatArray, float]:
+    """Weights (n,) after likelihood ratios (n,) of a head that may be hidden, and P that it is seen."""
+    evidence = float(before @ likelihood)
+    weights = before * (1.0 - visible + visible * likelihood)
+    seen = visible * evidence / (1.0 - visible + visible * evidence)
+    return np.asarray(weights / weights.sum()), seen
+
+
+def _normalised(before: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    """Weights (n,) of eq. 6; likelihoods of 764 responses are out of a number's range, their ratios not."""
+    weights = before * np.exp(log_likelihood - log_likelihood.max())
+    return np.asarray(weights / weights.sum())

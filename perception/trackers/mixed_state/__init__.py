@@ -1,1 +1,0 @@
-"""The mixed-state head tracker (Ba & Odobez 2003)."""

@@ -1,1 +1,0 @@
-"""The Sigma-Pi person tracker (Yan et al. 2011)."""

@@ -1,0 +1,501 @@
+"""Windows of the Sigma-Pi tracker: the pixels that they cover, and how active a saliency is in them.
+
+Shape: local features of the target in the last frames, against those of the background (Yan et al. 2011,
+§3).
+
+Shape of a person whose box was given: views of the whole window, which need fewer pixels than features.
+
+The three cues of the Sigma-Pi tracker: what each remembers, and how active it is in windows of a frame.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image, enlarged, grey
+from perception.trackers.color import pixel_bins, target_share, weighed_histogram
+from perception.trackers.sigma_pi_network import CueParameters
+from perception.trackers.tracker import cut
+
+_BORDER = 3.0
+"""Pixels: who is as near to the border of the frame is taken to be cut off by it."""
+
+
+def cut_off(window: FloatArray, shape: FloatArray) -> bool:
+    """Whether a window (4,) ends at the border of a frame of width and height (2,)."""
+    return bool((window[:2] <= _BORDER).any() or (window[:2] + window[2:] >= shape - _BORDER).any())
+
+
+def kernel(shape: tuple[int, ...], window: FloatArray) -> NDArray[np.float32]:
+    """Epanechnikov's kernel (h, w) over a window (4,): what is in a box's corners is rarely the person."""
+    rows, columns = np.indices(shape[:2], np.float32) + 0.5
+    left, top, width, height = window
+    x, y = (columns - left) / width * 2.0 - 1.0, (rows - top) / height * 2.0 - 1.0
+    return np.asarray(np.maximum(1.0 - x**2 - y**2, 0.0), np.float32)
+
+
+def covered(shape: tuple[int, ...], window: FloatArray, factor: float) -> NDArray[np.bool_]:
+    """Pixels (h, w) in a window (4,) that is enlarged about its centre."""
+    left, top, width, height = enlarged(window[None], factor)[0]
+    mask = np.zeros(shape[:2], bool)
+    rows = slice(max(round(top), 0), max(round(top + height), 0))
+    mask[rows, max(round(left), 0) : max(round(left + width), 0)] = True
+    return mask
+
+
+def integral(saliency: NDArray[np.float32]) -> FloatArray:
+    """Sums (h + 1, w + 1) of a saliency (h, w) over all rows above and columns to the left."""
+    return np.asarray(cv2.integral(saliency, sdepth=cv2.CV_64F), float)
+
+
+def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
+    """Sums (n,) of a saliency over windows (n, 4): left, top, width, height in pixels.
+
+    The windows' edges are rounded to whole pixels; what lies outside the frame counts nothing.
+
+    Parameters
+    ----------
+    table : of `integral`
+    """
+    h, w = table.shape[0] - 1, table.shape[1] - 1
+    edges = np.rint(np.hstack([windows[:, :2], windows[:, :2] + windows[:, 2:]])).astype(np.int64)
+    left, right = np.clip(edges[:, 0], 0, w), np.clip(edges[:, 2], 0, w)
+    top, bottom = np.clip(edges[:, 1], 0, h), np.clip(edges[:, 3], 0, h)
+    return np.asarray(table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left])
+
+
+def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatArray:
+    """How well windows fit what is salient (n,), 0…1: inside / (area + what is salient around them).
+
+    This is the intersection over union of the window with what is salient in it and around it.
+
+    Parameters
+    ----------
+    inside : (n,) sums of a saliency in 0…1 over the windows
+    around : (n,) sums over the surround
+    area : (n,) of the windows, in the unit of the sums
+    """
+    return np.asarray(np.maximum(inside, 0.0) / np.maximum(area + np.maximum(around, 0.0), 1e-9))
+
+
+def salient_overlap(table: FloatArray, windows: FloatArray, surround: float) -> FloatArray:
+    """`overlap` (n,) of windows (n, 4) by the `integral` of a saliency; ``surround`` in sizes of a window."""
+    within = sums(table, windows)
+    return overlap(within, sums(table, enlarged(windows, surround)) - within, windows[:, 2] * windows[:, 3])
+
+
+def activation(value: FloatArray, middle: float, width: float) -> FloatArray:
+    """A logistic function of values in 0…1, stretched so that 0 gives 0 and 1 gives 1.
+
+    Parameters
+    ----------
+    middle : value at which it is steepest
+    width : change of the value over which it rises from a half to 73 %
+    """
+
+    def logistic(x: FloatArray) -> FloatArray:
+        return np.asarray(1.0 / (1.0 + np.exp(-(x - middle) / width)))
+
+    low, high = logistic(np.array(0.0)), logistic(np.array(1.0))
+    return np.asarray(np.clip((logistic(np.clip(value, 0.0, 1.0)) - low) / (high - low), 0.0, 1.0))
+
+
+DIMENSION = 128
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """n local features.
+
+    Attributes
+    ----------
+    points : (n, 2) pixels
+    descriptors : (n, 128) of length 1; the product of two is their similarity, 0…1
+    """
+
+    points: FloatArray
+    descriptors: NDArray[np.float32]
+
+    def chosen(self, which: NDArray[Any]) -> Features:
+        """Some of them, by a mask (n,) or by numbers."""
+        return Features(self.points[which], self.descriptors[which])
+
+
+def none() -> NDArray[np.float32]:
+    """No descriptors (0, 128)."""
+    return np.zeros((0, DIMENSION), np.float32)
+
+
+def detect(sift: Any, grey: Image, window: FloatArray | None = None) -> Features:
+    """SIFT features of a grey image (h, w), as roots of shares (Arandjelović & Zisserman 2012).
+
+    Parameters
+    ----------
+    window : (4,) left, top, width, height of the only part that is looked at; points are the image's
+    """
+    left = top = 0
+    if window is not None:
+        left, top = (max(int(value), 0) for value in window[:2])
+        right, bottom = (max(int(value), 0) for value in window[:2] + window[2:])
+        grey = grey[top:bottom, left:right]
+    if not grey.size:
+        return Features(np.zeros((0, 2)), none())
+    keypoints, found = sift.detectAndCompute(grey, None)
+    if not keypoints:
+        return Features(np.zeros((0, 2)), none())
+    share = found / np.maximum(found.sum(axis=1, keepdims=True), 1e-9)
+    points = np.array([point.pt for point in keypoints]) + np.array([left, top])
+    return Features(points, np.sqrt(share).astype(np.float32))
+
+
+def similarity(descriptors: NDArray[np.float32], known: NDArray[np.float32]) -> FloatArray:
+    """The greatest similarity (n,) of each descriptor (n, 128) to any known one (m, 128); 0 without any."""
+    if not len(known) or not len(descriptors):
+        return np.zeros(len(descriptors))
+    return np.asarray((descriptors @ known.T).max(axis=1), float)
+
+
+def matching_rate(earlier: NDArray[np.float32], later: NDArray[np.float32], matched: float) -> float:
+    """Share of the earlier frame's features that have one at least as similar as ``matched`` in the later."""
+    return float((similarity(earlier, later) >= matched).mean()) if len(earlier) else 0.0
+
+
+def memory_similarity(
+    descriptors: NDArray[np.float32], memory: Sequence[NDArray[np.float32]], weights: FloatArray
+) -> FloatArray:
+    """Similarity (n,) of descriptors to the frames of a memory: the greatest, each times the frame's weight.
+
+    Parameters
+    ----------
+    memory : descriptors of each frame
+    weights : of the frames, 0…1
+    """
+    found = np.zeros(len(descriptors))
+    for frame, weight in zip(memory, weights, strict=True):
+        found = np.maximum(found, weight * similarity(descriptors, frame))
+    return found
+
+
+def point_scores(target: FloatArray, background: FloatArray, matched: float, margin: float) -> FloatArray:
+    """How much each feature speaks for the target (n,), −1…1, by its similarities (n,) to both.
+
+    It is the lead of the target over the background in units of ``margin``, less a half, for features that
+    are at least as similar as ``matched`` to either: what is alike to both speaks against the target. Others
+    say nothing.
+    """
+    lead = np.clip((target - background) / margin - 0.5, -1.0, 1.0)
+    return np.asarray(np.where(np.maximum(target, background) >= matched, lead, 0.0))
+
+
+def inside(points: FloatArray, windows: FloatArray) -> NDArray[np.bool_]:
+    """Whether each window (m, 4) holds each point (n, 2): (m, n)."""
+    low = windows[:, None, :2]
+    return np.asarray(((points >= low) & (points < low + windows[:, None, 2:])).all(axis=2))
+
+
+_SIDE, _CELLS = 24, 6
+"""Pixels of a window's patch and cells along each side."""
+_GRAIN = 0.3
+"""Root of the mean gradient of a cell (grey levels a pixel) below which a window counts as blank."""
+
+
+def _pooling() -> NDArray[np.float32]:
+    """Shares (cells, pixels) of a side's pixels in its cells: triangles that reach into the next ones."""
+    middle = (np.arange(_CELLS) + 0.5) * _SIDE / _CELLS
+    apart = np.abs(np.arange(_SIDE) + 0.5 - middle[:, None])
+    return np.asarray(np.maximum(1.0 - apart * _CELLS / _SIDE, 0.0) * _CELLS / _SIDE, np.float32)
+
+
+_POOLING = _pooling()
+
+
+def descriptors(image: Image, windows: FloatArray) -> NDArray[np.float32]:
+    """Gradients by direction and cell (n, 288) of windows (n, 4) of a grey image (h, w).
+
+    Roots of the mean gradients in 6 × 6 cells and 8 directions, less their mean; of length 1, or less where
+    a window is nearly blank. The product of two is their correlation, −1…1.
+    """
+    patches = cut(image, windows, _SIDE).astype(np.float32)
+    across, down = np.zeros_like(patches), np.zeros_like(patches)
+    across[:, :, 1:-1] = (patches[:, :, 2:] - patches[:, :, :-2]) / 2.0
+    down[:, 1:-1] = (patches[:, 2:] - patches[:, :-2]) / 2.0
+    half = np.float32(np.sqrt(0.5))
+    along = np.stack([across, down, (across + down) * half, (across - down) * half], axis=1)
+    turned = np.concatenate([np.maximum(along, 0.0), np.maximum(-along, 0.0)], axis=1)
+    held = np.sqrt(_POOLING @ turned @ _POOLING.T).reshape(len(windows), -1)
+    held -= held.mean(axis=1, keepdims=True)
+    blank = _GRAIN * np.sqrt(held.shape[1])
+    return np.asarray(held / np.hypot(np.linalg.norm(held, axis=1, keepdims=True), blank), np.float32)
+
+
+class ViewCue:
+    """What looks as the target did in the box that was given, or in the last views of it.
+
+    A view is remembered only where it is new, and the first is never forgotten: who stands is always
+    compared with what was given, so that windows do not creep off (Matthews, Ishikawa & Baker 2004, "The
+    template update problem").
+    """
+
+    def __init__(self, parameters: CueParameters, image: Image, window: FloatArray) -> None:
+        self._parameters = parameters
+        self._grey = grey(image)
+        aside = np.tile(window, (4, 1))
+        aside[:, :2] += 0.5 * window[2:] * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+        self._first, *others = descriptors(self._grey, np.vstack([window, aside]))
+        self._later: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
+        self._usual = float(np.mean(np.array(others) @ self._first))
+        self.frames = 1
+
+    @classmethod
+    def of(cls, parameters: CueParameters, image: Image, window: FloatArray) -> ViewCue | None:
+        """The cue of a target in a window (4,) of an image (h, w, 3); None where it is too small or blank."""
+        if window[2:].min() < parameters.view_least:
+            return None
+        cue = cls(parameters, image, window)
+        return cue if np.linalg.norm(cue._first) ** 2 > 0.5 else None
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        self._grey = grey(image)
+
+    def gain(self, windows: FloatArray) -> FloatArray:
+        """How alike windows (n, 4) are to any view (n,): 1 as the first one, 0 as what was beside it."""
+        known = np.array([self._first, *self._later])
+        found = (descriptors(self._grey, windows) @ known.T).max(axis=1)
+        most = float(self._first @ self._first)
+        return np.asarray(np.clip((found - self._usual) / (most - self._usual), 0.0, 1.0), float)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        return activation(self.gain(windows), *self._parameters.view_gain)
+
+    def adapt(self, window: FloatArray) -> None:
+        """Remember the view in a window (4,), if it is new."""
+        self.frames += 1
+        if self.gain(window[None])[0] < self._parameters.view_new:
+            self._later.append(descriptors(self._grey, window[None])[0])
+
+    def give(self, images: list[Image]) -> None:
+        """Images of what is never the target tell nothing here."""
+
+    def focus(self, window: FloatArray | None) -> None:
+        """Windows are looked at one by one anyway."""
+
+    def surroundings(self, outside: NDArray[np.bool_]) -> None:
+        """What is beside the target was seen in the first frame."""
+
+
+class Cue(Protocol):
+    """Looks at frames, and says how active it is in windows."""
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        ...
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        ...
+
+
+class MotionCue:
+    """What differs from a running average of the frames."""
+
+    def __init__(self, parameters: CueParameters, image: Image, target: NDArray[np.bool_] | None) -> None:
+        self._parameters = parameters
+        self._background = smoothed(image)
+        # What the target hides in the first frame is seen when it has gone from there.
+        self._unknown = target
+        self.saliency = np.zeros(image.shape[:2], np.float32)
+        self._table = integral(self.saliency)
+        self._image = self._background
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        self._image = smoothed(image)
+        self.saliency = foreground(self._background, self._image, self._parameters.motion_threshold)
+        if self._unknown is not None:
+            self.saliency[self._unknown] = 0.0
+        self._table = integral(self.saliency)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        p = self._parameters
+        return activation(salient_overlap(self._table, windows, p.surround), *p.motion_overlap)
+
+    def adapt(self, target: NDArray[np.bool_] | None) -> None:
+        """Let the background follow; ``target`` (h, w) says where it may be hidden."""
+        p = self._parameters
+        self._background = running_average(self._background, self._image, p.background_rate)
+        if self._unknown is not None and target is not None:
+            seen = self._unknown & ~target
+            self._background[seen] = self._image[seen]
+            self._unknown &= target
+            if not self._unknown.any():
+                self._unknown = None
+
+
+class ColourCue:
+    """What has the target's colours rather than those around it."""
+
+    def __init__(self, parameters: CueParameters, image: Image) -> None:
+        self._parameters = parameters
+        self._numbers = pixel_bins(image)
+        self.target: FloatArray | None = None
+        """The target's histogram (COUNT,), once there is one."""
+        self.frames = 0
+        """Of which the target's histogram is made."""
+        self._background: FloatArray | None = None
+        self.saliency = np.zeros(image.shape[:2], np.float32)
+        self._table = integral(self.saliency)
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        self._numbers = pixel_bins(image)
+        if self.target is None or self._background is None:
+            return
+        share = target_share(self.target, self._background, self._parameters.colour_odds)
+        self.saliency = share.astype(np.float32)[self._numbers]
+        self._table = integral(self.saliency)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        p = self._parameters
+        return activation(salient_overlap(self._table, windows, p.surround), *p.colour_overlap)
+
+    def surroundings(self, outside: NDArray[np.bool_]) -> None:
+        """Adapt the background's histogram to where the target is not (h, w)."""
+        found = weighed_histogram(self._numbers, outside.astype(np.float32))
+        rate = self._parameters.surroundings_rate
+        self._background = found if self._background is None else _mixed(self._background, found, rate)
+
+    def adapt(self, weights: NDArray[np.float32]) -> None:
+        """Adapt the target's histogram to pixels with weights (h, w)."""
+        found = weighed_histogram(self._numbers, weights)
+        if found.sum() > 0.0:
+            self.frames += 1
+            rate = max(self._parameters.colour_rate, 1.0 / self.frames)
+            self.target = found if self.target is None else _mixed(self.target, found, rate)
+
+
+class ShapeCue:
+    """Local features that look like the target's of the last frames, and unlike the background's."""
+
+    def __init__(self, parameters: CueParameters) -> None:
+        self._parameters = parameters
+        self._sift: Any = cv2.SIFT_create(contrastThreshold=parameters.contrast)  # type: ignore[attr-defined]
+        self.features = Features(np.zeros((0, 2)), none())
+        self.scores = np.zeros(0)
+        """How much each feature of the frame speaks for the target (n,), −1…1."""
+        self._of_background = np.zeros(0)
+        self._memory: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
+        self._rates: deque[float] = deque(maxlen=parameters.memory)
+        self._given = none()
+        self._focus: FloatArray | None = None
+        self._looked = 0
+        self.frames = 0
+        self._background = none()
+        self._expected = 0.0
+
+    def give(self, images: list[Image]) -> None:
+        """Images of what is never the target, such as furniture."""
+        found = [detect(self._sift, grey(image)).descriptors for image in images]
+        self._given = np.concatenate([self._given, *found])
+
+    def focus(self, window: FloatArray | None) -> None:
+        """Look for features about a window (4,) only, as they cost the most; everywhere for None."""
+        p = self._parameters
+        if window is None:
+            self._focus = None
+            return
+        centre = window[:2] + window[2:] / 2.0
+        size = np.maximum(window[2:] * p.focus, p.focus_least)
+        self._focus = np.concatenate([centre - size / 2.0, size])
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        p = self._parameters
+        self._looked += 1
+        part = None if self._looked % p.everywhere == 0 else self._focus
+        self.features = detect(self._sift, grey(image), part)
+        descriptors = self.features.descriptors
+        self._of_background = np.maximum(
+            similarity(descriptors, self._background), similarity(descriptors, self._given)
+        )
+        weights = np.array(self._rates)
+        of_target = memory_similarity(descriptors, self._memory, weights)
+        self.scores = point_scores(of_target, self._of_background, p.matched, p.margin)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        p = self._parameters
+        if not self._memory:
+            return np.zeros(len(windows))
+        points = self.features.points
+        within = inside(points, windows)
+        around = inside(points, enlarged(windows, p.surround)) & ~within
+        gain, loss = np.maximum(self.scores, 0.0), np.maximum(-self.scores, 0.0)
+        held = within @ gain - p.negative * (within @ loss)
+        expected = np.full(len(windows), max(self._expected, p.fewest))
+        return activation(overlap(held, np.asarray(around @ gain), expected), *p.shape_overlap)
+
+    def surroundings(self, outside: NDArray[np.bool_]) -> None:
+        """Remember features that are not the target's; ``outside`` (h, w) says where it is not."""
+        p = self._parameters
+        last = [outside.shape[1] - 1, outside.shape[0] - 1]
+        places = np.clip(self.features.points.astype(int), 0, last)
+        beside = outside[places[:, 1], places[:, 0]]
+        descriptors = self.features.descriptors[beside]
+        new = descriptors[self._of_background[beside] < p.matched]
+        # What was seen again goes last, what was not seen for longest is forgotten.
+        seen = similarity(self._background, descriptors) >= p.matched
+        known = np.concatenate([self._background[~seen], self._background[seen], new])
+        self._background = known[-p.background_features :]
+
+    def adapt(self, window: FloatArray) -> None:
+        """Remember the features in a window (4,) that are not the background's."""
+        p = self._parameters
+        own = inside(self.features.points, window[None])[0] & (self._of_background < p.matched)
+        new = self.features.descriptors[own]
+        if not len(new):
+            return
+        if self._memory:
+            rate = matching_rate(self._memory[-1], new, p.matched)
+            self._rates[-1] = rate
+        self.frames += 1
+        self._memory.append(new)
+        self._rates.append(1.0)
+        sizes = [len(frame) for frame in self._memory]
+        self._expected = float(np.mean(sizes))
+
+
+def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:
+    return np.asarray(before + rate * (now - before))
+
+
+def smoothed(image: Image) -> NDArray[np.float32]:
+    """An image (h, w, 3) without most of its noise, as float."""
+    return np.asarray(cv2.blur(image, (3, 3)), np.float32)
+
+
+def running_average(
+    background: NDArray[np.float32], image: NDArray[np.float32], rate: float
+) -> NDArray[np.float32]:
+    """The background (h, w, 3) after one more frame (h, w, 3): B + rate · (I − B)."""
+    return np.asarray(cv2.addWeighted(background, 1.0 - rate, image, rate, 0.0), np.float32)
+
+
+def foreground(
+    background: NDArray[np.float32], image: NDArray[np.float32], threshold: float
+) -> NDArray[np.float32]:
+    """1 where any channel differs from the background by more than ``threshold`` grey levels (h, w)."""
+    difference = cv2.absdiff(image, background)
+    blue, green, red = cv2.split(difference)
+    return np.asarray(cv2.max(cv2.max(blue, green), red) > threshold, np.float32)

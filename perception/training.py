@@ -1,0 +1,657 @@
+"""The keypoint model, trained on skeletons before random cameras.
+
+The exemplars of the mixed-state tracker, learned from rendered heads and people.
+
+Labels of a user's own images: a CSV with a row for each file.
+
+The models of the package, trained on rendered people and judged on others.
+"""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import log_softmax, logsumexp
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, difference
+from graphtrack.io.text import parse_number
+from perception.images.pixels import Image, as_uint8, enlarged, grey, grey_stack, intersection_over_union
+from perception.models import CLASSIFIERS, NAMES, model_path
+from perception.pose.body import BodyPose
+from perception.pose.classes import TILT_EDGE, PoseClasses
+from perception.pose.classifier import FeatureClassifier, evaluate, reliability
+from perception.pose.deep_belief import DeepBelief
+from perception.pose.exemplars import SMALLEST_DEVIATION, Exemplars
+from perception.pose.features import SIDE, SkinColours, gabor_features
+from perception.pose.head_detection import HeadLocaliser
+from perception.pose.keypoints import BODY, HEAD, KeypointPose, Layers, features
+from perception.pose.templates import Templates
+from perception.storage import ModelCard
+from perception.synthetic import (
+    HeadSet,
+    HeadVariation,
+    PedestrianSet,
+    PedestrianVariation,
+    draw_poses,
+    make_heads,
+    make_pedestrians,
+)
+from perception.synthetic.people import random_appearance
+from perception.synthetic.skeletons import NetworkErrors, Skeletons, make_skeletons, perceived
+from perception.trackers.head_exemplars import HeadExemplars, combined
+from perception.trackers.tracker import PATCH_MARGIN, cut, equalised
+
+_UNITS = (96, 48)
+_PASSES = ((8, 2e-3), (4, 5e-4), (3, 1e-4))
+"""How often all skeletons are looked at, and how much is learned from each."""
+
+_TRAINED_ON = (
+    "skeletons of people who walk and stand, 20-400 pixels high, before random cameras up to 60 degrees "
+    "above, with points that are off, unsure, hidden or exchanged as a pose network's"
+)
+_FAILS = (
+    "not judged on real networks here; people bent, sitting or lying, views from straight above, networks "
+    "that are sure of points that they cannot see"
+)
+
+
+def train_keypoints(
+    count: int,
+    *,
+    test_skeletons: int = 20_000,
+    seed: int = 0,
+    advance: Callable[[int], None] = lambda count: None,
+) -> KeypointPose:
+    """Train on ``count`` skeletons; a tenth as many choose the calibration, others are for the card."""
+    train, rest, other = (np.random.default_rng([seed, k]) for k in range(3))
+    people, points = drawn(count, train)
+    held_out, held_points = drawn(max(count // 10, 1000), rest)
+    parts = []
+    step = count // 2
+    for classes, name in ((BODY, "body"), (HEAD, "head")):
+        labels, of_held = (classes.index(getattr(some, name)) for some in (people, held_out))
+        layers = _fitted(features(points), labels, seed)
+        parts.append(layers.calibrated(held_points, of_held))
+        advance(step if name == "body" else count - step)
+    body, head = parts
+    model = KeypointPose(body, head, ModelCard(KeypointPose.kind))
+    judged, judged_points = drawn(test_skeletons, other)
+    figures = keypoint_figures(model, judged_points, judged.body, judged.head)
+    model.card = ModelCard(KeypointPose.kind, _TRAINED_ON, _FAILS, count, figures=figures)
+    return model
+
+
+def drawn(
+    count: int, rng: np.random.Generator, errors: NetworkErrors = NetworkErrors()
+) -> tuple[Skeletons, FloatArray]:
+    """Skeletons, and what a pose network would say of them (n, 9, 3)."""
+    people = make_skeletons(count, rng)
+    return people, perceived(people.points, people.visibility, people.height, rng, errors)
+
+
+def _fitted(values: NDArray[np.float32], labels: NDArray[np.int64], seed: int) -> Layers:
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPClassifier
+
+    network = MLPClassifier(
+        _UNITS, alpha=1e-5, batch_size=500, tol=0.0, n_iter_no_change=1000, warm_start=True, random_state=seed
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # it ends after so many passes
+        for passes, rate in _PASSES:
+            network.set_params(max_iter=passes, learning_rate_init=rate)
+            network.fit(values, labels)
+    weights = tuple(np.asarray(weight, np.float32) for weight in network.coefs_)
+    return Layers(weights, tuple(np.asarray(bias, np.float32) for bias in network.intercepts_))
+
+
+def keypoint_figures(
+    model: KeypointPose, points: FloatArray, body: FloatArray, head: FloatArray
+) -> dict[str, float]:
+    """Errors and calibration errors of body and head, of the points (n, 9, 3) of people who point at (n,)."""
+    found = {}
+    for name, classes, layers, angle in (("body", BODY, model.body, body), ("head", HEAD, model.head, head)):
+        for figure, value in _keypoint_figures(classes, layers.log_likelihoods(points), angle).items():
+            found[f"{name}_{figure}"] = value
+    return found
+
+
+def _keypoint_figures(
+    classes: PoseClasses, log_likelihood: FloatArray, angle: FloatArray
+) -> dict[str, float]:
+    error = np.degrees(np.abs(difference(classes.mean_pan(log_likelihood), angle)))
+    label = classes.index(angle)
+    said = log_softmax(log_likelihood, axis=1)[np.arange(len(label)), label]
+    return {
+        "mean_error_deg": float(error.mean()),
+        "median_error_deg": float(np.median(error)),
+        "bits": float(-said.mean() / np.log(2.0)),
+        "expected_calibration_error": reliability(log_likelihood, label).expected_calibration_error,
+    }
+
+
+_HEADS = HeadVariation(size=(16, 40), offset=0.02, scale=0.03)
+_SCENES = PedestrianVariation(
+    size=(150, 280), head_turn=1.2, tilt=0.25, occluded=0.0, cluttered=0.6, margin=1.5, offset=0.02
+)
+_BOXES = 40
+"""Boxes looked at in each scene: the head's, as many beside it as anywhere."""
+_OFFSET, _SCALE = 0.25, 0.2
+_BESIDE = 0.3
+"""A box that is off by more than this share of the head's size is no head."""
+_SEARCH = 120
+_EXEMPLAR_FAILS = "heads below 16 pixels, views from above, boxes that start off by a third of the head"
+
+
+@dataclass(frozen=True, eq=False)
+class _Scenes:
+    """Responses (n, 40, 764) of boxes, how far (n, 40) each is off, pose labels (n,) and pans (n,)."""
+
+    features: NDArray[np.float32]
+    off: FloatArray
+    label: NDArray[np.int64]
+    pan: FloatArray
+
+
+def train_head_exemplars(
+    *,
+    people: int = 160,
+    scenes: int = 600,
+    exemplars: int = 8,
+    background: int = 64,
+    seed: int = 0,
+    as_published: bool = False,
+    advance: Callable[[int], None] = lambda count: None,
+) -> HeadExemplars:
+    """Learn exemplars, the table of shared people and the weights of the filters.
+
+    Parameters
+    ----------
+    people : rendered at every pose, and mirrored
+    scenes : rendered people with surroundings: half of them give the background's exemplars, a quarter each
+        the weights and the figures of the card
+    exemplars : K for each pose class
+    background : exemplars of what is no head
+    as_published : Ba & Odobez 2003 as printed (`Exemplars.as_published`): filters have no weights
+    advance : is told how many more heads are rendered
+    """
+    rng = np.random.default_rng(seed)
+    classes = PoseClasses.circle(16, 3)
+    mean = not as_published
+    features, labels, who = _heads(classes, people, rng, advance, mean)
+    model = Exemplars(classes, seed=seed, exemplars=exemplars, plain=as_published)
+    model.fit_features(np.asarray(features, float), labels, rng)
+    found = _of_scenes(make_pedestrians(scenes, rng, _SCENES), classes, rng, mean)
+    half, rest = scenes // 2, scenes // 2 + scenes // 4
+    centre, deviation, log_weight = _background(
+        found.features[:half][found.off[:half] > _BESIDE], background, rng
+    )
+    bare = HeadExemplars(
+        classes=classes,
+        centre=model.centre,
+        deviation=model.deviation,
+        log_weight=model.log_weight.astype(float),
+        background_centre=centre,
+        background_deviation=deviation,
+        background_log_weight=log_weight,
+        exponent=np.ones(4),
+        shared=np.zeros((0, 0), np.float32),
+        plain=as_published,
+    )
+    trained = bare if as_published else _weighed(bare, found, slice(half, rest))
+    trained = replace(trained, shared=_shared(trained, features, labels, who, people))
+    figures = _figures(trained, found, slice(rest, scenes))
+    card = ModelCard(
+        HeadExemplars.kind,
+        f"{people} rendered people at all of {len(classes)} poses, {scenes} others with surroundings",
+        _EXEMPLAR_FAILS,
+        len(labels),
+        {"exemplars": exemplars, "background": background, "seed": seed, "plain": as_published},
+        figures,
+    )
+    return replace(trained, card=card)
+
+
+def _heads(
+    classes: PoseClasses,
+    people: int,
+    rng: np.random.Generator,
+    advance: Callable[[int], None],
+    subtract_mean: bool,
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """Responses, labels and people of heads: every person at every pose, and mirrored."""
+    looks = [random_appearance(rng) for _ in range(people)]
+    labels, who = np.tile(np.arange(len(classes)), people), np.repeat(np.arange(people), len(classes))
+    n = len(labels)
+    pan = classes.pan[labels % classes.n_pan] + rng.uniform(-0.5, 0.5, n) * classes.step
+    level = labels // classes.n_pan - 1
+    middle = np.clip(rng.normal(0.0, 0.25, n), -TILT_EDGE, TILT_EDGE)
+    tilt = np.where(level == 0, middle, level * rng.uniform(TILT_EDGE, TILT_EDGE + 0.33, n))
+    heads = make_heads(n, rng, _HEADS, pan=pan, tilt=tilt, people=[looks[i] for i in who], advance=advance)
+    images = [*heads.images, *(np.ascontiguousarray(image[:, ::-1]) for image in heads.images)]
+    stack = grey_stack(images, SIDE, SIDE, equalise=True)
+    features = gabor_features(stack, subtract_mean=subtract_mean).astype(np.float32)
+    return features, np.concatenate([labels, classes.reflected(labels)]), np.tile(who, 2)
+
+
+def _of_scenes(
+    people: PedestrianSet, classes: PoseClasses, rng: np.random.Generator, subtract_mean: bool
+) -> _Scenes:
+    features, off = [], []
+    for image, box in zip(people.images, people.head_box, strict=True):
+        height, width = image.shape[:2]
+        size = box[2:] * np.exp(rng.normal(0.0, _SCALE, (_BOXES, 2)))
+        middle = box[:2] + box[2:] / 2.0 + rng.normal(0.0, _OFFSET, (_BOXES, 2)) * box[2:]
+        middle[_BOXES // 2 :] = rng.uniform(0.0, 1.0, (_BOXES - _BOXES // 2, 2)) * (width, height)
+        size[0], middle[0] = box[2:], box[:2] + box[2:] / 2.0
+        boxes = np.hstack([middle - size / 2.0, size])
+        patches = cut(grey(image), enlarged(boxes, PATCH_MARGIN), SIDE)
+        found = gabor_features(equalised(patches), subtract_mean=subtract_mean)
+        features.append(found.astype(np.float32))
+        moved = (middle - middle[0]) / box[2:], np.log(size / box[2:])
+        off.append(np.abs(np.hstack(moved)).max(axis=1))
+    return _Scenes(np.array(features), np.array(off), classes.index(people.head, people.tilt), people.head)
+
+
+def _background(
+    features: NDArray[np.float32], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray]:
+    """Centres and deviations (count, 764) and log weights (count,) of clusters."""
+    from sklearn.cluster import KMeans
+
+    means = KMeans(count, n_init=1, random_state=int(rng.integers(2**31))).fit(features)
+    size = np.bincount(means.labels_, minlength=count)
+    deviation = np.array([features[means.labels_ == j].std(axis=0) for j in range(count)])
+    deviation[size < 6] = 1.0  # responses are normalised
+    log_weight = np.log(size / len(features))
+    return (
+        means.cluster_centers_.astype(np.float32),
+        np.maximum(deviation, SMALLEST_DEVIATION).astype(np.float32),
+        log_weight,
+    )
+
+
+def _shared(
+    model: HeadExemplars,
+    features: NDArray[np.float32],
+    labels: NDArray[np.int64],
+    who: NDArray[np.int64],
+    people: int,
+) -> NDArray[np.float32]:
+    """How many people have images in both of two labels (labels, labels) (Ba & Odobez 2003, §3.3)."""
+    k = model.log_weight.shape[1]
+    belongs = np.zeros((people, model.labels), np.float32)
+    for start in range(0, len(labels), 512):
+        part = slice(start, start + 512)
+        if model.plain:  # the class of an exemplar is its cluster
+            own = -np.square(features[part, None] - model.centre[labels[part]]).sum(axis=2)
+        else:
+            ratio = model.log_ratio(features[part]).reshape(-1, len(model.classes), k)
+            own = ratio[np.arange(len(ratio)), labels[part]]
+        belongs[who[part], labels[part] * k + own.argmax(axis=1)] = 1.0
+    return belongs.T @ belongs
+
+
+def _weighed(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> HeadExemplars:
+    """With the weights of the filters that make the head's box and pose most likely among all, calibrated."""
+    head, background = _by_filter(model, scenes.features[chosen])
+    label = scenes.label[chosen]
+    rows = np.arange(len(label))
+
+    def loss(log_exponent: FloatArray) -> float:
+        ratio = combined(head, background, model.background_log_weight, np.exp(log_exponent))
+        poses = model.pose_log_likelihood(ratio)
+        return -float((poses[rows, 0, label] - logsumexp(poses.reshape(len(rows), -1), axis=1)).mean())
+
+    start = np.log([0.03, 0.003, 0.03, 0.1])
+    exponent = np.exp(minimize(loss, start, method="Nelder-Mead", options={"maxfev": _SEARCH}).x)
+    ratio = combined(head, background, model.background_log_weight, exponent)
+    of_head = logsumexp(model.pose_log_likelihood(ratio), axis=2) - np.log(len(model.classes))
+    slope, intercept = _calibration(of_head[:, 0], of_head[scenes.off[chosen] > _BESIDE])
+    return replace(model, exponent=exponent, slope=slope, intercept=intercept)
+
+
+def _by_filter(
+    model: HeadExemplars, features: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    n, boxes, size = features.shape
+    head, background = model.by_filter(features.reshape(-1, size))
+    return head.reshape(n, boxes, *head.shape[1:]), background.reshape(n, boxes, *background.shape[1:])
+
+
+def _calibration(heads: FloatArray, others: FloatArray) -> tuple[float, float]:
+    """Slope and intercept that make a score the log likelihood ratio, by logistic regression.
+
+    Both kinds weigh the same, whatever their numbers.
+    """
+
+    def loss(p: FloatArray) -> float:
+        wrong = np.logaddexp(0.0, -(p[0] * heads + p[1])).mean()
+        return float(wrong + np.logaddexp(0.0, p[0] * others + p[1]).mean())
+
+    slope, intercept = minimize(loss, np.array([1.0, 0.0])).x
+    return float(slope), float(intercept)
+
+
+def _figures(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> dict[str, float]:
+    """Of scenes that nothing was learned from: the best box of 40, and the pan in the head's own box."""
+    head, background = _by_filter(model, scenes.features[chosen])
+    poses = model.pose_log_likelihood(combined(head, background, model.background_log_weight, model.exponent))
+    off = scenes.off[chosen]
+    best = logsumexp(poses, axis=2).argmax(axis=1)
+    found = off[np.arange(len(off)), best]
+    error = np.abs(difference(model.classes.most_likely_pan(poses[:, 0]), scenes.pan[chosen]))
+    return {
+        "best_of_40_on_the_head": float(np.mean(found < 0.5)),
+        "median_offset_of_best_in_head_sizes": float(np.median(found)),
+        "pan_mean_error_deg": float(np.degrees(error.mean())),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledImages:
+    """n images with numbers of each: ``values`` (n, k) in the order of the columns that were asked for."""
+
+    images: list[Image]
+    values: FloatArray
+
+
+def read_labelled(folder: str | Path, labels: str | Path, columns: tuple[str, ...]) -> LabelledImages:
+    """Read the images that a CSV names in its column ``image``, with other columns as numbers.
+
+    Parameters
+    ----------
+    folder : where the images are
+    labels : the CSV, with a heading
+    columns : that it must have besides ``image``
+
+    Raises
+    ------
+    InputError
+        With the line of the first row that cannot be used.
+    """
+    images, values = [], []
+    with Path(labels).open(encoding="utf-8-sig", newline="") as stream:
+        reader = csv.DictReader(stream)
+        missing = [name for name in ("image", *columns) if name not in (reader.fieldnames or [])]
+        if missing:
+            raise InputError("no such column", f"a column {missing[0]}", path=labels, column=missing[0])
+        for row in reader:
+            numbers = [parse_number(row[name] or "") for name in columns]
+            for name, number in zip(columns, numbers, strict=True):
+                if number is None:
+                    line = reader.line_num
+                    raise InputError(repr(row[name]), "a number", path=labels, line=line, column=name)
+            image = cv2.imread(str(Path(folder) / row["image"]), cv2.IMREAD_UNCHANGED)
+            if image is None:
+                raise InputError(
+                    f"image {row['image']!r}, which cannot be read",
+                    f"an image in {folder}",
+                    path=labels,
+                    line=reader.line_num,
+                )
+            images.append(as_uint8(np.asarray(image)))
+            values.append(numbers)
+    if not images:
+        raise InputError("no rows", "at least one image", path=labels)
+    return LabelledImages(images, np.array(values, float))
+
+
+COUNTS = {
+    "templates": 8000,
+    "exemplars": 20000,
+    "deep_belief": 50000,
+    "body_pose": 6000,
+    "head_localiser": 1000,
+    "head_exemplars": 7680,
+    "keypoints": 200_000,
+}
+"""Rendered images, or skeletons, that the models of the package are trained on."""
+
+PUBLISHED = (BodyPose.kind, Templates.kind, HeadLocaliser.kind)
+"""Models of Chen et al. 2011, which are there as it has printed them, too."""
+AS_PUBLISHED = (*PUBLISHED, Exemplars.kind, HeadExemplars.kind)
+"""The same, and those of Ba & Odobez 2003."""
+
+FOUND = HeadVariation(size=(10, 32), offset=0.07, scale=0.12, tilt_deviation=0.45)
+"""Heads as the localiser boxes them (its errors were measured), small ones too."""
+
+FOUND_AS_WALKING = replace(FOUND, tilt_deviation=0.35)
+"""The same with tilts as of walking people, to judge with."""
+
+FAR = PedestrianVariation(
+    size=(24, 80),
+    elevation=(0.0, 0.8),
+    occluded=0.25,
+    floor=0.35,
+    offset=0.05,
+    scale=0.1,
+    blur=0.6,
+    cluttered=0.8,
+)
+"""People in wide-angle views: small, blurred, seen from above, behind things and before a busy background."""
+
+_HEAD_POSE: dict[str, Callable[[], FeatureClassifier]] = {
+    kind.kind: kind for kind in (Templates, Exemplars, DeepBelief)
+}
+_EXACT = HeadVariation(offset=0.03, scale=0.05, tilt_deviation=0.45)
+_SKIN_IMAGES = 2000
+_CALIBRATION_IMAGES = 1500
+_HEAD_IMAGES = "rendered heads of 16-32 pixels; every one another person, light and camera"
+_FOUND_TOO = "; half of them of 10-32 pixels, in boxes as the head localiser's"
+_PEOPLE = "rendered people of 70-140 pixels; every one another person, light and camera"
+_FAR_TOO = "; a third of them of 24-80 pixels, from up to 45 degrees above, before busy backgrounds"
+_REAL = "not judged on real pictures here; "
+
+
+Trained = FeatureClassifier | HeadLocaliser | HeadExemplars | KeypointPose
+"""Any model of the package."""
+
+
+def train_on_rendered(
+    name: str,
+    *,
+    images: int | None = None,
+    test_images: int = 1000,
+    seed: int = 0,
+    as_published: bool = False,
+    advance: Callable[[int], None] = lambda count: None,
+) -> Trained:
+    """Train a model by name on rendered crops; its card tells of ``test_images`` other ones.
+
+    Parameters
+    ----------
+    images : how many to train on; by default as many as for the package's model
+    as_published : the form that their papers have printed, of the models of `AS_PUBLISHED`
+    advance : is told how many more images to train on are rendered
+
+    Raises
+    ------
+    InputError
+        If there is no model of that name, or it cannot be trained here.
+    """
+    if name not in NAMES:
+        raise InputError(f"model {name!r}", f"one of {', '.join(NAMES)}")
+    check_published(name, as_published)
+    if name == DeepBelief.kind:
+        DeepBelief.check_trainable()
+    count = images or COUNTS[name]
+    rng, other = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
+    if name == HeadLocaliser.kind:
+        people, judged = make_pedestrians(count, rng, advance=advance), make_pedestrians(test_images, other)
+        return _localiser(people, judged, _head_localiser(seed, as_published))
+    if name == BodyPose.kind:
+        people = make_pedestrians(count - count // 3, rng, advance=advance)
+        people += make_pedestrians(count // 3, rng, FAR, advance=advance)
+        body = _untrained(name, seed, as_published)
+        return _body_pose(people, make_pedestrians(test_images, other), body)
+    if name == KeypointPose.kind:
+        return train_keypoints(count, test_skeletons=20 * test_images, seed=seed, advance=advance)
+    if name not in CLASSIFIERS:
+        return train_head_exemplars(
+            people=max(2, count // len(PoseClasses.circle(16, 3))),
+            seed=seed,
+            as_published=as_published,
+            advance=advance,
+        )
+    # The two that are means and exemplars are best at what they were trained on; the network holds both.
+    found = count // 2 if name == DeepBelief.kind else 0
+    pan, tilt = draw_poses(count - found, rng, _EXACT, _HEAD_POSE[name]().classes)
+    heads = make_heads(count - found, rng, _EXACT, pan=pan, tilt=tilt, advance=advance)
+    heads += make_heads(found, rng, FOUND, advance=advance)
+    model = _head_pose(name, heads, seed, as_published)
+    calibrate_for_use(model, seed)
+    figures = head_pose_figures(model, test_images, other)
+    _complete_card(model, _HEAD_IMAGES + (_FOUND_TOO if found else ""), figures)
+    return model
+
+
+def check_published(name: str, as_published: bool) -> None:
+    """Refuse the form as published of a model that is of neither paper.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    if as_published and name not in AS_PUBLISHED:
+        raise InputError(f"{name} as published", f"one of {', '.join(AS_PUBLISHED)}")
+
+
+def _head_pose(name: str, heads: HeadSet, seed: int, as_published: bool) -> FeatureClassifier:
+    skin = None
+    if name == Templates.kind:
+        seen, masks = heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES]
+        skin = SkinColours.fit(seen, masks, as_published=as_published)
+    model = _untrained(name, seed, as_published, skin)
+    return model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
+
+
+def _head_localiser(seed: int, as_published: bool) -> HeadLocaliser:
+    return HeadLocaliser.as_published(seed=seed) if as_published else HeadLocaliser(seed=seed)
+
+
+def _untrained(
+    name: str, seed: int, as_published: bool, skin: SkinColours | None = None
+) -> FeatureClassifier:
+    """Return a classifier by name, in the package's form or as published."""
+    if name == BodyPose.kind:
+        return BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
+    if name == Templates.kind:
+        if as_published:
+            return Templates.as_published(seed=seed, skin=skin)
+        return Templates(seed=seed, skin=skin, metric="fisher")
+    if name == Exemplars.kind:
+        if as_published:
+            return Exemplars.as_published(seed=seed)
+        return Exemplars(seed=seed, exemplars=40, weigh_filters=True)
+    return DeepBelief(seed=seed)
+
+
+def calibrate_for_use(model: FeatureClassifier, seed: int) -> None:
+    """Choose the temperature anew on other heads, with tilts as of walking people.
+
+    Training has more heads that look up or down, so that every class has enough of them.
+    """
+    rng = np.random.default_rng([seed, 2])
+    heads = make_heads(_CALIBRATION_IMAGES, rng)
+    if model.kind == DeepBelief.kind:
+        heads = heads + make_heads(_CALIBRATION_IMAGES, rng, FOUND_AS_WALKING)
+    model.calibrate(heads.images, heads.pan)
+
+
+def head_pose_figures(model: FeatureClassifier, count: int, rng: np.random.Generator) -> dict[str, float]:
+    """Errors on heads in exact boxes, and on heads in boxes as the localiser's (names end in ``_found``)."""
+    exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
+    figures = evaluate(model, exact.images, exact.pan).figures()
+    of_found = evaluate(model, found.images, found.pan).figures()
+    return figures | {f"{name}_found": value for name, value in of_found.items()}
+
+
+def train_on_files(
+    name: str, folder: str | Path, labels: str | Path, *, seed: int = 0, as_published: bool = False
+) -> Trained:
+    """Train a model by name on a user's images.
+
+    The CSV has the columns ``image`` and: ``pan_deg`` and ``tilt_deg`` for head pose, ``body_deg`` for body
+    pose (0 faces the camera, 90 the right of the image), or ``left``, ``top``, ``width`` and ``height`` of
+    the head in pixels for the head localiser, whose images are crops of people.
+
+    Raises
+    ------
+    InputError
+        If there is no model of that name that learns from such files, or they cannot be used.
+    """
+    # The labels do not say who is who, which the tracker's exemplars need, nor where points of the body are.
+    known = [known for known in NAMES if known not in (HeadExemplars.kind, KeypointPose.kind)]
+    if name not in known:
+        raise InputError(f"model {name!r}", f"one of {', '.join(known)}")
+    check_published(name, as_published)
+    model: FeatureClassifier | HeadLocaliser
+    if name == HeadLocaliser.kind:
+        given = read_labelled(folder, labels, ("left", "top", "width", "height"))
+        model = _head_localiser(seed, as_published).fit(given.images, given.values)
+    elif name == BodyPose.kind:
+        given = read_labelled(folder, labels, ("body_deg",))
+        model = _untrained(name, seed, as_published)
+        model.fit(given.images, model.classes.index(np.deg2rad(given.values[:, 0])))
+    else:
+        given = read_labelled(folder, labels, ("pan_deg", "tilt_deg"))
+        # Skin is a matter of masks, which these labels lack: the colours of the package's model serve.
+        skin = Templates.load(model_path(Templates.kind)).skin if name == Templates.kind else None
+        model = _untrained(name, seed, as_published, skin)
+        if name == Exemplars.kind and not as_published:
+            model = Exemplars(seed=seed)  # of fewer images than are rendered
+        model.fit(given.images, model.classes.index(*np.deg2rad(given.values).T))
+    model.card = replace(model.card, trained_on=f"the images that {Path(labels).name} names")
+    return model
+
+
+def _body_pose(people: PedestrianSet, judged: PedestrianSet, model: FeatureClassifier) -> FeatureClassifier:
+    model.fit(people.images, model.classes.index(people.body))
+    near = make_pedestrians(_CALIBRATION_IMAGES // 2, np.random.default_rng([model.seed, 2]))
+    model.calibrate(near.images, near.body)
+    _complete_card(model, _PEOPLE + _FAR_TOO, evaluate(model, judged.images, judged.body).figures())
+    return model
+
+
+def _localiser(people: PedestrianSet, judged: PedestrianSet, model: HeadLocaliser) -> HeadLocaliser:
+    model.fit(people.images, people.head_box)
+    _complete_card(model, _PEOPLE, localisation_figures(model, judged))
+    return model
+
+
+def localisation_figures(model: HeadLocaliser, people: PedestrianSet) -> dict[str, float]:
+    """The three numbers of Chen et al.'s Table 1: overlap of the first candidate, best of all, candidates."""
+    found = [model.locate(image) for image in people.images]
+    first, best = [], []
+    for candidates, true in zip(found, people.head_box, strict=True):
+        overlap = intersection_over_union(candidates.boxes, true)
+        first.append(overlap[0])
+        best.append(overlap.max())
+    return {
+        "overlap_of_first": float(np.mean(first)),
+        "best_overlap_of_all": float(np.mean(best)),
+        "candidates": float(np.mean([len(candidates.boxes) for candidates in found])),
+    }
+
+
+def _complete_card(
+    model: FeatureClassifier | HeadLocaliser, trained_on: str, figures: dict[str, float]
+) -> None:
+    fails = "views from straight above, people bent or sitting, heads below 12 pixels, boxes off by a quarter"
+    model.card = replace(
+        model.card,
+        trained_on=trained_on,
+        fails_when=_REAL + fails,
+        figures={**model.card.figures, **figures},
+    )
