@@ -95,7 +95,9 @@ def test_the_map_has_every_room(package: str) -> None:
     rooms |= {path.stem for path in folder.glob("*.py") if not path.stem.startswith("__")}
     assert set(order(package)) == rooms
     assert len(order(package)) == len(rooms)
+    picture = (ROOT / "docs" / "images" / "rooms.svg").read_text("utf-8")
     for room in rooms:
+        assert f">{room}<" in picture, room
         assert re.search(rf"`{package}/{room}(/|\.py)`", MAP), room
 
 
