@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 from graphtrack.errors import InputError
 
-__all__ = ["gtsam", "package", "special"]
+__all__ = [
+    "csgraph",
+    "gtsam",
+    "ndimage",
+    "optimize",
+    "package",
+    "sparse",
+    "spatial",
+    "special",
+    "transform",
+]
 
 
 class _Later(ModuleType):
@@ -22,9 +32,14 @@ class _Later(ModuleType):
 
 if TYPE_CHECKING:
     import gtsam
-    from scipy import special
+    from scipy import ndimage, optimize, sparse, spatial, special
+    from scipy.sparse import csgraph
+    from scipy.spatial import transform
 else:
-    gtsam, special = _Later("gtsam"), _Later("scipy.special")
+    gtsam = _Later("gtsam")
+    ndimage, optimize, special = _Later("scipy.ndimage"), _Later("scipy.optimize"), _Later("scipy.special")
+    sparse, csgraph = _Later("scipy.sparse"), _Later("scipy.sparse.csgraph")
+    spatial, transform = _Later("scipy.spatial"), _Later("scipy.spatial.transform")
 
 
 def package(name: str, extra: str) -> Any:

@@ -64,7 +64,9 @@ def test_gtsam_is_loaded_where_a_graph_is_built_alone():
 
 
 def test_importing_every_part_of_the_way_to_a_solution_loads_nothing_heavy():
-    code = "import graphtrack.inference, graphtrack.simulation, graphtrack.trust, graphtrack.cli.commands"
+    code = (
+        "import graphtrack.inference, graphtrack.simulation, graphtrack.diagnostics, graphtrack.cli.commands"
+    )
     assert modules_after(code) == ["scipy"]
 
 

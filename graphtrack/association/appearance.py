@@ -19,14 +19,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from graphtrack.association.likelihood import Chains, IntArray, Scene
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.packages import csgraph, optimize, sparse, spatial
 from graphtrack.saved import packed, unpacked
 
 _LEAST = 1e-12
@@ -147,8 +144,8 @@ def _usable(values: FloatArray, pairs: ArrayLike, most: int) -> IntArray:
 
 def _people(pairs: IntArray, n: int) -> IntArray:
     """A number (m,) for the person of each pair: pairs that share a detection are of one."""
-    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, component = connected_components(links, directed=False)
+    links = sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, component = csgraph.connected_components(links, directed=False)
     return np.unique(component[pairs[:, 0]], return_inverse=True)[1].astype(np.int64)
 
 
@@ -199,7 +196,9 @@ def _logistic(same: FloatArray, different: FloatArray, people: int) -> tuple[flo
         taken = np.logaddexp(0.0, offset - slope * different).mean()
         return float(lost + taken + 0.5 * (slope / _STEEPEST) ** 2 / people)
 
-    found = minimize(cost, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(None, None), (0.0, None)])
+    found = optimize.minimize(
+        cost, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(None, None), (0.0, None)]
+    )
     offset, slope = found.x
     return float(offset), float(slope)
 
@@ -273,7 +272,7 @@ def resemblance_of_false_ones(
     # Frames far apart on a third axis, as in `duplicates.near`.
     step = np.array([0.0, 0.0, 10.0 * _APART])
     places = np.column_stack([chains.position[false], step[2] * chains.frame[false]])
-    distance, before = cKDTree(places).query(places - step, distance_upper_bound=_APART)
+    distance, before = spatial.cKDTree(places).query(places - step, distance_upper_bound=_APART)
     later = np.flatnonzero(np.isfinite(distance))
     ratios = model.log_ratio(descriptors[false[before[later]]], descriptors[false[later]])
     return max(float(ratios.sum()) / (len(ratios) + _PRIOR), 0.0)

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.libraries import rows_of_supervision, rows_of_ultralytics
@@ -25,8 +24,7 @@ from graphtrack.io.read_write import is_table, rows_of_file, rows_of_frame
 from graphtrack.io.read_write import read as read_identified
 from graphtrack.io.read_write import tracks_of as tracks_given
 from graphtrack.io.read_write import tracks_of_rows as identified_tracks
-from graphtrack.model import Model
-from graphtrack.tracks.detections import Detections, frames_between
+from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows, check_identities, rows_of_table
@@ -36,6 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.io.read_write import Given
+    from graphtrack.model import Model
 
     Detected: TypeAlias = TrackSet | Track | str | Path | pd.DataFrame | Mapping[str, Any] | Sequence[Track]
 
@@ -77,6 +76,8 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     scene : its parameters that are known; the others are learned
     """
     rows, detections = detections_of(rows)
+    from graphtrack.association.offline import associate_detections  # SciPy takes long to load
+
     found = associate_detections(detections, scene)
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
     identity[detections.row], probability[detections.row] = found.identity, found.probability
@@ -103,6 +104,8 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     rows, detections = detections_of(rows.taken(np.argsort(rows.frame, kind="stable")))
     known, place = np.unique(rows.track_id, return_inverse=True)
     given = np.where(rows.track_id == -1, -1, place)[detections.row]
+    from graphtrack.association.offline import repair_detections
+
     found = repair_detections(detections, given, scene)
     # New people get the numbers after the highest.
     names = np.concatenate([known, known.max() + 1 + np.arange(len(rows))])
@@ -218,6 +221,8 @@ def associate(
     InputError
         If the input cannot be read, or has no detection with a position.
     """
+    from graphtrack.model import Model  # loads the compiler
+
     of_model = {} if model is None else Model.named(model).scene
     return associated(rows_of(detections, fps=fps, **options), {**of_model, **known_values(scene)})
 

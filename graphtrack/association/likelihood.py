@@ -19,11 +19,11 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from graphtrack.geometry.angles import FloatArray, class_centres
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.packages import optimize
 from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 
 IntArray = NDArray[np.int64]
@@ -708,7 +708,9 @@ def _fitted(
         return before + others - places - angles - float(doubt)
 
     start = [*np.log([getattr(SceneParameters(), name) for name in names]), 0.2]
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1})
+    found = optimize.minimize(
+        cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1}
+    )
     best = parameters(found.x)
     # Nothing is gained where the tracks' angles are no more probable than any.
     return best | ({outliers: 1.0} if found.fun > 0.0 else {}) | dict(kept)

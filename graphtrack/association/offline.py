@@ -16,7 +16,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from graphtrack.association.appearance import Looks, ScoreRatio, constancy, learn_appearance
 from graphtrack.association.likelihood import (
@@ -43,7 +42,8 @@ from graphtrack.association.scene import (
     seen_from_within,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.tracks.detections import Detections
+from graphtrack.packages import optimize
+from graphtrack.tracks.detections import APPEARANCE, Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 
 
@@ -167,16 +167,13 @@ def match(gains: FloatArray) -> tuple[IntArray, IntArray]:
     if not len(i):
         return rows[:alone], columns[:alone]
     inner = np.maximum(gains[i[:, None], j], 0.0)
-    row, column = linear_sum_assignment(inner, maximize=True)
+    row, column = optimize.linear_sum_assignment(inner, maximize=True)
     kept = inner[row, column] > 0.0
     return (
         np.concatenate([rows[:alone], i[row[kept]]]),
         np.concatenate([columns[:alone], j[column[kept]]]),
     )
 
-
-APPEARANCE = "input_appearance"
-"""The channel of descriptors of what detections look like, (n, d)."""
 
 SWEEPS = 6
 """Over the recording at most, for one set of parameters."""

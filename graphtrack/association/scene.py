@@ -15,12 +15,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.optimize import minimize
-from scipy.spatial import cKDTree
 
 from graphtrack.association.likelihood import Chains, IntArray, Scene, innovations
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.packages import ndimage, optimize, spatial
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 
@@ -83,7 +81,7 @@ def pairs_within(frame: NDArray[np.int64], position: FloatArray, reach: float) -
     """Pairs (both ways) of detections of one frame within reach (m), and their squared distances (m²)."""
     # Frames far apart on a third axis: one tree for all.
     apart = np.column_stack([position, frame * (10.0 * reach)])
-    pairs = cKDTree(apart).query_pairs(reach, output_type="ndarray").reshape(-1, 2)
+    pairs = spatial.cKDTree(apart).query_pairs(reach, output_type="ndarray").reshape(-1, 2)
     first = np.concatenate([pairs[:, 0], pairs[:, 1]]).astype(np.int64)
     second = np.concatenate([pairs[:, 1], pairs[:, 0]]).astype(np.int64)
     return first, second, np.sum((position[first] - position[second]) ** 2, axis=1)
@@ -312,7 +310,9 @@ def _motion(
         off = logarithms - start
         return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)
 
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 120, "xatol": 0.05, "fatol": 1e-4})
+    found = optimize.minimize(
+        cost, start, method="Nelder-Mead", options={"maxfev": 120, "xatol": 0.05, "fatol": 1e-4}
+    )
     best = values(found.x)
     return best if unknown.any() else best | {"position_std": scene.position_std}
 
@@ -384,7 +384,7 @@ class Places:
 
 def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> FloatArray:
     """Return the rate as a multiple of its mean, without the events (n,) that are not to count."""
-    events, expected = (map_coordinates(grid, cells, order=1, mode="nearest") for grid in grids)
+    events, expected = (ndimage.map_coordinates(grid, cells, order=1, mode="nearest") for grid in grids)
     rate: FloatArray = (np.maximum(events - own, 0.0) + _PRIOR) / (expected + _PRIOR)
     return rate
 
@@ -406,7 +406,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
         counts = np.zeros(shape)
         cell = np.clip(np.rint((places - low) / _CELL).astype(int), 0, shape - 1)
         np.add.at(counts, (cell[:, 0], cell[:, 1]), weight)
-        return gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
+        return ndimage.gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
 
     square = area(position)
     # Who is there may leave; to come into view and to be false is possible everywhere.

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 
+APPEARANCE = "input_appearance"
+"""The channel of appearance descriptors, (n, d)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Detections:

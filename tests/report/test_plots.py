@@ -200,7 +200,7 @@ def test_matplotlib_is_not_loaded_before_it_is_needed():
 
 
 def test_pyplot_stays_untouched():
-    code = "from graphtrack.report import plots, build; import sys; print('matplotlib.pyplot' in sys.modules)"
+    code = "from graphtrack.report import page, plots; import sys; print('matplotlib.pyplot' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "False"
 

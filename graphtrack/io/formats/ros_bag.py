@@ -26,12 +26,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import RemoteFile
-from graphtrack.packages import package
+from graphtrack.packages import package, transform
 from graphtrack.tracks.validation import LARGEST_CONCENTRATION
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ def yaw_of(quaternion: FloatArray, axis: str = "x") -> FloatArray:
     known = _is_rotation(quaternion)
     turned = np.full((len(quaternion), 3), np.nan)
     if known.any():
-        turned[known] = Rotation.from_quat(quaternion[known]).apply(_AXES[axis])
+        turned[known] = transform.Rotation.from_quat(quaternion[known]).apply(_AXES[axis])
     # A comparison with NaN is false.
     level = np.hypot(turned[:, 0], turned[:, 1]) > _STEEP
     return np.where(level, np.arctan2(turned[:, 1], turned[:, 0]), np.nan)
@@ -84,7 +83,9 @@ def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
     known = _is_rotation(second)
     found = np.zeros_like(second)
     if known.any():
-        found[known] = (Rotation.from_quat(first[known]) * Rotation.from_quat(second[known])).as_quat()
+        found[known] = (
+            transform.Rotation.from_quat(first[known]) * transform.Rotation.from_quat(second[known])
+        ).as_quat()
     return found
 
 

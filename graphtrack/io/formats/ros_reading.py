@@ -23,7 +23,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -50,6 +49,7 @@ from graphtrack.io.formats.ros_bag import (
 )
 from graphtrack.io.options import Layout, ReadOptions
 from graphtrack.io.source import Source
+from graphtrack.packages import transform
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale
 from graphtrack.tracks.track import TrackSet
@@ -92,18 +92,18 @@ class Placement:
 
     def turn(self) -> FloatArray:
         """(n, 3, 3) rotation matrices."""
-        return Rotation.from_quat(self.quaternion).as_matrix()
+        return transform.Rotation.from_quat(self.quaternion).as_matrix()
 
     def after(self, inner: Placement) -> Placement:
         """Placement, in the outer frame, of one that has a placement in this frame."""
-        outer = Rotation.from_quat(self.quaternion)
-        turned = outer * Rotation.from_quat(inner.quaternion)
+        outer = transform.Rotation.from_quat(self.quaternion)
+        turned = outer * transform.Rotation.from_quat(inner.quaternion)
         place = outer.apply(inner.translation) + self.translation
         return Placement(turned.as_quat(), place, self.known & inner.known)
 
     def inverse(self) -> Placement:
         """The pose of the other in the one."""
-        back = Rotation.from_quat(self.quaternion).inv()
+        back = transform.Rotation.from_quat(self.quaternion).inv()
         return Placement(back.as_quat(), -back.apply(self.translation), self.known)
 
 
@@ -200,7 +200,7 @@ def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
     within = np.clip(stamps, told[0], told[-1])
     # Relative to the first, for a double has not the digits of an epoch's nanoseconds.
     since, at = (told - told[0]) / 1e9, (within - told[0]) / 1e9
-    turn = Slerp(since, Rotation.from_quat(poses[:, :4]))(at).as_quat()
+    turn = transform.Slerp(since, transform.Rotation.from_quat(poses[:, :4]))(at).as_quat()
     place = np.column_stack([np.interp(at, since, poses[:, k]) for k in (4, 5, 6)])
     return Placement(turn, place, np.abs(stamps - within) <= _REACH)
 
