@@ -1,20 +1,9 @@
-"""Stretches of tracks side by side, from which the noise of a file is judged.
+"""Diagnosis of the declared noise: the multiple that makes observations likeliest, and a bias of angles.
 
-How probable observations are, each after those before it, whatever their noise is said to be.
-
-Two filters in which people move, and turn, by themselves: positions by white-noise acceleration, angles by
-rotational diffusion. Each observation is an outlier with a probability of its own, so that a few gross ones
-say nothing of the noise of the others. All stretches and all candidates are filtered side by side.
-
-By how much a channel's declared noise is wrong: the multiple that makes the observations likeliest.
-
-By how much everybody's body, or head, is seen turned from where they go: a bias of the detector.
-
-One person may side-step; that everybody is seen at the same angle to the motion is more probably the doing of
-the detector. So each track has an offset, drawn from a von Mises density about the bias or, for some, from
-the circle.
-
-Whether the data contradict what is declared of their noise, and what to do about it.
+Stretches of tracks are filtered under white-noise acceleration and rotational diffusion, each observation an
+outlier with some probability, all stretches and candidates at once. Everybody seen at the same angle to the
+motion is more probably a bias of the detector than of people: each track has an offset from a von Mises
+density about the bias or, for some, from the circle.
 """
 
 from __future__ import annotations
@@ -133,12 +122,11 @@ def position_log_density(
     wander: FloatArray,
     outliers: FloatArray,
 ) -> FloatArray:
-    """Log density (G, P) of the positions of each piece, by each of G candidates.
+    """Log density (G, P) of the positions (T, P, 2) of pieces, by each of G candidates.
 
     Parameters
     ----------
-    pieces : positions (T, P, 2) in metres with the declared σ
-    default : metres, where none is declared
+    default : σ in metres, where none is declared
     speed_std : m/s, 1-σ of each axis of the velocity where a piece begins
     scale : (G,) multiples of the declared σ
     wander : (G,) q in m²/s³
@@ -190,13 +178,12 @@ def position_log_density(
 def angle_log_density(
     pieces: Pieces, default: float, scale: FloatArray, wander: FloatArray, outliers: FloatArray
 ) -> FloatArray:
-    """Log density (G, P) of the angles of each piece, by each of G candidates.
+    """Log density (G, P) of the angles (T, P, 1) of pieces, by each of G candidates.
 
-    What is known is a von Mises density throughout; of a mixture that of the same mean resultant.
+    A mixture is taken for the von Mises density of the same mean resultant.
 
     Parameters
     ----------
-    pieces : angles (T, P, 1) in radians with the declared κ
     default : κ where none is declared
     scale : (G,) multiples of the declared 1-σ; κ is divided by their square
     wander : (G,) diffusion in rad²/s
@@ -522,13 +509,7 @@ def _turned(track: Track, turns: dict[str, float]) -> Track:
 
 
 def trusted(tracks: TrackSet, model: Model, trust: Trust) -> tuple[TrackSet, Model, list[str]]:
-    """Tracks and model as they are to be solved, and what is to be said of their declared noise.
-
-    Raises
-    ------
-    InputError
-        For what is none of `Trust`.
-    """
+    """Tracks and model to be solved, and remarks on their noise; InputError for an unknown `Trust`."""
     if trust not in ("declared", "check", "learn"):
         raise InputError(f"trust {trust!r}", "declared, check or learn")
     if trust == "declared":
@@ -546,11 +527,9 @@ _DECLARED = {"position": ("position_std", 1.0), "body": ("body_kappa", -2.0), "h
 def declared_noise(tracks: Sequence[Track], model: Model) -> Noise:
     """What the data say of the noise that a file, or else the model, declares.
 
-    The multipliers of σ are those that make each observation most probable after those before it, of people
-    who move by white-noise acceleration and turn by diffusion, how much being learned beside. They are found
-    on some stretches of the tracks, the same ones each time. A bias is an angle at which everybody is seen to
-    the direction in which they go. Positions that are judged in the image, and class likelihoods but for
-    their bias, are not looked at.
+    Multipliers make each observation most probable after those before it, on the same stretches each time. A
+    bias is an angle at which everybody is seen to their motion. Positions judged in the image, and class
+    likelihoods but for their bias, are left out.
     """
     found, parameters = [], model.parameters
     for name in ("position", "body", "head"):

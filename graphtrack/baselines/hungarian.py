@@ -1,10 +1,8 @@
 """A plain tracker of many people: a Kalman filter each, and the Hungarian method in every frame.
 
-The scheme of SORT (Bewley et al. 2016, ICIP) on the ground instead of in boxes: constant velocity with
-white-noise acceleration, a gate on the Mahalanobis distance, birth after m hits of n frames (the M/N logic of
-Blackman and Popoli 1999, *Design and Analysis of Modern Tracking Systems*, ch. 6), death after some time
-without a hit. The confirmed choose first (the cascade of Wojke et al. 2017, ICIP). Online: what was said of a
-frame is never changed.
+SORT (Bewley et al. 2016) on the ground: constant velocity with white-noise acceleration, a Mahalanobis gate,
+birth after m hits of n frames (Blackman and Popoli 1999, ch. 6), death after some time without a hit, and the
+confirmed first (Wojke et al. 2017). Online: frames are never revised.
 """
 
 from __future__ import annotations
@@ -93,18 +91,9 @@ class HungarianTracker:
         self._hits, self._last = np.empty(0, np.int64), np.empty(0)
 
     def step(self, t: float, position: FloatArray, position_std: FloatArray | None = None) -> Reported:
-        """Take in the detections of a frame.
+        """Take in the detections of a frame at ``t`` seconds, later than before (else InputError).
 
-        Parameters
-        ----------
-        t : seconds, later than before
-        position : (n, 2) metres; n may be 0
-        position_std : (n,) metres, 1-σ of each axis; NaN or None: the parameters'
-
-        Raises
-        ------
-        InputError
-            If time does not go on.
+        ``position`` is (n, 2) metres; ``position_std`` (n,) metres, NaN or None: the parameters'.
         """
         if not t > self._t:
             raise InputError(f"a frame at {t:g} s after one at {self._t:g} s", "frames in the order of time")

@@ -1,11 +1,7 @@
-"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part (motion and positions seen).
-
-What the graph is compared with: the same motion, the same position noise, the same prior on the velocity.
-
-A Kalman filter over many tracks at once, for motion that is alike on both axes.
+"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part, over many tracks at once.
 
 Every matrix is a 2 × 2 matrix of position and velocity ⊗ I₂, so one covariance [[a, b], [b, c]] serves both
-axes, and a step of a thousand tracks is a handful of array operations.
+axes.
 """
 
 from __future__ import annotations
@@ -181,15 +177,9 @@ def _first_position(track: Track) -> int:
 
 
 def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates, GaussianStates]:
-    """Filtered and one-step predicted states, from the first observed position on.
+    """Filtered and one-step predicted states (Joseph form) from the first position on.
 
-    The first state has the observed position and a broad velocity; the update is in Joseph form, which
-    keeps covariances symmetric and positive.
-
-    Raises
-    ------
-    SolveError
-        If no position was observed.
+    SolveError if no position was observed.
     """
     _first_position(track)
     motion, dt, variance = parameters.motion, track.dt, position_std(track, parameters) ** 2
@@ -206,13 +196,7 @@ def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates,
 
 
 def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
-    """Rauch–Tung–Striebel smoothed states; before the first position, extrapolated backwards.
-
-    Raises
-    ------
-    SolveError
-        If no position was observed.
-    """
+    """Rauch–Tung–Striebel states, extrapolated before the first position; SolveError without positions."""
     filtered, predicted = filter_states(track, parameters)
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
     start = _first_position(track)
@@ -233,10 +217,7 @@ def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
 
 
 def as_track(track: Track, states: GaussianStates, motion: MotionParameters | None = None) -> Track:
-    """The track with these estimates; its orientations are left out, for they were not estimated.
-
-    With ``motion`` the covariances have the sway of hips in them, as those of the graph do.
-    """
+    """The track with these estimates and no orientations; ``motion`` adds the sway of hips."""
     covariance = np.full((len(track), 6, 6), np.nan)
     covariance[:, :4, :4] = states.covariance
     if motion is not None:

@@ -1,10 +1,7 @@
-"""A coupling's modes as tables: of each mode and offset what it does, and how one leads to another.
+"""What the particle filter's kernels know of a model and a track, and its compiled densities.
 
-They are the recursions of `coupling_modes` on one mode and offset at a time, for methods that draw these.
-
-What the particle filter's kernels know of a model and a track: arrays with one row a frame.
-
-Compiled densities of the particle filter: the von Mises, and the likelihoods of what was observed.
+Couplings' modes are tables: of each mode and offset its effect, and how one leads to another, as in the
+recursions of `coupling_modes`.
 """
 
 from __future__ import annotations
@@ -212,14 +209,7 @@ class Job:
 def prepare(
     track: Track, model: Model, camera: GroundCamera | None, pose: PoseModel, image_pose: bool
 ) -> Job:
-    """The arrays of a track under a model.
-
-    Raises
-    ------
-    InputError
-        If the model has a term that the particle filter does not know, or poses are to be judged in the image
-        without a camera.
-    """
+    """The arrays of a track under a model; InputError for an unknown term, or without a camera."""
     for term in model.terms:
         if type(term) not in KNOWN:
             raise InputError(

@@ -122,10 +122,7 @@ def _solve_batches(
 
 
 def _batches(tracks: TrackSet, in_lanes: list[bool], way: bool, size: int) -> Iterator[list[int]]:
-    """The tracks that are solved one way, by their places, ``size`` frames or little more at a time.
-
-    Those that are solved in lanes come in whole groups.
-    """
+    """Places of tracks that are solved one way, about ``size`` frames at a time, lanes in groups."""
     group = LANES if way else 1
     batch: list[int] = []
     frames = 0

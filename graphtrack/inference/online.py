@@ -1,6 +1,4 @@
-"""Observations that come late, or again: what is added to the window of an online smoother.
-
-The online smoother: one person, one observation at a time.
+"""The online smoother: one person, one observation at a time, and observations that come late or again.
 
 Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
 GTSAM, for any list of terms) and ``isam2`` (`Isam2`; GTSAM's, in a window or over the full history). An
@@ -174,32 +172,19 @@ class OnlineSmoother:
         Raises
         ------
         InputError
-            If the observation itself is unusable: a time or value that is no number within bounds. The state
-            is unchanged.
+            If a time or value is no number within bounds. The state is unchanged.
         """
         return self._take(self.usable(observation))
 
     def usable(self, observation: Observation) -> Observation:
-        """The observation as it is taken in: checked, and with the position that the camera gives to a pixel.
-
-        Raises
-        ------
-        InputError
-            As `update`.
-        """
+        """Return the observation checked, with the position of its pixel; InputError as `update`."""
         return self._on_the_ground(checked(observation))
 
     @staticmethod
     def update_together(
         smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
     ) -> list[Estimate]:
-        """Each smoother's `update` with its observation, but as few calls into compiled code as there can be.
-
-        Parameters
-        ----------
-        smoothers : of different people
-        observations : one of each, as `usable` gives them
-        """
+        """Each smoother's `update` in few calls into compiled code; observations as `usable` gives them."""
         estimates: list[Estimate | None] = [None] * len(smoothers)
         places: list[int] = []
         windows: list[ChainWindow] = []
@@ -225,17 +210,9 @@ class OnlineSmoother:
         return self._work_in(observation)
 
     def revise(self, since: float, observations: Sequence[Observation]) -> Estimate | None:
-        """Take back what was seen from a time on, and take in what is now thought to have been seen.
+        """Take back what was seen since a time (seconds), and take in ``observations`` with positions, in order.
 
-        Parameters
-        ----------
-        since : seconds
-        observations : with positions, in order, from ``since`` on; all at once
-
-        Returns
-        -------
-        Estimate or None
-            At the latest time. None, and nothing has changed: the window holds nothing older to go on from.
+        Returns the estimate at the latest time, or None, and changes nothing, if the window has nothing older.
         """
         window = self._smoother.window()
         steps = [step for step in window.steps if step.observation.t < since]

@@ -1,7 +1,4 @@
-"""What the offline engines are asked and what they answer.
-
-The input that makes an estimate fail numerically: the value farthest from what people and cameras give.
-"""
+"""Options and results of the offline engines, and the extreme input that makes an estimate fail."""
 
 from __future__ import annotations
 
@@ -110,9 +107,8 @@ def estimated_tracks(
     """Tracks with estimates, (n, 6) states and (n, 6, 6) covariances, in place of their observations.
 
     Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
-    ``modes`` (n, 3), as in `chain.result.Result`, are absent where they begin with NaN, since they are
-    found in all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to
-    copy them for each takes as long as to smooth positions.
+    ``modes`` (n, 3) are absent where they begin with NaN. All tracks share the arrays, ``covariance`` the
+    caller's.
     """
     position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
     others = {

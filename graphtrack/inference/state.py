@@ -1,9 +1,4 @@
-"""What the online engines take for an observation.
-
-What a fixed lag remembers of states it has let go: a Gaussian on the oldest step of its window.
-
-The state of an online smoother: its estimate, its window, and both as JSON-able data.
-"""
+"""State of the online engines: checked observations, the marginal prior, windows, and saved states."""
 
 from __future__ import annotations
 
@@ -35,13 +30,12 @@ _CHECKS = tuple((name, FIELDS[name].low, FIELDS[name].high, _SIZES.get(name, 0))
 
 
 def checked(observation: Observation) -> Observation:
-    """The observation, with tuples where it had lists or arrays, if an engine can use it.
+    """Return an observation that an engine can use, with tuples where it had lists or arrays.
 
     Raises
     ------
     InputError
-        Naming the channel: a value that is no number within the bounds of `graphtrack.tracks.validation`, or
-        several where there should be one or another number of them; or an input that has no numbers.
+        Naming the channel whose value is out of bounds or of a wrong size, or the input without numbers.
     """
     if not isinstance(observation, Observation):
         found = "None" if observation is None else f"a {type(observation).__name__}"
@@ -127,11 +121,6 @@ class MarginalPrior:
     keys : GTSAM keys of the variables, in order
     point : their values at the linearisation point: 2 numbers for X and V, an angle (radians) for B and H
     information, linear, constant : Λ, η and c
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit the keys.
     """
 
     keys: tuple[int, ...]
@@ -165,11 +154,7 @@ class MarginalPrior:
         return replace(self, information=information)
 
     def turned(self, turns: Mapping[int, float], near: float) -> MarginalPrior:
-        """The same in another basin: key of an orientation → radians to there.
-
-        ``near`` is the cosine of the turn up to which an orientation is in the same basin. What the Gaussian
-        says holds about its own basin; that it is as sure of the other one is the best guess.
-        """
+        """The same in another basin: key → radians to there; ``near``: cosine within the same basin."""
         point = tuple(
             (there[0] + turns[key],) if len(there) == 1 and math.cos(turns[key]) < near else there
             for key, there in zip(self.keys, self.point, strict=True)
@@ -518,13 +503,7 @@ def unpack_observation(saved: Mapping[str, Any]) -> Observation:
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
-    """The inverse of `pack_state`.
-
-    Raises
-    ------
-    InputError
-        If the data are not what `pack_state` makes.
-    """
+    """Return the saved state of `pack_state`'s data; InputError for other data."""
     if not isinstance(state, dict) or state.get("version") != STATE_VERSION:
         raise InputError("a state of another version", f"version {STATE_VERSION}")
     try:

@@ -51,12 +51,10 @@ def make_solver_ready(
     *,
     complete: bool = False,
 ) -> None:
-    """Compile, or load, what an engine calls for whole tracks.
+    """Compile, or load, what an engine calls for whole tracks, ``in_lanes`` or not.
 
-    Parameters
-    ----------
-    in_lanes : which of them the chain solves in lanes
-    complete : Newton's steps even where the model is linear, and GTSAM's basin search with terms of one's own
+    ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with terms of one's
+    own.
     """
     if engine == "chain":
         make_ready(WHOLE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))

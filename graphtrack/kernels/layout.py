@@ -1,9 +1,4 @@
-"""Where things stand: in the state of a frame, in what its kernels add to, and in records.
-
-What the compiled chain engine is given: arrays of some tracks end to end.
-
-What a term hands to the compiled engine: functions that add up its cost, and when they are called.
-"""
+"""Layout of states and records, the arrays of the chain engine, and the kernels of terms."""
 
 from __future__ import annotations
 

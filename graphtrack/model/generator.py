@@ -1,16 +1,9 @@
-"""Frame programs: the kernels of some terms, called one after another, and which one a problem has.
+"""Frame programs: the kernels of some terms, called one after another, written out for floats and lanes.
 
-Compiled code calls `add_frame`, `cut` and `set_quarter_turns`. Their implementation is
-chosen where the call is compiled, by the type of the problem's records: that of the package's terms in
-`program`, or one that was generated for terms of a user's own. So the solver is compiled once more for such
-terms, from the same source.
-
-The frame program of a model: that of the package's terms, or one generated for terms of a user's own.
-
-Writes the frame program: the kernels of a list of terms, called one after another, for floats and lanes.
-
-Functions that looped over kernels could not be inlined, nor their machine code be kept: so every call is
-written out. ``python -m graphtrack.model.generator`` writes `program` again; a test compares.
+Compiled code calls `add_frame`, `cut` and `set_quarter_turns`; the type of the problem's records chooses the
+program, that of the package's terms (`program`) or one generated for terms of a user's own. Loops over
+kernels could not be inlined or cached. ``python -m graphtrack.model.generator`` writes `program`; a test
+compares.
 """
 
 from __future__ import annotations
@@ -48,13 +41,7 @@ _FUNCTIONS: dict[tuple[str, ...], Any] = {}
 
 @dataclass(frozen=True, eq=False)
 class FrameProgram:
-    """A frame program, for whoever packs records or reads them.
-
-    Attributes
-    ----------
-    types : of the records
-    links, switched : gates of what links a frame to the one before, and of what the coupling modes switch
-    """
+    """Record types of a frame program, and the gates of links to the frame before and of switched kernels."""
 
     types: RecordTypes
     links: tuple[str, ...]
@@ -80,10 +67,7 @@ OF_PRESETS = FrameProgram.of(program)
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of compiled code that is, for each type of records, that of their program.
-
-    ``records_of`` takes the types of the arguments to that of the records.
-    """
+    """A function of compiled code that is chosen by the type of records, which ``records_of`` finds."""
 
     def stub(*_arguments: Any) -> Any:
         raise NotImplementedError(f"{name} is called by compiled code alone")

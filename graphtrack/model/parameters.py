@@ -1,15 +1,8 @@
-"""Parameters of the model, with their units. They are what a model file holds.
+"""Parameters of the model, with their units, and the variances that reported covariances contain besides.
 
-The defaults of motion, orientation and coupling were fitted to motion capture of people who walk, turn and
-run (30 Hz; 0.1 m of noise on positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2), on every
-other clip: q by the likelihood of the true positions under the smoother's covariance, the others by the mean
-angular errors of `separate` and `joint`. docs/model.md has the errors on the clips that were left out.
-
-Variances that reported covariances contain besides the estimator's own.
-
-White-noise acceleration and rotational diffusion are what estimates are made with. People do other things:
-their hips sway with every step, and their accelerations and turns last. None of that changes an estimate, but
-its covariance; see `graphtrack.inference.chain.covariance`.
+The defaults of motion, orientation and coupling were fitted to motion capture (30 Hz; 0.1 m of noise on
+positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md. The sway of hips, and
+accelerations and turns that last, change covariances alone; see `graphtrack.inference.chain.covariance`.
 """
 
 from __future__ import annotations
@@ -34,11 +27,7 @@ Scale = Literal["log", "log odds"]
 def _number(
     default: float, low: float, high: float, unit: str = "", *, scale: Scale = "log", learned: bool = True
 ) -> Any:
-    """A field of a parameter with its range, in its unit, and how `fit` may learn it, if it may.
-
-    Within all ranges estimates are finite: what lies beyond is no property of people, and some of it can not
-    be solved in double precision.
-    """
+    """A field with its range, within which estimates are finite, its unit, and how `fit` may learn it."""
     metadata = {"range": (low, high), "unit": unit, "scale": scale, "learned": learned}
     return field(default=default, metadata=metadata)
 
@@ -320,13 +309,7 @@ class Parameters:
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], defaults: Parameters | None = None) -> Parameters:
-        """Parameters from nested tables; what is not named keeps its value in ``defaults``.
-
-        Raises
-        ------
-        InputError
-            For an unknown table or key, and for a value outside its range.
-        """
+        """Parameters from nested tables over ``defaults``; InputError for unknown or wrong values."""
         start = cls() if defaults is None else defaults
         known = [f.name for f in fields(cls)]
         parts = {}
@@ -358,9 +341,7 @@ def steady(parameters: Parameters) -> Parameters:
 def swaying(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
     """Covariances (..., 4 or more, …) of hips, from those of the path that they sway about; in place.
 
-    What sways as a sine, ``sway_rate`` times a second, has the variance ``sway_std``² in each position and
-    (2π·``sway_rate``·``sway_std``)² in each velocity, and at any one time these two have nothing to do with
-    each other.
+    The sine of ``sway_rate`` has the variances ``sway_std``² and (2π·``sway_rate``·``sway_std``)².
     """
     variance = np.einsum("...ii->...i", covariance)
     variance[..., :4] += sway_variances(motion)
@@ -375,9 +356,5 @@ def sway_variances(motion: MotionParameters) -> tuple[float, float, float, float
 
 
 def kept_shares(orientation: OrientationParameters) -> tuple[float, float]:
-    """What remains of the variances of body and head where not all diffusion is white in truth.
-
-    Of the variance that a filter or a smoother of a diffusing angle states, a half is the noise's and a half
-    what the angle diffuses.
-    """
+    """Shares of the variances of body and head that remain where not all diffusion is white."""
     return 0.5 * (1.0 + orientation.body_white_share), 0.5 * (1.0 + orientation.head_white_share)

@@ -52,14 +52,12 @@ _KNOWN = (math.nan, math.nan)
 class ChainWindow:
     """A fixed-lag smoother of one person by compiled Newton steps.
 
-    The frames of the window stand one after another in arrays that the kernels read in place, side by side
-    with those of others, so that `extend_together` takes many people's observations in one call. What leaves
-    the window is eliminated with its exact curvature, and what it says about the next frame stays as a
-    Gaussian. Time and memory are bounded by the window. Whatever a method raises, all stays as it was.
+    The frames of the window stand in arrays that kernels read in place, alongside those of others. What
+    leaves the window is eliminated with its exact curvature. Whatever a method raises, all stays as it was.
 
     Parameters
     ----------
-    model : a chain (see `chain.engine.is_chain`)
+    model : a chain (see `chain.batch.is_chain`)
     lag : seconds that the window reaches back from its newest step
     tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
         cost, relative to 1 + the cost
@@ -153,13 +151,7 @@ class ChainWindow:
         return kept
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
-        """Go on where `window` and `arrays` were taken, as if nothing had happened.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If the arrays do not fit the window.
-        """
+        """Go on where `window` and `arrays` were taken; KeyError or ValueError if these do not fit."""
         n = len(window.steps)
         self._take(window, arrays["origin"])
         self._states[:n] = arrays["states"].reshape(n, N)
@@ -304,10 +296,7 @@ class ChainWindow:
 
 
 def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> list[Newest | Exception]:
-    """Add a step, not the first, to each of some windows; what is known of each then, or why it is not.
-
-    The new variables start where those before lead to. Who is taken together with whom makes no difference.
-    """
+    """Add a step, not the first, to each of some windows; returns the newest states or the errors."""
     found: list[Newest | Exception | None] = [None] * len(windows)
     groups: dict[tuple[int, int], list[int]] = {}
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):

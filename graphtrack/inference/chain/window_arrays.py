@@ -161,10 +161,6 @@ def pool_of(program: FrameProgram) -> Pool:
 class FrameRows:
     """The frames of one person in the arrays of a problem.
 
-    Parameters
-    ----------
-    model : a chain (see `chain.engine.is_chain`)
-
     Attributes
     ----------
     problem : the arrays, once they are made

@@ -47,14 +47,10 @@ _REMEMBERED = 50
 class Isam2:
     """An iSAM2 smoother of one person.
 
-    Each step adds `X(k)`, `V(k)`, `B(k)` and `H(k)` and the nonlinear factors of its terms to one
-    `gtsam.ISAM2`, which relinearises a variable where its estimate is farther from its linearisation point
-    than the threshold of its kind.
-
-    With a lag, the variables of steps that leave the window are marginalised by `ISAM2.marginalizeLeaves`:
-    what they say about the step after them stays as a Gaussian. For that they have to be leaves of the Bayes
-    tree, so that the window's variables are eliminated again, beginning with them. Time and memory are
-    bounded by the window then. Without a lag the tree is GTSAM's own, and memory grows with the track.
+    Each step adds `X(k)`, `V(k)`, `B(k)` and `H(k)` and the factors of its terms to one `gtsam.ISAM2`. With a
+    lag, the variables that leave the window are marginalised by `ISAM2.marginalizeLeaves`, for which they
+    have to be leaves: the window's variables are eliminated again, beginning with them. Without one, memory
+    grows.
 
     Parameters
     ----------
@@ -202,11 +198,7 @@ class Isam2:
         return known
 
     def _farthest(self) -> float:
-        """Greatest distance of the newest steps from their linearisation points, in thresholds.
-
-        The first step of a window does not count: what has left it holds its linearisation point. Without a
-        lag `_WATCHED` steps count.
-        """
+        """Greatest distance of the newest steps from their linearisation points, in thresholds."""
         begin = 1 if self._marginals else 0
         if self._lag == math.inf:
             begin = max(begin, len(self.steps) - _WATCHED)
