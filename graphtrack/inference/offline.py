@@ -170,14 +170,7 @@ def _solve_chains(
             answers.append(Failure(track.track_id, not_finite(track, model)))
         else:
             answers.append(
-                Solution(
-                    estimates[m],
-                    first_cost[m],
-                    cost[m],
-                    iterations[m],
-                    status[m] == CONVERGED,
-                    "chain",
-                )
+                Solution(estimates[m], first_cost[m], cost[m], iterations[m], status[m] == CONVERGED, "chain")
             )
     return answers
 

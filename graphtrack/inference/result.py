@@ -175,10 +175,7 @@ def with_extreme_of(reason: str, seen: Sequence[Observation], model: Model) -> s
 
 
 def _of_channels(
-    t: FloatArray,
-    frame: NDArray[np.int64],
-    position: FloatArray,
-    channels: Mapping[str, FloatArray | None],
+    t: FloatArray, frame: NDArray[np.int64], position: FloatArray, channels: Mapping[str, FloatArray | None]
 ) -> Iterator[tuple[float, str]]:
     """How many times each extreme input is beyond what is usual, and the input in words."""
     dt = np.diff(t)

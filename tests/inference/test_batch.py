@@ -135,8 +135,7 @@ def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> No
 
 @MOST_TERMS
 @pytest.mark.parametrize(
-    ("angle", "shift"),
-    [(0.0, (30.0, -80.0)), (1.0, (0.0, 0.0)), (np.pi, (0.0, 0.0)), (-2.5, (5.0, 7.0))],
+    ("angle", "shift"), [(0.0, (30.0, -80.0)), (1.0, (0.0, 0.0)), (np.pi, (0.0, 0.0)), (-2.5, (5.0, 7.0))]
 )
 def test_estimates_move_and_turn_with_the_world(
     preset: str, angle: float, shift: tuple[float, float]
@@ -223,10 +222,7 @@ SITUATIONS = {
     "angles": (walk(8, seed=1), Parameters()),
     "uneven": (walk(8, seed=2, uneven=True), Parameters()),
     "classes": (walk(8, seed=3, classes=True), Parameters()),
-    "gaps": (
-        without(without(walk(8, seed=4), "position", slice(2, 5)), "body", slice(0, 5)),
-        Parameters(),
-    ),
+    "gaps": (without(without(walk(8, seed=4), "position", slice(2, 5)), "body", slice(0, 5)), Parameters()),
     "outliers": (walk(8, seed=5), Parameters(likelihood=LikelihoodParameters(outlier_probability=0.1))),
     "huber": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="huber"))),
     "cauchy": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="cauchy"))),

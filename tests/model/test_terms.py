@@ -227,12 +227,7 @@ CASES = [
     Case("metres, Huber", PositionLikelihood, likelihood(robust="huber")),
     Case("metres, Cauchy", PositionLikelihood, likelihood(robust="cauchy")),
     Case("pixels", PositionLikelihood, density=pixels_density, channels=("position", "pixel")),
-    Case(
-        "pixels, Cauchy",
-        PositionLikelihood,
-        likelihood(robust="cauchy"),
-        channels=("position", "pixel"),
-    ),
+    Case("pixels, Cauchy", PositionLikelihood, likelihood(robust="cauchy"), channels=("position", "pixel")),
     Case("body angle", BodyLikelihood, density=angle_density("body"), **SEEN_BODY),
     Case("head angle", HeadLikelihood, density=angle_density("head"), **SEEN_HEAD),
     Case("body angle, outliers", BodyLikelihood, OUTLIERS, angle_density("body"), **SEEN_BODY),

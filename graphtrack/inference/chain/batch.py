@@ -295,9 +295,7 @@ def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
 
 def _for_lanes(memory: Any) -> Any:
     """A `Workspace` or a `ModeMemory` with room in every array of floats for all lanes."""
-    return type(memory)(
-        *(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory),
-    )
+    return type(memory)(*(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory))
 
 
 @inner_allocating

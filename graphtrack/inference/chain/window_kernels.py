@@ -203,12 +203,7 @@ def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
 
 @merged
 def find_by_squares(
-    problem: Problem,
-    track: int,
-    states: FloatArray,
-    max_iterations: int,
-    tolerance: float,
-    memory: Workspace,
+    problem: Problem, track: int, states: FloatArray, max_iterations: int, tolerance: float, memory: Workspace
 ) -> None:
     """Minimise with squares in place of the robust loss, in place."""
     robust = problem.shared[0].robust
@@ -451,12 +446,7 @@ def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
 
 @allocating
 def advance(
-    windows: Windows,
-    tasks: np.ndarray,
-    guesses: FloatArray,
-    rules: Rules,
-    gait: Any,
-    advanced: Advanced,
+    windows: Windows, tasks: np.ndarray, guesses: FloatArray, rules: Rules, gait: Any, advanced: Advanced
 ) -> None:
     """Take one observation more, or what was changed, into each of some windows of a block.
 

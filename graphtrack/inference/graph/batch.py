@@ -87,10 +87,7 @@ def descend(
 
 
 def optimize(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    ordering: gtsam.Ordering,
-    options: SolverOptions,
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ordering: gtsam.Ordering, options: SolverOptions
 ) -> tuple[gtsam.Values, list[float], bool]:
     """Gauss–Newton with step halving; returns values, the cost after each step, and whether it converged.
 
@@ -113,10 +110,7 @@ def optimize(
 
 
 def smooth_graph(
-    track: Track,
-    model: Model,
-    camera: GroundCamera | None = None,
-    options: SolverOptions | None = None,
+    track: Track, model: Model, camera: GroundCamera | None = None, options: SolverOptions | None = None
 ) -> Solution:
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 

@@ -152,10 +152,7 @@ def add_pixel(
 
 
 ADD_POSITION = Kernel(
-    add_position,
-    gate="position_information",
-    variables=("position",),
-    unless="pixel_information",
+    add_position, gate="position_information", variables=("position",), unless="pixel_information"
 )
 ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",))
 
