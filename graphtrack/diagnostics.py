@@ -35,14 +35,11 @@ if TYPE_CHECKING:
     from graphtrack.model import Model
 
 
-LONGEST = 60
-"""Frames of a piece at most: that many steps are taken, one after another."""
+LONGEST = 60  # Frames of a piece at most: that many steps are taken, one after another
 
-MOST = 2500
-"""Frames of all pieces together, about."""
+MOST = 2500  # Frames of all pieces together, about
 
-FEWEST = 4
-"""Observations of a piece at least."""
+FEWEST = 4  # Observations of a piece at least
 
 Channel = Callable[[Track], tuple[FloatArray | None, FloatArray | None]]
 """What was observed in each frame, and the spread that was declared for it."""
@@ -108,8 +105,7 @@ def pieces_of(tracks: Sequence[Track], channel: Channel, rng: np.random.Generato
     return Pieces(dt, value, spread, np.array([m for m, *_ in chosen]))
 
 
-WIDER = 10.0
-"""Of a position that is an outlier, the standard deviation over that of the others."""
+WIDER = 10.0  # Of a position that is an outlier, the standard deviation over that of the others
 
 TWO_PI = 2.0 * math.pi
 
@@ -222,8 +218,7 @@ def angle_log_density(
 Density = Callable[[Pieces, FloatArray, FloatArray, FloatArray], FloatArray]
 """Pieces, (G,) multiples of the noise and of the model's wander, probabilities of an outlier → (G, P)."""
 
-SURE = 0.999
-"""Of the intervals by which a declaration is judged."""
+SURE = 0.999  # Of the intervals by which a declaration is judged
 
 FEWEST_PIECES, FEWEST_SEEN = 4, 100
 
@@ -314,19 +309,16 @@ def _by_track(slopes: FloatArray, track: NDArray[np.int64]) -> FloatArray:
     return found
 
 
-BASE = 1.0
-"""Seconds over which the direction of motion is measured."""
+BASE = 1.0  # Seconds over which the direction of motion is measured
 
-MOVING = 0.5
-"""m/s over that time from which it means something."""
+MOVING = 0.5  # m/s over that time from which it means something
 
 FEWEST_TRACKS, FEWEST_FOR_BIAS = 8, 8
 """Tracks, and observations of who moves in each, that it takes to tell a bias from people's gaits."""
 
 MOST_TRACKS = 400
 
-SHARED = 0.7
-"""Share of the tracks that a bias is common to, at least."""
+SHARED = 0.7  # Share of the tracks that a bias is common to, at least
 
 
 @dataclass(frozen=True)
@@ -418,8 +410,7 @@ Trust = Literal["declared", "check", "learn"]
 TOO_FAR, SURELY = 1.25, 1.1
 """A declared σ is contradicted if it is off by such a factor, and by at least the second with 99.9 %."""
 
-BIASED, SURELY_BIASED = math.radians(10.0), math.radians(4.0)
-"""The same of a bias."""
+BIASED, SURELY_BIASED = math.radians(10.0), math.radians(4.0)  # The same of a bias
 
 
 @dataclass(frozen=True)
@@ -497,15 +488,15 @@ class Noise:
         if changes:
             parameters = replace(model.parameters, likelihood=replace(likelihood, **changes))
             model = model.with_parameters(parameters)
-        turns = {one.name: -one.turn for one in self.channels if one.turn}
-        return (tracks.map(lambda track: _turned(track, turns)) if turns else tracks), model
+        turns = [one for one in self.channels if one.turn]
 
+        def corrected(track: Track) -> Track:
+            changes: dict[str, Any] = {}
+            for one in turns:
+                changes |= turned(track, one.name, -one.turn)
+            return replace(track, **changes)
 
-def _turned(track: Track, turns: dict[str, float]) -> Track:
-    changes: dict[str, Any] = {}
-    for name, by in turns.items():
-        changes |= turned(track, name, by)
-    return replace(track, **changes)
+        return (tracks.map(corrected) if turns else tracks), model
 
 
 def trusted(tracks: TrackSet, model: Model, trust: Trust) -> tuple[TrackSet, Model, list[str]]:

@@ -100,11 +100,18 @@ class HungarianTracker:
         position = np.asarray(position, dtype=float).reshape(-1, 2)
         std = np.full(len(position), np.nan) if position_std is None else np.asarray(position_std, float)
         variance = np.where(np.isnan(std), self.parameters.position_std, std) ** 2
-        self._keep(self._is_hopeful(t))
-        self._predict(t)
+        kept = self._is_hopeful(t)
+        for name in ("_mean", "_spread", "_identity", "_age", "_hits", "_last"):
+            setattr(self, name, getattr(self, name)[kept])
+        if len(self._mean):
+            step = constant_velocity(t - self._t, self.parameters.acceleration_density)
+            self._mean, self._spread = predict(self._mean, self._spread, step)
         track_of = self._assign(position, variance)
         hit = np.flatnonzero(track_of >= 0)
-        self._update(track_of[hit], position[hit], variance[hit])
+        own, seen = track_of[hit], np.ones(len(hit), bool)
+        self._mean[own], self._spread[own], _ = update(
+            self._mean[own], self._spread[own], position[hit], variance[hit], seen
+        )
         self._age += 1
         self._hits[track_of[hit]] += 1
         self._last[track_of[hit]] = t
@@ -114,13 +121,14 @@ class HungarianTracker:
         new = np.flatnonzero(track_of < 0)
         identity[new] = self._begin(t, position[new], variance[new])
         self._t = t
-        return self._report(t, identity)
-
-    def _predict(self, t: float) -> None:
-        if not len(self._mean):
-            return
-        step = constant_velocity(t - self._t, self.parameters.acceleration_density)
-        self._mean, self._spread = predict(self._mean, self._spread, step)
+        shown = (self._identity >= 0) & (t - self._last <= self.parameters.coasting + 1e-9)
+        return Reported(
+            identity,
+            self._identity[shown],
+            self._mean[shown],
+            full_covariance(self._spread[shown]),
+            self._last[shown] == t,
+        )
 
     def _assign(self, position: FloatArray, variance: FloatArray) -> IntArray:
         """The track (n,) of each detection, −1 where it has none."""
@@ -141,12 +149,6 @@ class HungarianTracker:
         off = position[None] - self._mean[tracks, None, :2]
         return np.asarray(np.sum(off**2, axis=2) / (self._spread[tracks, :1] + variance))
 
-    def _update(self, tracks: IntArray, position: FloatArray, variance: FloatArray) -> None:
-        seen = np.ones(len(tracks), bool)
-        self._mean[tracks], self._spread[tracks], _ = update(
-            self._mean[tracks], self._spread[tracks], position, variance, seen
-        )
-
     def _confirm(self) -> None:
         new = np.flatnonzero((self._identity < 0) & (self._hits >= self.parameters.hits))
         self._identity[new] = self._next + np.arange(len(new))
@@ -160,10 +162,6 @@ class HungarianTracker:
         hopeful = self._age - self._hits <= self.parameters.frames - self.parameters.hits
         return np.where(confirmed, recent, hopeful)
 
-    def _keep(self, kept: NDArray[np.bool_]) -> None:
-        for name in ("_mean", "_spread", "_identity", "_age", "_hits", "_last"):
-            setattr(self, name, getattr(self, name)[kept])
-
     def _begin(self, t: float, position: FloatArray, variance: FloatArray) -> IntArray:
         """Tracks of detections that are nobody's so far; their identities, −1 unless one hit is enough."""
         n = len(position)
@@ -176,16 +174,6 @@ class HungarianTracker:
         self._last = np.append(self._last, np.full(n, t))
         self._confirm()
         return self._identity[len(self._identity) - n :]
-
-    def _report(self, t: float, identity: IntArray) -> Reported:
-        shown = (self._identity >= 0) & (t - self._last <= self.parameters.coasting + 1e-9)
-        return Reported(
-            identity,
-            self._identity[shown],
-            self._mean[shown],
-            full_covariance(self._spread[shown]),
-            self._last[shown] == t,
-        )
 
 
 def track_detections(detections: Detections, parameters: HungarianParameters | None = None) -> TrackSet:
@@ -205,22 +193,16 @@ def track_detections(detections: Detections, parameters: HungarianParameters | N
     frames = with_those_between(seen)
     times = np.interp(frames, seen, detections.t[first])
     std = detections.channels.get("position_std")
-    rows: list[tuple[int, float, Reported]] = []
+    rows: list[Reported] = []
     for frame, t in zip(frames.tolist(), times.tolist(), strict=True):
         here = slice(*end.get(frame, (0, 0)))
-        found = tracker.step(t, detections.position[here], None if std is None else std[here])
-        rows.append((frame, t, found))
-    return _tracks(rows)
-
-
-def _tracks(rows: list[tuple[int, float, Reported]]) -> TrackSet:
-    counts = [len(found.people) for *_, found in rows]
-    people = np.concatenate([found.people for *_, found in rows])
-    frame = np.repeat([frame for frame, *_ in rows], counts)
-    t = np.repeat([t for _, t, _ in rows], counts)
-    mean = np.concatenate([found.mean for *_, found in rows])
-    spread = np.concatenate([found.covariance for *_, found in rows])
-    observed = np.concatenate([found.seen for *_, found in rows]).astype(float)
+        rows.append(tracker.step(t, detections.position[here], None if std is None else std[here]))
+    counts = [len(found.people) for found in rows]
+    people = np.concatenate([found.people for found in rows])
+    frame, t = np.repeat(frames, counts), np.repeat(times, counts)
+    mean = np.concatenate([found.mean for found in rows])
+    spread = np.concatenate([found.covariance for found in rows])
+    observed = np.concatenate([found.seen for found in rows]).astype(float)
     tracks = []
     for identity in np.unique(people).tolist():
         own = np.flatnonzero(people == identity)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.observation import require_position
 from graphtrack.model.parameters import MotionParameters, Parameters, swaying
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
@@ -169,19 +169,12 @@ def position_std(track: Track, parameters: Parameters) -> FloatArray:
     return parameters.likelihood.position_stds(track.position_std, len(track))
 
 
-def _first_position(track: Track) -> int:
-    seen = np.flatnonzero(np.isfinite(track.position).all(axis=1))
-    if not len(seen):
-        raise SolveError(track.track_id, NO_POSITION)
-    return int(seen[0])
-
-
 def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates, GaussianStates]:
     """Filtered and one-step predicted states (Joseph form) from the first position on.
 
     SolveError if no position was observed.
     """
-    _first_position(track)
+    require_position(track)
     motion, dt, variance = parameters.motion, track.dt, position_std(track, parameters) ** 2
     found = filter_tracks(
         track.position[None],
@@ -199,7 +192,7 @@ def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
     """Rauch–Tung–Striebel states, extrapolated before the first position; SolveError without positions."""
     filtered, predicted = filter_states(track, parameters)
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
-    start = _first_position(track)
+    start = int(np.argmax(np.isfinite(track.position).all(axis=1)))
     for k in range(len(track) - 2, start - 1, -1):
         transition = transition_matrix(float(track.t[k + 1] - track.t[k]))
         spread_ahead = predicted.covariance[k + 1]

@@ -35,8 +35,7 @@ PROPAGATE, FIRST, RECOVERED = 0, 1, 2
 """How a run begins: from the frame before; with positions and velocities drawn already, angles from their
 couplings; with everything at hand already."""
 
-POSITION, BODY, HEAD = 1, 2, 4
-"""Observations that were used up when particles were drawn from them."""
+POSITION, BODY, HEAD = 1, 2, 4  # Observations that were used up when particles were drawn from them
 
 VANISHED = -700.0
 """Below this log-likelihood, even of the best particle, weights are 0 in double precision: it is lost."""

@@ -178,7 +178,13 @@ class OnlineSmoother:
 
     def usable(self, observation: Observation) -> Observation:
         """Return the observation checked, with the position of its pixel; InputError as `update`."""
-        return self._on_the_ground(checked(observation))
+        observation = checked(observation)
+        if observation.position is not None or observation.pixel is None or self.camera is None:
+            return observation
+        x, y = self.camera.image_to_ground(np.array(observation.pixel)).tolist()
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
+        return replace(observation, position=(x, y))
 
     @staticmethod
     def update_together(
@@ -210,9 +216,9 @@ class OnlineSmoother:
         return self._work_in(observation)
 
     def revise(self, since: float, observations: Sequence[Observation]) -> Estimate | None:
-        """Take back what was seen since a time (seconds), and take in ``observations`` with positions, in order.
+        """Take back what was seen since a time in seconds, and take in positioned observations in order.
 
-        Returns the estimate at the latest time, or None, and changes nothing, if the window has nothing older.
+        Returns the estimate at the latest time, or None, without a change, if the window has nothing older.
         """
         window = self._smoother.window()
         steps = [step for step in window.steps if step.observation.t < since]
@@ -220,7 +226,7 @@ class OnlineSmoother:
             return None
         known = {step.observation.t: window.values[step.index] for step in window.steps}
         values = {step.index: window.values[step.index] for step in steps}
-        for seen in map(self._on_the_ground, map(checked, observations)):
+        for seen in map(self.usable, observations):
             previous = steps[-1].alone()
             dt = seconds_between(previous, seen)
             steps.append(Step(self._next_index, seen, previous, dt, False, self.camera))
@@ -304,15 +310,6 @@ class OnlineSmoother:
 
     # -- one step ------------------------------------------------------------------------------------------
 
-    def _on_the_ground(self, observation: Observation) -> Observation:
-        """With the position that the camera gives to a pixel, as readers of files do."""
-        if observation.position is not None or observation.pixel is None or self.camera is None:
-            return observation
-        x, y = self.camera.image_to_ground(np.array(observation.pixel)).tolist()
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
-        return replace(observation, position=(x, y))
-
     def _append(self, observation: Observation) -> Estimate:
         steps, smoother = self._smoother.steps, self._smoother
         if steps and isinstance(smoother, ChainWindow):
@@ -322,7 +319,7 @@ class OnlineSmoother:
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
-            return self._extended(smoother.extend(step, predicted(step, smoother)), observation)
+            return self._extended(smoother.extend(step, predicted(step, smoother.state)), observation)
         except FAILURES as error:
             return self._extended(error, observation)
 
@@ -388,15 +385,15 @@ class OnlineSmoother:
 
     def _failed(self, observation: Observation, error: Exception) -> Estimate:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        steps = self._smoother.steps
-        seen = [*(step.observation for step in steps), observation]
+        seen = [*(step.observation for step in self._smoother.steps), observation]
         reason = with_extreme_of(reason, seen, self.model)
         return replace(self._unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:
-        none = np.full(2, np.nan)
-        unknown = np.full((6, 6), np.nan)
-        return Estimate(observation.t, observation.frame, none, none, math.nan, math.nan, unknown, "waiting")
+        none, nan = np.full(2, np.nan), math.nan
+        return Estimate(
+            observation.t, observation.frame, none, none, nan, nan, np.full((6, 6), nan), "waiting"
+        )
 
     def _unchanged(self, observation: Observation, status: Status) -> Estimate:
         if self._last is None:

@@ -41,8 +41,7 @@ _NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
 _DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
 """Found in sources that declare compiled functions."""
 
-_CACHE_DIR = threading.Lock()
-"""Held while numba's setting of the cache folder is another."""
+_CACHE_DIR = threading.Lock()  # Held while numba's setting of the cache folder is another
 
 
 def compiled(function: Function, **options: bool) -> Function:
@@ -123,14 +122,12 @@ def _digest() -> str:
 
 logger = logging.getLogger("graphtrack")
 
-UNNOTICED = 3.0
-"""Seconds of compiling up to which nothing is logged."""
+UNNOTICED = 3.0  # Seconds of compiling up to which nothing is logged
 
 TRACK = Track(0, np.arange(4), np.linspace(0.0, 0.3, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
 """Synthetic track, 0.1 s a frame, with which compiled functions are called the first time."""
 
-_READY = set[str]()
-"""Names of the rehearsals that this process has run: machine code is the process's."""
+_READY = set[str]()  # Names of the rehearsals that this process has run: machine code is the process's
 
 
 @dataclass(frozen=True)

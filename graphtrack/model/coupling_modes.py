@@ -20,13 +20,11 @@ from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import steer
 
-BODY_MODE, HEAD_MODE = 0, 1
-"""Places of the two couplings in arrays of both."""
+BODY_MODE, HEAD_MODE = 0, 1  # Places of the two couplings in arrays of both
 
 AHEAD_VX, AHEAD_VY, AHEAD_BODY = range(3)
 
-GLANCE = 3
-"""Place of the probability of a glance in `ModeMemory.held`."""
+GLANCE = 3  # Place of the probability of a glance in `ModeMemory.held`
 
 _TURN = 2.0 * math.pi
 _LAST = BINS - 1

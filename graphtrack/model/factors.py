@@ -155,11 +155,9 @@ COUPLED = (
 )
 """The fields of a frame that the modes of the couplings set; see `gait.GaitOffsets`."""
 
-Couplings = Mapping[int, Sequence[float]]
-"""Index of a step → what its `COUPLED` fields are now."""
+Couplings = Mapping[int, Sequence[float]]  # Index of a step → what its `COUPLED` fields are now
 
-_SMALLEST_PIVOT = 1e-14
-"""Of the greatest: what is smaller is rounding of a block that is not of full rank."""
+_SMALLEST_PIVOT = 1e-14  # Of the greatest: what is smaller is rounding of a block that is not of full rank
 
 _CONSTANTS: dict[str, Any] = {
     "BODY": BODY,

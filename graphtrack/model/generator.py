@@ -12,7 +12,7 @@ import hashlib
 import inspect
 import sys
 import textwrap
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from graphtrack.model.term import Term
 
 
-_FUNCTIONS: dict[tuple[str, ...], Any] = {}
-"""Names of the fields of a record → the functions of its program."""
+_FUNCTIONS: dict[tuple[str, ...], Any] = {}  # Names of the fields of a record → the functions of its program
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,17 +52,8 @@ class FrameProgram:
         _FUNCTIONS[functions.FRAME.names] = functions
         return cls(RecordTypes(functions.FRAME, functions.SHARED), functions.LINKS, functions.SWITCHED)
 
-    @classmethod
-    def from_source(cls, source: str, name: str) -> FrameProgram:
-        """The program of a source from `generator.Program`."""
-        # Machine code on disk names the module of each function, which is imported when it is loaded.
-        module = sys.modules[name] = ModuleType(name)
-        exec(compile(source, f"<{name}>", "exec"), vars(module))
-        return cls.of(module)
 
-
-OF_PRESETS = FrameProgram.of(program)
-"""The program of the package's terms."""
+OF_PRESETS = FrameProgram.of(program)  # The program of the package's terms
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
@@ -310,13 +300,6 @@ class Program:
         return text
 
 
-if __name__ == "__main__":
-    from graphtrack.model.model import every_term
-
-    written = Program(every_term(), "the presets' terms").source
-    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")
-
-
 def program_of(model: Model) -> FrameProgram:
     """The frame program of a model's compiled terms."""
     return _program_of(tuple(dict.fromkeys(type(term) for term in model.compiled_terms)))
@@ -327,14 +310,23 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
     """The program of some terms: the presets' where they bring nothing new, else one of their own."""
     if _brought(kinds) <= _brought(every_term()):
         return OF_PRESETS
-    functions = list(_functions(kinds))
+    functions = [
+        function
+        for kind in kinds
+        for kernel in kind.kernels
+        for function in (kernel.function, kernel.add_quarter_turns)
+        if function is not None
+    ]
     for function in functions:
         _check(function)
     title = ", ".join(kind.__name__ for kind in kinds)
     name = f"program_{_digest(functions)}"
     # The solver's machine code on disk is told apart by the names of the record's fields.
     source = Program(kinds, title, every_term(), Field(name, "of which program the record is")).source
-    return FrameProgram.from_source(source, name)
+    # Machine code on disk names the module of each function, which is imported when it is loaded.
+    module = sys.modules[name] = ModuleType(name)
+    exec(compile(source, f"<{name}>", "exec"), vars(module))
+    return FrameProgram.of(module)
 
 
 def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
@@ -344,15 +336,6 @@ def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
         for kind in kinds
         for one in (*kind.fields, *kind.shared, *(id(kernel) for kernel in kind.kernels))
     }
-
-
-def _functions(kinds: Iterable[type[Term]]) -> Iterator[Function]:
-    """All functions of the kernels of some terms."""
-    for kind in kinds:
-        for kernel in kind.kernels:
-            yield kernel.function
-            if kernel.add_quarter_turns is not None:
-                yield kernel.add_quarter_turns
 
 
 def _check(function: Function) -> None:
@@ -382,3 +365,8 @@ def _digest(functions: Iterable[Function]) -> str:
             elif isinstance(value, bool | int | float | str | tuple | np.ndarray):
                 digest.update(f"{name}={value!r}".encode())
     return digest.hexdigest()[:16]
+
+
+if __name__ == "__main__":
+    written = Program(every_term(), "the presets' terms").source
+    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")

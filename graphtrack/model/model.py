@@ -100,8 +100,7 @@ def default_parameters(preset: str) -> Parameters:
     return preset_parameters.get(preset, Parameters())
 
 
-BEST_PRESET = "full"
-"""The preset of which a model is where none is named."""
+BEST_PRESET = "full"  # The preset of which a model is where none is named
 
 
 class Model:

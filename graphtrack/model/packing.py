@@ -200,8 +200,7 @@ class RecordTypes(NamedTuple):
         return cls(frame, record_type(field for term in terms for field in term.shared))
 
 
-_KINDS = 256
-"""Kinds of frame that are remembered, packed."""
+_KINDS = 256  # Kinds of frame that are remembered, packed
 
 
 class FramePacker:

@@ -139,7 +139,6 @@ def test_the_estimates_of_a_track_are_those_of_the_steps() -> None:
     states = intentional_filter(track.position, track.head, PRINTED)
     found = step_tracker(track, PRINTED)
     np.testing.assert_allclose(found.position, states.mean[0, :, :2])
-    assert found.velocity is not None and found.covariance is not None
     np.testing.assert_allclose(found.velocity, states.mean[0, :, 2:] / 0.25)
     np.testing.assert_allclose(found.covariance[:, 2, 0], states.spread[0, :, 1] / 0.25)
     np.testing.assert_allclose(found.covariance[:, 3, 3], states.spread[0, :, 2] / 0.25**2)

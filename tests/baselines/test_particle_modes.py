@@ -40,7 +40,6 @@ def aside(n: int = 60, *, seed: int = 0, offset: float = 1.4) -> Track:
 
 
 def body_error(estimate: Track, track: Track) -> float:
-    assert estimate.body is not None and track.true_body is not None
     return float(np.degrees(np.abs(difference(estimate.body, track.true_body))[20:]).mean())
 
 
@@ -105,7 +104,6 @@ def test_modes_that_are_all_alike_are_no_modes() -> None:
                 track, Model(preset, parameters), options=ParticleOptions(particles=600), seed=seed
             )
             last = one.track
-            assert last.body is not None and last.head is not None
             rows.append([np.nansum(one.log_evidence), *last.position[-1], last.body[-1], last.head[-1]])
         found[preset] = np.array(rows)
         if preset == "full":
@@ -208,7 +206,6 @@ def test_who_goes_sideways_is_followed() -> None:
             estimate = particle_filter(track, full if preset == "full" else preset, seed=seed).track
             found.append(body_error(estimate, track))
             if preset == "full":
-                assert estimate.aligned_p is not None and estimate.gait_offset is not None
                 assert estimate.aligned_p[30:].max() < 0.2
                 assert np.abs(difference(estimate.gait_offset[30:], 1.4)).max() < 0.5
     assert np.mean(errors["full"]) < 12.0
@@ -239,7 +236,7 @@ def test_heads_that_are_a_classifiers_mistake_are_doubted() -> None:
         gait = replace(parameters.gait, head_class_bias=bias, head_strength=6.0, glance_share=0.0)
         model = Model("full", replace(parameters, gait=gait))
         head = particle_filter(classed, model, options=ParticleOptions(particles=3000)).track.head
-        assert head is not None and np.isfinite(head).all()
+        assert np.isfinite(head).all()
         heads[bias] = np.degrees(np.abs(head[20:])).mean()
     assert heads[0.9] < heads[0.0] - 20.0
 

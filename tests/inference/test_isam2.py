@@ -102,7 +102,6 @@ def test_gtsam_relinearises_what_has_moved_and_nothing_else(lag: float | None) -
 
 def turned_in(track: Track, share: float, seed: int) -> Track:
     """The track with a share of its heads turned by 180°."""
-    assert track.head is not None
     rng = np.random.default_rng(seed)
     return replace(track, head=wrap(track.head + np.pi * (rng.random(len(track)) < share)))
 
@@ -128,7 +127,6 @@ def in_sigmas(track: Track, model: Model, **options: Any) -> np.ndarray:
     """Differences between the full history and the batch, in standard deviations."""
     smoother, _, _ = online(track, model, engine="isam2", lag=None, **options)
     batch = smooth_track(track, model, options=EXACTLY, engine="gtsam").track
-    assert batch.velocity is not None and batch.covariance is not None
     none = np.full(len(track), np.nan)
     angles = [none if a is None else a for a in (batch.body, batch.head)]
     expected = np.column_stack([batch.position, batch.velocity, *angles])
@@ -165,7 +163,6 @@ def test_the_window_agrees_with_the_other_windows(preset: str) -> None:
 def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) -> None:
     """Orientations that turn out to be far from where they began must not be mistaken for others."""
     track = walk(60, seed=3, noise=0.05, angle_kappa=20.0)
-    assert track.head is not None
     head, kappa = track.head.copy(), np.full(60, 0.05)
     head[:35] += turn * np.linspace(0.0, 2.0, 35)
     kappa[35:] = 30.0

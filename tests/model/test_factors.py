@@ -138,7 +138,6 @@ def test_a_term_of_ones_own_without_a_jacobian_takes_part(preset: str) -> None:
     plain, pulled = smooth_track(track, Model(preset)), smooth_track(track, with_term)
 
     def deviation(estimate: Track) -> float:
-        assert estimate.velocity is not None
         return float(np.sum((np.linalg.norm(estimate.velocity, axis=1) - 1.2) ** 2))
 
     assert deviation(pulled.track) < 0.9 * deviation(plain.track)
@@ -147,10 +146,8 @@ def test_a_term_of_ones_own_without_a_jacobian_takes_part(preset: str) -> None:
 
 def test_a_term_of_ones_own_brings_its_orientation_into_the_model() -> None:
     estimate = smooth_track(walk(8), Model("position", terms=[FavouriteHeading])).track
-    assert estimate.body is not None
     np.testing.assert_allclose(estimate.body, 0.0, atol=1e-4)
     assert estimate.head is None
-    assert estimate.covariance is not None
     # The density is exp(cos θ), whose curvature at its top is 1 and whose variance is more.
     np.testing.assert_allclose(estimate.covariance[:, 4, 4], vonmises(1.0).var(), rtol=1e-3)
 

@@ -119,7 +119,6 @@ def metres_density(states: States, track: Track, parameters: Parameters) -> floa
 
 
 def pixels_density(states: States, track: Track, parameters: Parameters) -> float:
-    assert track.pixel is not None
     miss = CAMERA.ground_to_image(states.position) - track.pixel
     return float(np.sum(stats.norm.logpdf(miss, scale=parameters.likelihood.pixel_std)))
 
@@ -425,7 +424,6 @@ def test_the_written_density_is_the_one_of_the_definition(case: Case) -> None:
         rng = np.random.default_rng(seed)
         moved = States(*(value + rng.normal(0.0, 0.5, value.shape) for value in vars(states).values()))
         written = term.cost(moved, track, CAMERA) - term.cost(states, track, CAMERA)
-        assert case.density is not None
         defined = case.density(states, track, case.parameters) - case.density(moved, track, case.parameters)
         assert written == pytest.approx(defined, rel=1e-8, abs=1e-7)
 

@@ -22,8 +22,7 @@ from graphtrack.model.generator import set_quarter_turns
 
 Single = NDArray[np.float32]
 
-SURE = 4.0
-"""Greatest concentration that the past of a window has in the search for another basin."""
+SURE = 4.0  # Greatest concentration that the past of a window has in the search for another basin
 
 WORTHWHILE = 4.0
 """Least `greatest_gain` for which a grid is searched: turning there and back costs more than that."""
@@ -319,11 +318,9 @@ def find_other_basin(
     return find_other_basins(problem, tracks, problem, track, len(states), states, near, workspace)
 
 
-SLOW = 0.3
-"""m/s below which somebody may stand: half of the slowest walk."""
+SLOW = 0.3  # m/s below which somebody may stand: half of the slowest walk
 
-BRIEF = 0.5
-"""Seconds for which the estimated speed of somebody who stands may be above that."""
+BRIEF = 0.5  # Seconds for which the estimated speed of somebody who stands may be above that
 
 _TURN = 2.0 * math.pi
 

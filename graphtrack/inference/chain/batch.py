@@ -429,8 +429,7 @@ LARGE = 200_000
 """Person-frames from which work is large: solved in lanes, which takes as long to compile as all else of an
 engine, and a third of the time."""
 
-LONGEST = 5_000
-"""Frames of a track that is solved in lanes; those of the longest take 15 kB each."""
+LONGEST = 5_000  # Frames of a track that is solved in lanes; those of the longest take 15 kB each
 
 NONE_GUESSED = np.zeros((0, 2), bool)
 

@@ -152,8 +152,7 @@ def find_covariances(
             add_spread(problem, n, states, modes.spread, workspace, others)
 
 
-SHRINK_WIDEST = 1e3
-"""Inverse curvature in rad² beyond which an angle may be anything."""
+SHRINK_WIDEST = 1e3  # Inverse curvature in rad² beyond which an angle may be anything
 
 
 def _von_mises_shrink(variance: FloatArray) -> FloatArray:
@@ -171,8 +170,7 @@ _SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
 _LAST = len(_SHRINK) - 1
 _PER_SHARE = 1.0 / float(_SHARES[1])
 
-_CHUNK = 64
-"""Frames whose lags are computed at a time, in vector instructions."""
+_CHUNK = 64  # Frames whose lags are computed at a time, in vector instructions
 
 
 class Lasting(NamedTuple):

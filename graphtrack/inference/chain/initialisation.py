@@ -287,8 +287,7 @@ def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArra
                 here[k, place] = angle[k]
 
 
-WINDOW = 0.5
-"""Seconds to either side over which observed angles are averaged for the initial values."""
+WINDOW = 0.5  # Seconds to either side over which observed angles are averaged for the initial values
 
 NO_PRIOR = np.zeros((0, 6))
 
@@ -328,18 +327,13 @@ def problem_of(packed: PackedTracks) -> Problem:
 
 def seen_in(packed: PackedTracks, model: Model) -> Seen:
     """What the first orientations are made of."""
-    none = np.zeros((0, 2))
-    return Seen(
-        packed.t,
-        vectors_of(packed.directions("body"), packed.channel("body_likelihood"), len(packed.t))
-        if model.has_body
-        else none,
-        vectors_of(packed.directions("head"), packed.channel("head_likelihood"), len(packed.t))
-        if model.has_head
-        else none,
-        max(model.parameters.coupling.speed_threshold, CREEPING),
-        WINDOW,
+    body, head = (
+        vectors_of(packed.directions(name), packed.channel(f"{name}_likelihood"), len(packed.t))
+        if has
+        else np.zeros((0, 2))
+        for name, has in (("body", model.has_body), ("head", model.has_head))
     )
+    return Seen(packed.t, body, head, max(model.parameters.coupling.speed_threshold, CREEPING), WINDOW)
 
 
 def initial_states(track: Track, model: Model) -> States:
@@ -360,7 +354,6 @@ def initial_states(track: Track, model: Model) -> States:
 def empty_result(packed: PackedTracks) -> Result:
     """Room for the solution of packed tracks."""
     n, m = len(packed.records), len(packed.tracks)
-    ended = np.zeros(m, np.int64)
-    modes = np.full((n, 3), np.nan)
-    covariance = np.empty((n, 6, 6))
-    return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended, modes)
+    steps, status = np.zeros((2, m), np.int64)
+    states, covariance, modes = np.zeros((n, 6)), np.empty((n, 6, 6)), np.full((n, 3), np.nan)
+    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes)

@@ -40,8 +40,7 @@ class Workspace(NamedTuple):
     before: FloatArray  # (n, 6) states to go back to
 
 
-FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)
-"""Places in `Workspace.ended`."""
+FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)  # Places in `Workspace.ended`
 
 
 @allocating
@@ -346,8 +345,7 @@ class Result(NamedTuple):
     )
 
 
-CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2
-"""How a descent ended."""
+CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2  # How a descent ended
 
 
 @inner

@@ -25,14 +25,14 @@ from graphtrack.inference.chain.window_kernels import (
 from graphtrack.inference.state import (
     FAILURES,
     Angles,
-    MarginalPrior,
     Newest,
     StatePrior,
     Window,
+    leaving,
     on_state,
     on_variables,
 )
-from graphtrack.kernels.layout import TIME_TOLERANCE, N
+from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import program_of
@@ -90,7 +90,9 @@ class ChainWindow:
     def state(self, step: Step) -> tuple[float, ...]:
         """x, y, vx, vy, body, head of a step of the window; NaN for what the model does not have."""
         # The newest step is asked for at every observation.
-        back = 1 if step is self._steps[-1] else len(self._steps) - self._index(step)
+        back = 1
+        if step is not self._steps[-1]:
+            back = next(k for k, known in enumerate(reversed(self._steps), 1) if known.index == step.index)
         return self._read(self._offsets[1] - back)
 
     @property
@@ -171,7 +173,8 @@ class ChainWindow:
         prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
         classified = self._slot.classified[0]
         if window.prior is not None:
-            prior = self._from_prior(window.prior, window.steps[0], origin)
+            prior[:] = np.vstack(on_state(window.prior, window.steps[0], self._model))
+            prior[N + 1, :2] -= origin
         if window.modes is not None and self._model.has_modes:
             modes = window.modes
         size = _size_for(len(window.steps))
@@ -202,7 +205,11 @@ class ChainWindow:
         """What another smoother needs to go on from here."""
         steps = tuple(self._steps)
         values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
-        prior = self._to_prior(steps[0]) if steps and self._has_prior else None
+        prior = None
+        if steps and self._has_prior:
+            there = self._prior.copy()
+            there[N + 1, :2] += self._origin
+            prior = on_variables(StatePrior(there[:N], there[N], there[N + 1]), steps[0], self._model)
         return Window(steps, values, prior, self._anchor, self.modes_before)
 
     # -- arrays --------------------------------------------------------------------------------------------
@@ -274,25 +281,7 @@ class ChainWindow:
 
     def _leaving(self, newest: Step) -> int:
         """How many steps leave the window when there is a newest one."""
-        horizon, n, last = newest.observation.t - self._lag - TIME_TOLERANCE, 0, len(self._steps) - 1
-        while n <= last and self._steps[n].observation.t < horizon:
-            n += 1
-        return n
-
-    # -- priors --------------------------------------------------------------------------------------------
-
-    def _index(self, step: Step) -> int:
-        return next(k for k, known in enumerate(self._steps) if known.index == step.index)
-
-    def _to_prior(self, step: Step) -> MarginalPrior:
-        prior = self._prior.copy()
-        prior[N + 1, :2] += self._origin
-        return on_variables(StatePrior(prior[:N], prior[N], prior[N + 1]), step, self._model)
-
-    def _from_prior(self, prior: MarginalPrior, step: Step, origin: FloatArray) -> FloatArray:
-        information, linear, point = on_state(prior, step, self._model)
-        point[:2] -= origin
-        return np.vstack([information, linear, point])
+        return leaving(self._steps, self._lag, newest)
 
 
 def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> list[Newest | Exception]:

@@ -24,8 +24,7 @@ from graphtrack.model.packing import FramePacker, PackedTracks
 from graphtrack.model.terms.gait import ROW
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
-SLOTS = 32
-"""Windows of a block."""
+SLOTS = 32  # Windows of a block
 
 
 class Windows(NamedTuple):

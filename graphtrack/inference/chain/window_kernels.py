@@ -59,12 +59,10 @@ from graphtrack.model.terms.gait import Gait
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.model.terms.position import CAUCHY
 
-_FAR = 0.5
-"""Radians beyond which a first guess is not better than that nothing turns."""
+_FAR = 0.5  # Radians beyond which a first guess is not better than that nothing turns
 _MOVED, _TURNED = 1e-2, 2e-3
 """Metres or m/s, and radians, up to which a frame that has moved is not factored anew."""
-_STILL = 1e-9
-"""All of these, up to which the frames before one that has moved do not follow it."""
+_STILL = 1e-9  # All of these, up to which the frames before one that has moved do not follow it
 
 _RUN, _LONGEST_RUN = 3, 10
 """Newest positions in a row that are taken for gross errors: so many, and another place is looked for. With

@@ -33,13 +33,11 @@ ANCHOR_KAPPA = 1e-4
 """Concentration at which first orientations are held. GTSAM's Bayes tree refuses a clique whose last pivot is
 less than 2⁻²⁴ of the one before, as between turning and a weaker anchor in the frames of a video."""
 
-_WILDFIRE = 1e-6
-"""Metres, m/s or radians, below which GTSAM does not go on substituting into the past."""
+_WILDFIRE = 1e-6  # Metres, m/s or radians, below which GTSAM does not go on substituting into the past
 _OF_CLASSES = 0.1
 """Share of the threshold at which orientations are linearised again once class likelihoods have been seen:
 their peaks are sharper than what an observed angle says."""
-_WATCHED = 50
-"""Newest steps of which some has to be beyond the threshold for a further update."""
+_WATCHED = 50  # Newest steps of which some has to be beyond the threshold for a further update
 _REMEMBERED = 50
 """The estimates of a full history are remembered again once it has grown by one in so many steps."""
 

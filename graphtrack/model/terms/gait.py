@@ -27,16 +27,14 @@ from graphtrack.model.term import Term, Variable
 from graphtrack.packages import gtsam, special
 from graphtrack.tracks.track import Track
 
-BINS, NEAR = 36, 7
-"""Offsets of the free mode, all around, and of the aligned mode, about 0."""
+BINS, NEAR = 36, 7  # Offsets of the free mode, all around, and of the aligned mode, about 0
 
 BASE = BINS + NEAR
 ROW = BASE + BINS
 
 MOST_DRIFT = 100
 
-NECK_REACH = math.radians(95.0)
-"""Angle of the head against the body within which a glance stays."""
+NECK_REACH = math.radians(95.0)  # Angle of the head against the body within which a glance stays
 
 
 class Modes(NamedTuple):

@@ -24,8 +24,7 @@ from graphtrack.model.terms.motion import Motion
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
-SMALL_TURN = 1e-3
-"""λΔt below which the closed forms of a steered step cancel; there, their series."""
+SMALL_TURN = 1e-3  # λΔt below which the closed forms of a steered step cancel; there, their series
 
 HEAD_RATE = "head_rate"
 """The input: λ in 1/s of the step that leads to a frame, where it is not the parameters'."""
