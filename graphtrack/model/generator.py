@@ -121,8 +121,7 @@ import numpy as np
 {imports}
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD
-from graphtrack.kernels.layout import Problem
+from graphtrack.kernels.layout import BODY, HEAD, Problem
 
 '''
 

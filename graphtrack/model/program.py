@@ -24,8 +24,7 @@ import graphtrack.model.terms.position as position_kernels
 import graphtrack.model.terms.turning as turning_kernels
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD
-from graphtrack.kernels.layout import Problem
+from graphtrack.kernels.layout import BODY, HEAD, Problem
 
 FRAME = np.dtype([
     ("dt", float),  # seconds since the person's frame before; 0 at the first
