@@ -410,22 +410,12 @@ def finite(state: Sequence[float]) -> FloatArray:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class SavedState:
-    """An online smoother between two observations.
-
-    Attributes
-    ----------
-    engine : which one it was
-    window : from which any engine can go on
-    arrays : what the same engine needs besides to go on as if nothing had happened, to the last bit
-    last : the last estimate
-    next_index : index of the next step
-    """
+class SavedState(NamedTuple):
+    """An online smoother between two observations."""
 
     engine: str
-    window: Window
-    arrays: Mapping[str, FloatArray]
+    window: Window  # from which any engine can go on
+    arrays: Mapping[str, FloatArray]  # from which the same engine goes on to the last bit
     last: Estimate | None
     next_index: int
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from walks import turned
 
 from graphtrack import OnlineSmoother, TrackSet, smooth
 from graphtrack.geometry.angles import difference, wrap
@@ -39,12 +40,6 @@ def drawn(seed: int) -> Track:
 
 def later(track: Track) -> Track:
     return replace(track, t=track.t + FAR)
-
-
-def turned(track: Track, angle: float) -> Track:
-    c, s = math.cos(angle), math.sin(angle)
-    position = track.position @ np.array([[c, s], [-s, c]])
-    return replace(track, position=position, head=wrap(track.head + angle))
 
 
 def apart(a: Sequence[Track], b: Sequence[Track], turn: float = 0.0) -> np.ndarray:
@@ -121,8 +116,7 @@ def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
 ) -> None:
     walks = [out_and_back(seed) for seed in range(30)]
     angle = math.radians(degrees)
-    c, s = math.cos(angle), math.sin(angle)
-    others = [replace(w, position=w.position @ np.array([[c, s], [-s, c]])) for w in walks]
+    others = [turned(track, angle) for track in walks]
     found = [smooth(TrackSet(them), preset).tracks for them in (walks, others)]
     for one, other in zip(*found, strict=True):
         assert np.abs(difference(other.body - angle, one.body)).max() < SAME

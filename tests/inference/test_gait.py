@@ -349,24 +349,8 @@ def test_gradient_and_hessian_of_couplings_about_an_offset(seed: int) -> None:
 
     def evaluate(at: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         gradient, hessian, none = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
-        memory = np.zeros((1, 4))
-        start = state[0].copy()
-        cost = add_frame(
-            problem,
-            0,
-            0,
-            start,
-            at,
-            True,
-            True,
-            True,
-            memory,
-            np.zeros(6),
-            gradient,
-            none.copy(),
-            hessian,
-            none,
-        )
+        ways, out = (True, True, True), (np.zeros(6), gradient, none.copy(), hessian, none)
+        cost = add_frame(problem, 0, 0, state[0].copy(), at, *ways, np.zeros((1, 4)), *out)
         lower = np.tril(hessian)
         return cost, gradient, lower + np.tril(hessian, -1).T
 

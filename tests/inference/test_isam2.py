@@ -173,16 +173,6 @@ def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) 
     assert smoother.window is not None
 
 
-@BOTH_MODES
-def test_the_default_threshold_costs_little_accuracy(lag: float | None) -> None:
-    """The default threshold stays far within the uncertainty of what relinearising all finds."""
-    track = walk(80, seed=4, noise=0.1, angle_kappa=2.0)
-    _, found, _ = online(track, "joint", engine="isam2", lag=lag)
-    _, exact, covariance = online(track, "joint", engine="isam2", lag=lag, relinearize_threshold=1e-6)
-    spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    assert np.sqrt(np.mean((apart(found, exact) / spread) ** 2)) < 0.1
-
-
 @pytest.mark.parametrize("engine", ["auto", "chain", "fixed-lag"])
 def test_only_isam2_has_no_lag(engine: Any) -> None:
     with pytest.raises(InputError, match="isam2"):

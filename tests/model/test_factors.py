@@ -14,21 +14,11 @@ from walks import walk
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
-from graphtrack.model import FactorShapeError, Model, States, Step, Term, custom_factor
+from graphtrack.inference.state import values_of
+from graphtrack.model import FactorShapeError, Model, Observation, States, Step, Term, custom_factor
 from graphtrack.tracks.track import Track
 
-
-def values_of(states: States) -> gtsam.Values:
-    values = gtsam.Values()
-    for k in range(len(states.position)):
-        values.insert(X(k), states.position[k])
-        values.insert(V(k), states.velocity[k])
-        values.insert(B(k), gtsam.Rot2(states.body[k]))
-        values.insert(H(k), gtsam.Rot2(states.head[k]))
-    return values
-
-
-VALUES = values_of(States(np.ones((1, 2)), np.ones((1, 2)), np.ones(1), np.ones(1)))
+VALUES = values_of([Step(0, Observation(0.0))], np.ones((1, 6)), Model("separate"))
 JACOBIANS = {
     "too many rows": [np.zeros((3, 2)), np.zeros((3, 1))],
     "too few rows": [np.zeros((1, 2)), np.zeros((1, 1))],
