@@ -12,6 +12,7 @@ import itertools
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -282,31 +283,12 @@ def _filter(
     speed = model.parameters.motion.initial_speed_std
     particles[0, :, :4] = draw_states(job, start, count, speed, rng)
     log_weights = np.full(count, -np.log(count))
+    given: tuple[Any, ...] = (job.motion, job.modes, job.position, job.body, job.head, job.camera)
+    given += (options.resample_below, found.mean, found.covariance, found.log_evidence)
+    given += (found.effective_sample_size, found.mode_means, found.history, found.history_log_weights)
     k, mode, used = start, FIRST, POSITION
     while True:
-        k, half = run(
-            rng,
-            k,
-            mode,
-            used,
-            particles,
-            held,
-            log_weights,
-            job.motion,
-            job.modes,
-            job.position,
-            job.body,
-            job.head,
-            job.camera,
-            options.resample_below,
-            found.mean,
-            found.covariance,
-            found.log_evidence,
-            found.effective_sample_size,
-            found.mode_means,
-            found.history,
-            found.history_log_weights,
-        )
+        k, half = run(rng, k, mode, used, particles, held, log_weights, *given)
         if k == n:
             break
         particles[0], held[0] = particles[half], held[half]

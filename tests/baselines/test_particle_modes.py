@@ -156,38 +156,16 @@ def test_the_posterior_of_modes_is_that_of_the_exact_forward_filter() -> None:
     particles = np.zeros((2, count, 6))
     particles[0, :, 2] = speed
     means = np.full((n, 2), np.nan)
-    begun = beginning_of(particles, count)
-    frames, _ = run(
-        rng,
-        0,
-        FIRST,
-        POSITION,
-        *begun,
-        job.motion,
-        job.modes,
-        job.position,
-        job.body,
-        job.head,
-        job.camera,
-        0.5,
-        np.empty((n, 6)),
-        np.empty((n, 6, 6)),
-        np.empty(n),
-        np.empty(n),
-        means,
-        np.empty((0, count, 6)),
-        np.empty((0, count)),
-    )
+    begun = (particles, np.zeros((2, count, 2), np.int64), np.full(count, -np.log(count)))
+    packed = (job.motion, job.modes, job.position, job.body, job.head, job.camera)
+    written = [np.empty((n, 6)), np.empty((n, 6, 6)), np.empty(n), np.empty(n), means]
+    kept = np.empty((0, count, 6)), np.empty((0, count))
+    frames, _ = run(rng, 0, FIRST, POSITION, *begun, *packed, 0.5, *written, *kept)
     assert frames == n
     exact_p, exact_offset = np.array(exact).T
     assert exact_p.max() > 0.7 and exact_p.min() < 0.1
     np.testing.assert_allclose(means[:, 0], exact_p, atol=0.03)
     np.testing.assert_allclose(difference(means[:, 1], exact_offset), 0.0, atol=0.06)
-
-
-def beginning_of(particles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a run begins with: particles, their modes, and even log-weights."""
-    return particles, np.zeros((2, count, 2), np.int64), np.full(count, -np.log(count))
 
 
 def test_who_goes_sideways_is_followed() -> None:
