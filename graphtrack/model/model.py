@@ -64,11 +64,9 @@ presets: dict[str, tuple[type[Term], ...]] = {
         HoldsStill,
     ),
 }
-"""Name → the terms of the model: positions only; orientations too, each for itself; the body coupled to the
-motion, but not the head to the body (what Chen et al. (2011) call separate, κ₂ = 0); all coupled (Chen et
-al. 2011); positions and the head that steers them (Baxter et al. 2014); all of these; `joint` whose
-couplings have modes; `joint` with a place that people are drawn to or kept from; `full` whose people face
-those whom they stand in conversation with."""
+"""Name → terms. ``joint-body`` is what Chen et al. (2011) call separate (κ₂ = 0), ``joint`` their model, and
+``intentional`` Baxter et al. (2014). In ``full`` couplings have modes; ``joint-place`` has a place that draws
+people or keeps them off; in ``social`` people face those whom they stand in conversation with."""
 
 
 def every_term() -> tuple[type[Term], ...]:

@@ -59,20 +59,16 @@ def scale_of(group: Any, name: str) -> Scale | None:
 
 @dataclass(frozen=True)
 class MotionParameters(_Group):
-    """White-noise acceleration and intentional motion (the terms motion and motion that the head steers of
-    docs/model.md).
+    """White-noise acceleration and intentional motion (docs/model.md).
 
     Attributes
     ----------
     acceleration_density : q in m²/s³; Q(Δt) = q·[[Δt³/3, Δt²/2], [Δt²/2, Δt]] on each axis
     initial_speed_std : m/s, 1-σ of each axis of the velocity where the track begins
-    head_rate : λ in 1/s at which the velocity turns to where the head points, in the presets that have it;
-        0: it does not
-    sway_std : metres, 1-σ on each axis of what hips sway about the path with every step. It is part of the
-        stated uncertainty of positions and velocities (see docs/model.md), and of no estimate.
+    head_rate : λ in 1/s at which the velocity turns to where the head points, in presets that have it
+    sway_std : metres, 1-σ on each axis of the sway of hips about the path; part of covariances alone
     sway_rate : steps a second, at which they do
-    lasting_std : m/s², 1-σ on each axis of accelerations that last, beside white ones. An estimate lags
-        behind them; that is part of the stated uncertainty, as the sway is.
+    lasting_std : m/s², 1-σ on each axis of accelerations that last, which estimates lag behind; likewise
     lasting_time : seconds for which they last
     """
 
@@ -88,16 +84,14 @@ class MotionParameters(_Group):
 
 @dataclass(frozen=True)
 class OrientationParameters(_Group):
-    """Rotational diffusion of body and head (the terms body turns and head turns of docs/model.md): κ of a
-    step is 1/(diffusion·Δt).
+    """Rotational diffusion of body and head (docs/model.md): κ of a step is 1/(diffusion·Δt).
 
     Attributes
     ----------
     body_diffusion, head_diffusion : rad²/s
     body_white_share, head_white_share : share of the diffusion that is white in truth, 0 to 1; in place of
         the rest people turn on at rates that last
-    body_turn_rate, head_turn_rate : rad/s, 1-σ of such rates. An estimate lags behind a turn; that is part of
-        the stated uncertainty of angles (see docs/model.md), as is the share, and of no estimate.
+    body_turn_rate, head_turn_rate : rad/s, 1-σ of such rates; with the share, part of covariances alone
     body_turn_time, head_turn_time : seconds for which such a rate lasts
     """
 
@@ -113,17 +107,15 @@ class OrientationParameters(_Group):
 
 @dataclass(frozen=True)
 class CouplingParameters(_Group):
-    """Body follows motion and head follows body (the terms of those names in docs/model.md; Chen et al.
-    2011, eq. 8–10).
+    """Body follows motion and head follows body (docs/model.md; Chen et al. 2011, eq. 8–10).
 
     Attributes
     ----------
     motion_body_kappa : κ₁ in (m/s)⁻²; κ(v) = κ₁·max(0, ‖v‖ − τ)²
     speed_threshold : τ in m/s
     head_body_kappa : κ₂, dimensionless
-    correlation_time : seconds over which deviations from a coupling persist. Frames closer than that carry
-        the same evidence again, so a step of Δt counts min(1, Δt/correlation_time) times; 0: each frame
-        counts once, as in Chen et al. 2011.
+    correlation_time : seconds over which deviations from a coupling persist: a step of Δt counts
+        min(1, Δt/correlation_time) times; 0: each frame counts once, as in Chen et al. 2011
     """
 
     motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
@@ -202,8 +194,7 @@ class GaitParameters(_Group):
 
 @dataclass(frozen=True)
 class LikelihoodParameters(_Group):
-    """Position and orientation likelihoods (the terms position seen and body, head seen as an angle of
-    docs/model.md).
+    """Position and orientation likelihoods (docs/model.md).
 
     Attributes
     ----------
@@ -262,8 +253,7 @@ class PlaceParameters(_Group):
     ----------
     x, y : metres in the world
     radius : metres over which it matters
-    strength : how much less, as the logarithm of a density, it is to be far away than there; negative: more.
-        Frames count by their ``weights``, as those of the couplings do
+    strength : log density there less that far away; frames count by their ``weights``, as couplings do
     """
 
     x: float = _number(0.0, -1e7, 1e7, "m", learned=False)
