@@ -1,20 +1,9 @@
-"""Stretches of tracks side by side, from which the noise of a file is judged.
+"""Diagnosis of the declared noise: the multiple that makes observations likeliest, and a bias of angles.
 
-How probable observations are, each after those before it, whatever their noise is said to be.
-
-Two filters in which people move, and turn, by themselves: positions by white-noise acceleration, angles by
-rotational diffusion. Each observation is an outlier with a probability of its own, so that a few gross ones
-say nothing of the noise of the others. All stretches and all candidates are filtered side by side.
-
-By how much a channel's declared noise is wrong: the multiple that makes the observations likeliest.
-
-By how much everybody's body, or head, is seen turned from where they go: a bias of the detector.
-
-One person may side-step; that everybody is seen at the same angle to the motion is more probably the doing of
-the detector. So each track has an offset, drawn from a von Mises density about the bias or, for some, from
-the circle.
-
-Whether the data contradict what is declared of their noise, and what to do about it.
+Stretches of tracks are filtered under white-noise acceleration and rotational diffusion, each observation an
+outlier with some probability, all stretches and candidates at once. Everybody seen at the same angle to the
+motion is more probably a bias of the detector than of people: each track has an offset from a von Mises
+density about the bias or, for some, from the circle.
 """
 
 from __future__ import annotations
@@ -46,14 +35,11 @@ if TYPE_CHECKING:
     from graphtrack.model import Model
 
 
-LONGEST = 60
-"""Frames of a piece at most: that many steps are taken, one after another."""
+LONGEST = 60  # Frames of a piece at most: that many steps are taken, one after another
 
-MOST = 2500
-"""Frames of all pieces together, about."""
+MOST = 2500  # Frames of all pieces together, about
 
-FEWEST = 4
-"""Observations of a piece at least."""
+FEWEST = 4  # Observations of a piece at least
 
 Channel = Callable[[Track], tuple[FloatArray | None, FloatArray | None]]
 """What was observed in each frame, and the spread that was declared for it."""
@@ -119,8 +105,7 @@ def pieces_of(tracks: Sequence[Track], channel: Channel, rng: np.random.Generato
     return Pieces(dt, value, spread, np.array([m for m, *_ in chosen]))
 
 
-WIDER = 10.0
-"""Of a position that is an outlier, the standard deviation over that of the others."""
+WIDER = 10.0  # Of a position that is an outlier, the standard deviation over that of the others
 
 TWO_PI = 2.0 * math.pi
 
@@ -133,12 +118,11 @@ def position_log_density(
     wander: FloatArray,
     outliers: FloatArray,
 ) -> FloatArray:
-    """Log density (G, P) of the positions of each piece, by each of G candidates.
+    """Log density (G, P) of the positions (T, P, 2) of pieces, by each of G candidates.
 
     Parameters
     ----------
-    pieces : positions (T, P, 2) in metres with the declared σ
-    default : metres, where none is declared
+    default : σ in metres, where none is declared
     speed_std : m/s, 1-σ of each axis of the velocity where a piece begins
     scale : (G,) multiples of the declared σ
     wander : (G,) q in m²/s³
@@ -190,13 +174,12 @@ def position_log_density(
 def angle_log_density(
     pieces: Pieces, default: float, scale: FloatArray, wander: FloatArray, outliers: FloatArray
 ) -> FloatArray:
-    """Log density (G, P) of the angles of each piece, by each of G candidates.
+    """Log density (G, P) of the angles (T, P, 1) of pieces, by each of G candidates.
 
-    What is known is a von Mises density throughout; of a mixture that of the same mean resultant.
+    A mixture is taken for the von Mises density of the same mean resultant.
 
     Parameters
     ----------
-    pieces : angles (T, P, 1) in radians with the declared κ
     default : κ where none is declared
     scale : (G,) multiples of the declared 1-σ; κ is divided by their square
     wander : (G,) diffusion in rad²/s
@@ -235,8 +218,7 @@ def angle_log_density(
 Density = Callable[[Pieces, FloatArray, FloatArray, FloatArray], FloatArray]
 """Pieces, (G,) multiples of the noise and of the model's wander, probabilities of an outlier → (G, P)."""
 
-SURE = 0.999
-"""Of the intervals by which a declaration is judged."""
+SURE = 0.999  # Of the intervals by which a declaration is judged
 
 FEWEST_PIECES, FEWEST_SEEN = 4, 100
 
@@ -327,19 +309,16 @@ def _by_track(slopes: FloatArray, track: NDArray[np.int64]) -> FloatArray:
     return found
 
 
-BASE = 1.0
-"""Seconds over which the direction of motion is measured."""
+BASE = 1.0  # Seconds over which the direction of motion is measured
 
-MOVING = 0.5
-"""m/s over that time from which it means something."""
+MOVING = 0.5  # m/s over that time from which it means something
 
 FEWEST_TRACKS, FEWEST_FOR_BIAS = 8, 8
 """Tracks, and observations of who moves in each, that it takes to tell a bias from people's gaits."""
 
 MOST_TRACKS = 400
 
-SHARED = 0.7
-"""Share of the tracks that a bias is common to, at least."""
+SHARED = 0.7  # Share of the tracks that a bias is common to, at least
 
 
 @dataclass(frozen=True)
@@ -431,8 +410,7 @@ Trust = Literal["declared", "check", "learn"]
 TOO_FAR, SURELY = 1.25, 1.1
 """A declared σ is contradicted if it is off by such a factor, and by at least the second with 99.9 %."""
 
-BIASED, SURELY_BIASED = math.radians(10.0), math.radians(4.0)
-"""The same of a bias."""
+BIASED, SURELY_BIASED = math.radians(10.0), math.radians(4.0)  # The same of a bias
 
 
 @dataclass(frozen=True)
@@ -510,25 +488,19 @@ class Noise:
         if changes:
             parameters = replace(model.parameters, likelihood=replace(likelihood, **changes))
             model = model.with_parameters(parameters)
-        turns = {one.name: -one.turn for one in self.channels if one.turn}
-        return (tracks.map(lambda track: _turned(track, turns)) if turns else tracks), model
+        turns = [one for one in self.channels if one.turn]
 
+        def corrected(track: Track) -> Track:
+            changes: dict[str, Any] = {}
+            for one in turns:
+                changes |= turned(track, one.name, -one.turn)
+            return replace(track, **changes)
 
-def _turned(track: Track, turns: dict[str, float]) -> Track:
-    changes: dict[str, Any] = {}
-    for name, by in turns.items():
-        changes |= turned(track, name, by)
-    return replace(track, **changes)
+        return (tracks.map(corrected) if turns else tracks), model
 
 
 def trusted(tracks: TrackSet, model: Model, trust: Trust) -> tuple[TrackSet, Model, list[str]]:
-    """Tracks and model as they are to be solved, and what is to be said of their declared noise.
-
-    Raises
-    ------
-    InputError
-        For what is none of `Trust`.
-    """
+    """Tracks and model to be solved, and remarks on their noise; InputError for an unknown `Trust`."""
     if trust not in ("declared", "check", "learn"):
         raise InputError(f"trust {trust!r}", "declared, check or learn")
     if trust == "declared":
@@ -546,11 +518,9 @@ _DECLARED = {"position": ("position_std", 1.0), "body": ("body_kappa", -2.0), "h
 def declared_noise(tracks: Sequence[Track], model: Model) -> Noise:
     """What the data say of the noise that a file, or else the model, declares.
 
-    The multipliers of σ are those that make each observation most probable after those before it, of people
-    who move by white-noise acceleration and turn by diffusion, how much being learned beside. They are found
-    on some stretches of the tracks, the same ones each time. A bias is an angle at which everybody is seen to
-    the direction in which they go. Positions that are judged in the image, and class likelihoods but for
-    their bias, are not looked at.
+    Multipliers make each observation most probable after those before it, on the same stretches each time. A
+    bias is an angle at which everybody is seen to their motion. Positions judged in the image, and class
+    likelihoods but for their bias, are left out.
     """
     found, parameters = [], model.parameters
     for name in ("position", "body", "head"):

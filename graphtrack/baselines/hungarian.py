@@ -1,10 +1,8 @@
 """A plain tracker of many people: a Kalman filter each, and the Hungarian method in every frame.
 
-The scheme of SORT (Bewley et al. 2016, ICIP) on the ground instead of in boxes: constant velocity with
-white-noise acceleration, a gate on the Mahalanobis distance, birth after m hits of n frames (the M/N logic of
-Blackman and Popoli 1999, *Design and Analysis of Modern Tracking Systems*, ch. 6), death after some time
-without a hit. The confirmed choose first (the cascade of Wojke et al. 2017, ICIP). Online: what was said of a
-frame is never changed.
+SORT (Bewley et al. 2016) on the ground: constant velocity with white-noise acceleration, a Mahalanobis gate,
+birth after m hits of n frames (Blackman and Popoli 1999, ch. 6), death after some time without a hit, and the
+confirmed first (Wojke et al. 2017). Online: frames are never revised.
 """
 
 from __future__ import annotations
@@ -93,29 +91,27 @@ class HungarianTracker:
         self._hits, self._last = np.empty(0, np.int64), np.empty(0)
 
     def step(self, t: float, position: FloatArray, position_std: FloatArray | None = None) -> Reported:
-        """Take in the detections of a frame.
+        """Take in the detections of a frame at ``t`` seconds, later than before (else InputError).
 
-        Parameters
-        ----------
-        t : seconds, later than before
-        position : (n, 2) metres; n may be 0
-        position_std : (n,) metres, 1-σ of each axis; NaN or None: the parameters'
-
-        Raises
-        ------
-        InputError
-            If time does not go on.
+        ``position`` is (n, 2) metres; ``position_std`` (n,) metres, NaN or None: the parameters'.
         """
         if not t > self._t:
             raise InputError(f"a frame at {t:g} s after one at {self._t:g} s", "frames in the order of time")
         position = np.asarray(position, dtype=float).reshape(-1, 2)
         std = np.full(len(position), np.nan) if position_std is None else np.asarray(position_std, float)
         variance = np.where(np.isnan(std), self.parameters.position_std, std) ** 2
-        self._keep(self._is_hopeful(t))
-        self._predict(t)
+        kept = self._is_hopeful(t)
+        for name in ("_mean", "_spread", "_identity", "_age", "_hits", "_last"):
+            setattr(self, name, getattr(self, name)[kept])
+        if len(self._mean):
+            step = constant_velocity(t - self._t, self.parameters.acceleration_density)
+            self._mean, self._spread = predict(self._mean, self._spread, step)
         track_of = self._assign(position, variance)
         hit = np.flatnonzero(track_of >= 0)
-        self._update(track_of[hit], position[hit], variance[hit])
+        own, seen = track_of[hit], np.ones(len(hit), bool)
+        self._mean[own], self._spread[own], _ = update(
+            self._mean[own], self._spread[own], position[hit], variance[hit], seen
+        )
         self._age += 1
         self._hits[track_of[hit]] += 1
         self._last[track_of[hit]] = t
@@ -125,13 +121,14 @@ class HungarianTracker:
         new = np.flatnonzero(track_of < 0)
         identity[new] = self._begin(t, position[new], variance[new])
         self._t = t
-        return self._report(t, identity)
-
-    def _predict(self, t: float) -> None:
-        if not len(self._mean):
-            return
-        step = constant_velocity(t - self._t, self.parameters.acceleration_density)
-        self._mean, self._spread = predict(self._mean, self._spread, step)
+        shown = (self._identity >= 0) & (t - self._last <= self.parameters.coasting + 1e-9)
+        return Reported(
+            identity,
+            self._identity[shown],
+            self._mean[shown],
+            full_covariance(self._spread[shown]),
+            self._last[shown] == t,
+        )
 
     def _assign(self, position: FloatArray, variance: FloatArray) -> IntArray:
         """The track (n,) of each detection, −1 where it has none."""
@@ -152,12 +149,6 @@ class HungarianTracker:
         off = position[None] - self._mean[tracks, None, :2]
         return np.asarray(np.sum(off**2, axis=2) / (self._spread[tracks, :1] + variance))
 
-    def _update(self, tracks: IntArray, position: FloatArray, variance: FloatArray) -> None:
-        seen = np.ones(len(tracks), bool)
-        self._mean[tracks], self._spread[tracks], _ = update(
-            self._mean[tracks], self._spread[tracks], position, variance, seen
-        )
-
     def _confirm(self) -> None:
         new = np.flatnonzero((self._identity < 0) & (self._hits >= self.parameters.hits))
         self._identity[new] = self._next + np.arange(len(new))
@@ -171,10 +162,6 @@ class HungarianTracker:
         hopeful = self._age - self._hits <= self.parameters.frames - self.parameters.hits
         return np.where(confirmed, recent, hopeful)
 
-    def _keep(self, kept: NDArray[np.bool_]) -> None:
-        for name in ("_mean", "_spread", "_identity", "_age", "_hits", "_last"):
-            setattr(self, name, getattr(self, name)[kept])
-
     def _begin(self, t: float, position: FloatArray, variance: FloatArray) -> IntArray:
         """Tracks of detections that are nobody's so far; their identities, −1 unless one hit is enough."""
         n = len(position)
@@ -187,16 +174,6 @@ class HungarianTracker:
         self._last = np.append(self._last, np.full(n, t))
         self._confirm()
         return self._identity[len(self._identity) - n :]
-
-    def _report(self, t: float, identity: IntArray) -> Reported:
-        shown = (self._identity >= 0) & (t - self._last <= self.parameters.coasting + 1e-9)
-        return Reported(
-            identity,
-            self._identity[shown],
-            self._mean[shown],
-            full_covariance(self._spread[shown]),
-            self._last[shown] == t,
-        )
 
 
 def track_detections(detections: Detections, parameters: HungarianParameters | None = None) -> TrackSet:
@@ -216,22 +193,16 @@ def track_detections(detections: Detections, parameters: HungarianParameters | N
     frames = with_those_between(seen)
     times = np.interp(frames, seen, detections.t[first])
     std = detections.channels.get("position_std")
-    rows: list[tuple[int, float, Reported]] = []
+    rows: list[Reported] = []
     for frame, t in zip(frames.tolist(), times.tolist(), strict=True):
         here = slice(*end.get(frame, (0, 0)))
-        found = tracker.step(t, detections.position[here], None if std is None else std[here])
-        rows.append((frame, t, found))
-    return _tracks(rows)
-
-
-def _tracks(rows: list[tuple[int, float, Reported]]) -> TrackSet:
-    counts = [len(found.people) for *_, found in rows]
-    people = np.concatenate([found.people for *_, found in rows])
-    frame = np.repeat([frame for frame, *_ in rows], counts)
-    t = np.repeat([t for _, t, _ in rows], counts)
-    mean = np.concatenate([found.mean for *_, found in rows])
-    spread = np.concatenate([found.covariance for *_, found in rows])
-    observed = np.concatenate([found.seen for *_, found in rows]).astype(float)
+        rows.append(tracker.step(t, detections.position[here], None if std is None else std[here]))
+    counts = [len(found.people) for found in rows]
+    people = np.concatenate([found.people for found in rows])
+    frame, t = np.repeat(frames, counts), np.repeat(times, counts)
+    mean = np.concatenate([found.mean for found in rows])
+    spread = np.concatenate([found.covariance for found in rows])
+    observed = np.concatenate([found.seen for found in rows]).astype(float)
     tracks = []
     for identity in np.unique(people).tolist():
         own = np.flatnonzero(people == identity)

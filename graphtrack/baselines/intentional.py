@@ -1,25 +1,11 @@
 """The intentional tracker: a Kalman filter whose control input is where the head points.
 
-Source: Baxter et al. 2014, §III. Time is counted in steps and velocity in units of length a step, as
-in the paper; `intentional_continuous` is the same idea in seconds.
+Baxter et al. 2014, §III, in steps: eq. 4–5 add α·d to the velocity but leave its rows of F at 1 (variant
+``printed``); the variant ``consistent``, the default, scales the velocity by γ = 1 − α. Eq. 2 subtracts the
+numbers of the bins; the default takes the difference around the circle. `PRINTED` is the paper to the letter.
 
-The paper's eq. 4–5 add α·d to the velocity but leave its rows of F at 1, so that the velocity grows at every
-step (variant ``printed``). The variant ``consistent``, the default, scales the velocity by γ = 1 − α as the
-rows of the position are: it is blended with the intention, not added to. Eq. 2 subtracts the numbers of the
-bins, though bins 1 and 8 are neighbours; the default takes the difference around the circle. `PRINTED` is
-the paper to the letter in both.
-
-The intentional tracker in continuous time, in seconds and metres, whatever the frame rate.
-
-The velocity is drawn to where the head points at the rate λ: dv = −λ·(v − s·u(head))·dt + noise of density q,
-with s the estimated speed. Over a step the velocity keeps exp(−λΔt) of itself, as the variant ``consistent``
-of `intentional` keeps γ; the noise is integrated exactly, so that two half steps are one whole step. λ = 0 is
-white-noise acceleration (docs/model.md, the terms `Motion` and `IntentionalMotion`).
-
-A rate of the intentional motion that grows with the deviation of the head from the direction of travel.
-
-Source: Baxter et al. 2014, eq. 2–3, in continuous time. The rates are data: they come from what was observed
-before each step, so that the term `IntentionalMotion` stays a normalised density of the next state.
+In seconds: dv = −λ·(v − s·u(head))·dt + noise of density q, integrated exactly, with s the estimated speed;
+`GrowingRate` has eq. 2–3 for λ, from what was observed before each step.
 """
 
 from __future__ import annotations
@@ -123,10 +109,7 @@ def bin_number(angle: FloatArray) -> FloatArray:
 def bin_deviation(head: FloatArray, travel: FloatArray, difference: BinDifference = "circular") -> FloatArray:
     """Bin of the head minus bin of the travel, a term of eq. 2; NaN where one is missing.
 
-    Parameters
-    ----------
-    head, travel : radians, of one shape
-    difference : "circular", the shorter way around: −3 … 4; "numbered", as eq. 2 has it: −7 … 7
+    Angles in radians. ``difference``: "circular", the shorter way around, −3 … 4; or "numbered", −7 … 7.
     """
     apart = bin_number(head) - bin_number(travel)
     if difference == "numbered":
@@ -183,15 +166,9 @@ def intentional_filter(
 
 
 def step_tracker(track: Track, parameters: IntentionalParameters | None = None) -> Track:
-    """Online estimates of Baxter et al.'s own filter for one track, each from the past alone.
+    """Online estimates of Baxter et al.'s own filter for one track; SolveError without positions.
 
-    The filter counts frames, whatever the times between them. Lengths are metres; the velocity a step is
-    returned in m/s, by the step that led to it.
-
-    Raises
-    ------
-    SolveError
-        If no position was observed.
+    The filter counts frames. Lengths are metres; the velocity a step is returned in m/s.
     """
     require_position(track)
     head = observed_angle(track, "head")
@@ -245,16 +222,7 @@ class _Intention:
 def intentional_transition(
     dt: float, rate: FloatArray, velocity: FloatArray, head: FloatArray, density: float
 ) -> Transition:
-    """The step of Δt seconds of m tracks.
-
-    Parameters
-    ----------
-    dt : seconds
-    rate : (m,) λ in 1/s, ≥ 0
-    velocity : (m, 2) m/s; its length is the speed s that the head steers
-    head : (m,) radians; read only where λ > 0
-    density : q in m²/s³
-    """
+    """The step of ``dt`` seconds of m tracks, steered at ``rate`` (m,) in 1/s; ``density`` q in m²/s³."""
     keep, reach, place, cross, spread = steered_step(dt, rate)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     aim = speed * unit(np.where(rate > 0.0, head, 0.0))
@@ -283,14 +251,8 @@ def steer(
     head : (m, n) radians; NaN where it was not seen: there λ = 0
     t : (n,) seconds
     variance : (m, n) of each axis of the positions, m²
-    parameters : their motion is used
-    rate : λ in 1/s, one or (m, n) of the steps that lead to the frames; by default the parameters'
-        ``motion.head_rate``
-
-    Raises
-    ------
-    InputError
-        If the rate is negative or not finite.
+    rate : λ ≥ 0 in 1/s, one or (m, n) of the steps that lead to the frames; by default the parameters'. Else
+        InputError
     """
     motion = parameters.motion
     rates = np.broadcast_to(motion.head_rate if rate is None else rate, head.shape)
@@ -309,14 +271,8 @@ def steer(
 def intentional_states(track: Track, parameters: Parameters, rate: float | None = None) -> FilteredStates:
     """Filtered and predicted states of one track (m = 1), with the log-likelihood of the innovations.
 
-    Without a ``rate`` in 1/s it is the parameters', or the track's input `HEAD_RATE` where it has one.
-
-    Raises
-    ------
-    InputError
-        If the rate is negative or not finite.
-    SolveError
-        If no position was observed.
+    ``rate`` in 1/s is by default the track's input `HEAD_RATE`, or the parameters'. InputError for a rate
+    that is negative or not finite, SolveError without positions.
     """
     require_position(track)
     head = observed_angle(track, "head")
@@ -338,9 +294,8 @@ def intentional_tracker(
 def mean_deviation(track: Track, seconds: float) -> FloatArray:
     """ŝ (n,) in radians before each frame: |mean of head − direction of travel| over the last ``seconds``.
 
-    The direction of travel at a frame is that of the line fitted to the positions observed in the seconds
-    up to it. A frame without one, or without an observed head, counts as no deviation. At the first frame
-    ŝ is 0.
+    The direction of travel is that of the line fitted to the positions of the seconds up to a frame. A frame
+    without one, or without an observed head, counts as no deviation.
     """
     head = observed_angle(track, "head")
     n, seen = len(track), np.asarray(np.isfinite(track.position).all(axis=1))

@@ -1,11 +1,7 @@
-"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part (motion and positions seen).
-
-What the graph is compared with: the same motion, the same position noise, the same prior on the velocity.
-
-A Kalman filter over many tracks at once, for motion that is alike on both axes.
+"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part, over many tracks at once.
 
 Every matrix is a 2 × 2 matrix of position and velocity ⊗ I₂, so one covariance [[a, b], [b, c]] serves both
-axes, and a step of a thousand tracks is a handful of array operations.
+axes.
 """
 
 from __future__ import annotations
@@ -16,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.observation import require_position
 from graphtrack.model.parameters import MotionParameters, Parameters, swaying
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
@@ -173,25 +169,12 @@ def position_std(track: Track, parameters: Parameters) -> FloatArray:
     return parameters.likelihood.position_stds(track.position_std, len(track))
 
 
-def _first_position(track: Track) -> int:
-    seen = np.flatnonzero(np.isfinite(track.position).all(axis=1))
-    if not len(seen):
-        raise SolveError(track.track_id, NO_POSITION)
-    return int(seen[0])
-
-
 def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates, GaussianStates]:
-    """Filtered and one-step predicted states, from the first observed position on.
+    """Filtered and one-step predicted states (Joseph form) from the first position on.
 
-    The first state has the observed position and a broad velocity; the update is in Joseph form, which
-    keeps covariances symmetric and positive.
-
-    Raises
-    ------
-    SolveError
-        If no position was observed.
+    SolveError if no position was observed.
     """
-    _first_position(track)
+    require_position(track)
     motion, dt, variance = parameters.motion, track.dt, position_std(track, parameters) ** 2
     found = filter_tracks(
         track.position[None],
@@ -206,16 +189,10 @@ def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates,
 
 
 def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
-    """Rauch–Tung–Striebel smoothed states; before the first position, extrapolated backwards.
-
-    Raises
-    ------
-    SolveError
-        If no position was observed.
-    """
+    """Rauch–Tung–Striebel states, extrapolated before the first position; SolveError without positions."""
     filtered, predicted = filter_states(track, parameters)
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
-    start = _first_position(track)
+    start = int(np.argmax(np.isfinite(track.position).all(axis=1)))
     for k in range(len(track) - 2, start - 1, -1):
         transition = transition_matrix(float(track.t[k + 1] - track.t[k]))
         spread_ahead = predicted.covariance[k + 1]
@@ -233,10 +210,7 @@ def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
 
 
 def as_track(track: Track, states: GaussianStates, motion: MotionParameters | None = None) -> Track:
-    """The track with these estimates; its orientations are left out, for they were not estimated.
-
-    With ``motion`` the covariances have the sway of hips in them, as those of the graph do.
-    """
+    """The track with these estimates and no orientations; ``motion`` adds the sway of hips."""
     covariance = np.full((len(track), 6, 6), np.nan)
     covariance[:, :4, :4] = states.covariance
     if motion is not None:

@@ -1,16 +1,9 @@
-"""What the particle filter draws from an observation alone: where it begins, and where it is lost.
+"""The joint particle filter of Chen, Heili & Odobez (2011, §3), and its backward-simulation smoother.
 
-The joint particle filter of Chen, Heili & Odobez (2011, §3), and its backward-simulation smoother.
-
-A bootstrap filter on the same `Model` object that the factor graph uses: the state is p, v, θ, α; its
-dynamics are the proposal. The angles are drawn from the *normalised* product of the von Mises of their
-dynamics and of their coupling (Chen et al. 2011, eq. 8 and 10), where the graph holds the product without
-that normalisation. Chen et al.'s baseline, κ₂ = 0, is the preset ``joint-body``.
-
-With the preset ``full`` each particle has the modes of its two couplings, too: drawn at the beginning from
-their long run and at each step from their Markov chain, as `graphtrack.model.coupling_modes` has
-it. They say at which offset, and how firmly, the coupling holds, and how far the head steers. There are no
-frames after the newest, so the leads loosen the couplings, as they do in the newest frame of the chain.
+A bootstrap filter on the `Model` of the factor graph with the state p, v, θ, α. The angles are drawn from the
+*normalised* product of the von Mises of their dynamics and of their coupling (eq. 8 and 10). Chen et al.'s
+baseline, κ₂ = 0, is the preset ``joint-body``. With ``full`` each particle also draws the modes of its two
+couplings from their Markov chain; the leads loosen the couplings, as in the newest frame of the chain.
 """
 
 from __future__ import annotations
@@ -19,6 +12,7 @@ import itertools
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,10 +50,7 @@ from graphtrack.tracks.track import Track
 def draw_states(
     job: Job, k: int, count: int, initial_speed_std: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Positions about the one observed at frame k and velocities from their prior, (count, 4).
-
-    With a flat prior on the position this is its posterior, so that the observation is used up.
-    """
+    """Positions about the one observed at frame k and velocities from their prior, (count, 4)."""
     position = job.position
     found = position.value[k] + position.std[k] * rng.standard_normal((count, 2))
     if position.kind[k] == 2:
@@ -71,13 +62,7 @@ def draw_states(
 def recover(
     job: Job, k: int, particles: FloatArray, initial_speed_std: float, rng: np.random.Generator
 ) -> int:
-    """Draw anew, in ``particles`` (n, 6), what is out of reach of the observations at frame k.
-
-    Returns
-    -------
-    int
-        The observations that are used up by that: the sum of `POSITION`, `BODY` and `HEAD`.
-    """
+    """Draw again, in ``particles`` (n, 6), what is out of reach at frame k; the observations used up."""
     reach: dict[int, float] = {}
     found = np.zeros(len(particles))
     if job.position.kind[k]:
@@ -203,17 +188,15 @@ def particle_filter(
 ) -> ParticleEstimate:
     """Online estimates: each from what came before and the frame itself.
 
-    Where all weights vanish, because an observation is out of reach of every particle, what was observed
-    (the position, and the velocity with it, the body or the head) is drawn anew about the observation, the
-    rest stays, and an `InputWarning` says so.
+    Where all weights vanish, what was observed is drawn again about the observation, and an `InputWarning`
+    says so.
 
     Raises
     ------
     SolveError
         If no position was observed.
     InputError
-        If the model has a term that the filter does not know, or the camera is missing that ``image_pose``
-        needs.
+        For a term that the filter does not know, or no camera with ``image_pose``.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
     make_ready("the particle filter", _REHEARSAL)
@@ -231,9 +214,8 @@ def particle_smoother(
 ) -> ParticleEstimate:
     """Offline estimates by forward filtering and backward simulation (Godsill, Doucet & West 2004).
 
-    Mean and covariance are those of ``options.paths`` paths. The finer the frames, the fewer particles lie
-    within reach of a path's next state: at 30 Hz raise ``particles``. Before the first position the estimates
-    are NaN. Errors are those of `particle_filter`; a model with modes is an `InputError`, too.
+    The finer the frames, the more particles it takes. NaN before the first position. Errors are those of
+    `particle_filter`; a model with modes is an `InputError`, too.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
     if model.has_modes:
@@ -301,31 +283,12 @@ def _filter(
     speed = model.parameters.motion.initial_speed_std
     particles[0, :, :4] = draw_states(job, start, count, speed, rng)
     log_weights = np.full(count, -np.log(count))
+    given: tuple[Any, ...] = (job.motion, job.modes, job.position, job.body, job.head, job.camera)
+    given += (options.resample_below, found.mean, found.covariance, found.log_evidence)
+    given += (found.effective_sample_size, found.mode_means, found.history, found.history_log_weights)
     k, mode, used = start, FIRST, POSITION
     while True:
-        k, half = run(
-            rng,
-            k,
-            mode,
-            used,
-            particles,
-            held,
-            log_weights,
-            job.motion,
-            job.modes,
-            job.position,
-            job.body,
-            job.head,
-            job.camera,
-            options.resample_below,
-            found.mean,
-            found.covariance,
-            found.log_evidence,
-            found.effective_sample_size,
-            found.mode_means,
-            found.history,
-            found.history_log_weights,
-        )
+        k, half = run(rng, k, mode, used, particles, held, log_weights, *given)
         if k == n:
             break
         particles[0], held[0] = particles[half], held[half]

@@ -1,9 +1,7 @@
-"""The compiled steps of the particle filter: dynamics and estimates.
+"""The compiled steps of the particle filter, and backward simulation for the smoother.
 
 A particle is x, y, vx, vy (metres, m/s), body, head (radians), and the modes of its two couplings, as places
 in the tables of `PackedModes`.
-
-Compiled backward simulation for the particle smoother.
 """
 
 from __future__ import annotations
@@ -37,8 +35,7 @@ PROPAGATE, FIRST, RECOVERED = 0, 1, 2
 """How a run begins: from the frame before; with positions and velocities drawn already, angles from their
 couplings; with everything at hand already."""
 
-POSITION, BODY, HEAD = 1, 2, 4
-"""Observations that were used up when particles were drawn from them."""
+POSITION, BODY, HEAD = 1, 2, 4  # Observations that were used up when particles were drawn from them
 
 VANISHED = -700.0
 """Below this log-likelihood, even of the best particle, weights are 0 in double precision: it is lost."""
@@ -139,10 +136,7 @@ def carry(
     shares: NDArray[np.int64],
     after: FloatArray,
 ) -> None:
-    """Mean positions and velocities (n, …) at frame k: straight on, or steered by the head.
-
-    ``shares`` (n,) are the places of the shares of the steering in ``motion``.
-    """
+    """Mean positions and velocities (n, …) at frame k, straight on or steered by ``shares``."""
     for i in range(len(after)):
         source = ancestors[i]
         keep, reach = motion.keep[k, shares[i]], motion.reach[k, shares[i]]
@@ -186,10 +180,7 @@ def draw_motion(
 def summarise_motion(
     particles: FloatArray, weights: FloatArray, mean: FloatArray, covariance: FloatArray
 ) -> None:
-    """Weighted mean and covariance of the first four numbers, in one pass about the heaviest particle.
-
-    About one that is far from all of the weight variances are below zero, by rounding.
-    """
+    """Weighted mean and covariance of the first four numbers, in one pass about the heaviest particle."""
     heaviest = np.argmax(weights)
     x0, y0 = particles[heaviest, 0], particles[heaviest, 1]
     u0, v0 = particles[heaviest, 2], particles[heaviest, 3]
@@ -399,11 +390,7 @@ def backward(
     motion: PackedMotion,
     paths: FloatArray,
 ) -> None:
-    """Draw paths (frames, m, 6) backwards from the filter's particles (Godsill, Doucet & West 2004).
-
-    At each frame a particle is drawn with its weight times the density of the step to the path's next state.
-    The density of an angle is the normalised product, whose normalisation depends on where it comes from.
-    """
+    """Draw paths (frames, m, 6) backwards from the filter's particles (Godsill, Doucet & West 2004)."""
     frames, n = history_log_weights.shape
     m = paths.shape[1]
     weights, scores, motions = np.empty(n), np.empty(n), np.empty(n)

@@ -1,10 +1,7 @@
-"""A coupling's modes as tables: of each mode and offset what it does, and how one leads to another.
+"""What the particle filter's kernels know of a model and a track, and its compiled densities.
 
-They are the recursions of `coupling_modes` on one mode and offset at a time, for methods that draw these.
-
-What the particle filter's kernels know of a model and a track: arrays with one row a frame.
-
-Compiled densities of the particle filter: the von Mises, and the likelihoods of what was observed.
+Couplings' modes are tables: of each mode and offset its effect, and how one leads to another, as in the
+recursions of `coupling_modes`.
 """
 
 from __future__ import annotations
@@ -117,8 +114,7 @@ KNOWN = (
 )
 """The terms that the particle filter interprets."""
 
-SHARES = 33
-"""Shares of the steering, from 0 to 1, that a step may have where couplings have modes."""
+SHARES = 33  # Shares of the steering, from 0 to 1, that a step may have where couplings have modes
 
 ROBUST = {"none": 0, "huber": 1, "cauchy": 2}
 
@@ -212,20 +208,13 @@ class Job:
 def prepare(
     track: Track, model: Model, camera: GroundCamera | None, pose: PoseModel, image_pose: bool
 ) -> Job:
-    """The arrays of a track under a model.
-
-    Raises
-    ------
-    InputError
-        If the model has a term that the particle filter does not know, or poses are to be judged in the image
-        without a camera.
-    """
+    """The arrays of a track under a model; InputError for an unknown term, or without a camera."""
     for term in model.terms:
         if type(term) not in KNOWN:
+            known = "position, separate, joint-body, joint, intentional, joint-intentional or full"
             raise InputError(
                 f"the term {type(term).__name__}, which the particle filter does not know",
-                "for it, a model of position, separate, joint-body, joint, intentional, joint-intentional or "
-                "full",
+                f"for it, a model of {known}",
             )
     if image_pose and camera is None:
         raise InputError("poses in the image frame without a camera", "a camera of the scene")
@@ -241,8 +230,7 @@ def prepare(
 
 def _motion(track: Track, model: Model) -> PackedMotion:
     kinds = {type(term) for term in model.terms}
-    parameters = model.parameters
-    dt = track.dt
+    parameters, coupling, dt = model.parameters, model.parameters.coupling, track.dt
     q = parameters.motion.acceleration_density
     rate = parameters.motion.head_rate if IntentionalMotion in kinds else 0.0
     shares = np.linspace(0.0, 1.0, SHARES) if model.has_modes else np.ones(1)
@@ -253,7 +241,6 @@ def _motion(track: Track, model: Model) -> PackedMotion:
         spread = np.sqrt(q * moments.spread - cross**2)
         body_turn = 1.0 / (parameters.orientation.body_diffusion * dt)
         head_turn = 1.0 / (parameters.orientation.head_diffusion * dt)
-    coupling = parameters.coupling
     weight = coupling.weights(dt)
     return PackedMotion(
         dt,
@@ -326,14 +313,8 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
     if angle is not None:
         own = likelihood.kappas(name, kappa, n)
         seen = np.isfinite(angle) & (own > 0.0)
-        _fill(
-            found,
-            seen,
-            np.ones((seen.sum(), 1)),
-            angle[seen, None],
-            own[seen],
-            likelihood.outlier_probability,
-        )
+        weights, outliers = np.ones((seen.sum(), 1)), likelihood.outlier_probability
+        _fill(found, seen, weights, angle[seen, None], own[seen], outliers)
     if classes is not None:
         usable = np.isfinite(classes).all(axis=1)
         usable[usable] = classes[usable].sum(axis=1) > 0.0
@@ -357,8 +338,7 @@ def _fill(
     kappa: FloatArray,
     uniform: float,
 ) -> None:
-    """The mixture ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ) of an orientation seen (docs/model.md, Outliers); see
-    `mixture_log_density`."""
+    """The mixture ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ) of an orientation seen (docs/model.md, Outliers)."""
     size = weights.shape[1]
     peak = 1.0 / (2.0 * np.pi * special.i0e(kappa))
     pose.components[rows], pose.kappa[rows] = size, kappa
@@ -418,8 +398,7 @@ def sample_von_mises(rng: np.random.Generator, mean: float, kappa: float) -> flo
 def add_position_log_density(
     particles: FloatArray, k: int, position: PackedPosition, camera: PackedCamera, found: FloatArray
 ) -> None:
-    """Add to ``found`` (n,) the log-likelihood of the position observed at frame k (Chen et al. 2011, eq.
-    12)."""
+    """Add to ``found`` (n,) the log-likelihood of the position at frame k (Chen et al. 2011, eq. 12)."""
     kind = position.kind[k]
     if kind == 0:
         return
@@ -469,8 +448,7 @@ def bearing(x: float, y: float, camera: PackedCamera) -> float:
 def add_pose_log_density(
     particles: FloatArray, place: int, k: int, pose: PackedPose, camera: PackedCamera, found: FloatArray
 ) -> None:
-    """Add to ``found`` (n,) the log-likelihood of an orientation observed at frame k (Chen et al. 2011, eq.
-    13–14)."""
+    """Add to ``found`` (n,) the log-likelihood of an orientation at frame k (Chen et al. 2011, eq. 13–14)."""
     count = pose.components[k]
     if count == 0:
         return

@@ -1,8 +1,4 @@
-"""What every particle filter needs: log-weights, effective sample size, systematic resampling, seeding.
-
-Nothing in here knows what a particle is. The functions are compiled and may be called from Python, with
-arrays, and from other compiled functions.
-"""
+"""Log-weights, effective sample size, systematic resampling and seeding of any particle filter, compiled."""
 
 from __future__ import annotations
 
@@ -17,13 +13,7 @@ from graphtrack.kernels.compilation import compiled
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:
-    """A generator from a seed; a generator is returned as it is.
-
-    Raises
-    ------
-    InputError
-        If it is neither a generator nor an integer ≥ 0.
-    """
+    """A generator from a seed ≥ 0, or the generator given; InputError for anything else."""
     if isinstance(seed, np.random.Generator):
         return seed
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
@@ -75,16 +65,7 @@ def effective_sample_size(weights: FloatArray) -> float:
 
 @compiled
 def systematic_ancestors(weights: FloatArray, offset: float, ancestors: NDArray[np.int64]) -> None:
-    """Write for each of the new particles (m,) the number of its ancestor, by one comb of m teeth.
-
-    A particle of weight w gets ⌊m·w⌋ or ⌈m·w⌉ descendants, m·w on average. ``ancestors`` is in order.
-
-    Parameters
-    ----------
-    weights : (n,), normalised
-    offset : uniform in [0, 1): where in its interval each tooth stands
-    ancestors : (m,) int64, written
-    """
+    """Write each new particle's ancestor (m,), in order, by one comb of m teeth at ``offset`` in [0, 1)."""
     n, m = len(weights), len(ancestors)
     place, reached = 0, weights[0]
     for i in range(m):

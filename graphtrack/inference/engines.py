@@ -16,13 +16,12 @@ ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
 
 
 def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
-    """The engine that solves a model: what was asked for, or "chain" wherever that is possible.
+    """Return the engine asked for, or "chain" wherever that is possible.
 
     Raises
     ------
     InputError
-        For an engine that is none of whole tracks; if the chain engine was asked for and a term has no
-        compiled kernel: the message names it.
+        For an engine that is none of whole tracks, or the chain with a term that has no compiled kernel.
     """
     if engine in ("isam2", "fixed-lag"):
         raise InputError(
@@ -43,13 +42,7 @@ def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
 
 
 def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
-    """The engine that tracks with a model: what was asked for, or "chain" wherever that is possible.
-
-    Raises
-    ------
-    InputError
-        If the engine is unknown, or the chain was asked for and a term has no compiled kernel.
-    """
+    """Return the online engine asked for, or "chain" wherever that is possible; InputError as `engine_of`."""
     if engine not in ENGINES:
         raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
     if engine == "auto":

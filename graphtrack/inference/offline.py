@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from graphtrack.kernels.layout import LANES
 from graphtrack.model import Model
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_count
-
-if TYPE_CHECKING:
-    pass
 
 FEWEST, MOST = 5_000, 25_000
 """Frames that a thread of the chain engine takes at a time: few are dear, many take memory besides."""
@@ -122,10 +119,7 @@ def _solve_batches(
 
 
 def _batches(tracks: TrackSet, in_lanes: list[bool], way: bool, size: int) -> Iterator[list[int]]:
-    """The tracks that are solved one way, by their places, ``size`` frames or little more at a time.
-
-    Those that are solved in lanes come in whole groups.
-    """
+    """Places of tracks that are solved one way, about ``size`` frames at a time, lanes in groups."""
     group = LANES if way else 1
     batch: list[int] = []
     frames = 0
@@ -162,26 +156,15 @@ def _solve_chains(
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
     answers: list[Solution | Failure] = []
-    first_cost, cost, iterations, status = (
-        numbers.tolist() for numbers in (found.first_cost, found.cost, found.iterations, found.status)
-    )
     estimates = estimated_tracks(tracks, packed.offsets, found.states, found.covariance, found.modes)
-    for m, track in enumerate(tracks):
+    numbers = [n.tolist() for n in (found.first_cost, found.cost, found.iterations, found.status)]
+    for m, (track, first, last, steps, end) in enumerate(zip(tracks, *numbers, strict=True)):
         if not positioned[m]:
             answers.append(Failure(track.track_id, NO_POSITION))
-        elif status[m] == NOT_FINITE:
+        elif end == NOT_FINITE:
             answers.append(Failure(track.track_id, not_finite(track, model)))
         else:
-            answers.append(
-                Solution(
-                    estimates[m],
-                    first_cost[m],
-                    cost[m],
-                    iterations[m],
-                    status[m] == CONVERGED,
-                    "chain",
-                )
-            )
+            answers.append(Solution(estimates[m], first, last, steps, end == CONVERGED, "chain"))
     return answers
 
 

@@ -1,6 +1,4 @@
-"""Observations that come late, or again: what is added to the window of an online smoother.
-
-The online smoother: one person, one observation at a time.
+"""The online smoother: one person, one observation at a time, and observations that come late or again.
 
 Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
 GTSAM, for any list of terms) and ``isam2`` (`Isam2`; GTSAM's, in a window or over the full history). An
@@ -174,32 +172,25 @@ class OnlineSmoother:
         Raises
         ------
         InputError
-            If the observation itself is unusable: a time or value that is no number within bounds. The state
-            is unchanged.
+            If a time or value is no number within bounds. The state is unchanged.
         """
         return self._take(self.usable(observation))
 
     def usable(self, observation: Observation) -> Observation:
-        """The observation as it is taken in: checked, and with the position that the camera gives to a pixel.
-
-        Raises
-        ------
-        InputError
-            As `update`.
-        """
-        return self._on_the_ground(checked(observation))
+        """Return the observation checked, with the position of its pixel; InputError as `update`."""
+        observation = checked(observation)
+        if observation.position is not None or observation.pixel is None or self.camera is None:
+            return observation
+        x, y = self.camera.image_to_ground(np.array(observation.pixel)).tolist()
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
+        return replace(observation, position=(x, y))
 
     @staticmethod
     def update_together(
         smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
     ) -> list[Estimate]:
-        """Each smoother's `update` with its observation, but as few calls into compiled code as there can be.
-
-        Parameters
-        ----------
-        smoothers : of different people
-        observations : one of each, as `usable` gives them
-        """
+        """Each smoother's `update` in few calls into compiled code; observations as `usable` gives them."""
         estimates: list[Estimate | None] = [None] * len(smoothers)
         places: list[int] = []
         windows: list[ChainWindow] = []
@@ -225,17 +216,9 @@ class OnlineSmoother:
         return self._work_in(observation)
 
     def revise(self, since: float, observations: Sequence[Observation]) -> Estimate | None:
-        """Take back what was seen from a time on, and take in what is now thought to have been seen.
+        """Take back what was seen since a time in seconds, and take in positioned observations in order.
 
-        Parameters
-        ----------
-        since : seconds
-        observations : with positions, in order, from ``since`` on; all at once
-
-        Returns
-        -------
-        Estimate or None
-            At the latest time. None, and nothing has changed: the window holds nothing older to go on from.
+        Returns the estimate at the latest time, or None, without a change, if the window has nothing older.
         """
         window = self._smoother.window()
         steps = [step for step in window.steps if step.observation.t < since]
@@ -243,7 +226,7 @@ class OnlineSmoother:
             return None
         known = {step.observation.t: window.values[step.index] for step in window.steps}
         values = {step.index: window.values[step.index] for step in steps}
-        for seen in map(self._on_the_ground, map(checked, observations)):
+        for seen in map(self.usable, observations):
             previous = steps[-1].alone()
             dt = seconds_between(previous, seen)
             steps.append(Step(self._next_index, seen, previous, dt, False, self.camera))
@@ -327,15 +310,6 @@ class OnlineSmoother:
 
     # -- one step ------------------------------------------------------------------------------------------
 
-    def _on_the_ground(self, observation: Observation) -> Observation:
-        """With the position that the camera gives to a pixel, as readers of files do."""
-        if observation.position is not None or observation.pixel is None or self.camera is None:
-            return observation
-        x, y = self.camera.image_to_ground(np.array(observation.pixel)).tolist()
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
-        return replace(observation, position=(x, y))
-
     def _append(self, observation: Observation) -> Estimate:
         steps, smoother = self._smoother.steps, self._smoother
         if steps and isinstance(smoother, ChainWindow):
@@ -345,7 +319,7 @@ class OnlineSmoother:
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
-            return self._extended(smoother.extend(step, predicted(step, smoother)), observation)
+            return self._extended(smoother.extend(step, predicted(step, smoother.state)), observation)
         except FAILURES as error:
             return self._extended(error, observation)
 
@@ -411,15 +385,15 @@ class OnlineSmoother:
 
     def _failed(self, observation: Observation, error: Exception) -> Estimate:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        steps = self._smoother.steps
-        seen = [*(step.observation for step in steps), observation]
+        seen = [*(step.observation for step in self._smoother.steps), observation]
         reason = with_extreme_of(reason, seen, self.model)
         return replace(self._unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:
-        none = np.full(2, np.nan)
-        unknown = np.full((6, 6), np.nan)
-        return Estimate(observation.t, observation.frame, none, none, math.nan, math.nan, unknown, "waiting")
+        none, nan = np.full(2, np.nan), math.nan
+        return Estimate(
+            observation.t, observation.frame, none, none, nan, nan, np.full((6, 6), nan), "waiting"
+        )
 
     def _unchanged(self, observation: Observation, status: Status) -> Estimate:
         if self._last is None:

@@ -1,7 +1,4 @@
-"""What the offline engines are asked and what they answer.
-
-The input that makes an estimate fail numerically: the value farthest from what people and cameras give.
-"""
+"""Options and results of the offline engines, and the extreme input that makes an estimate fail."""
 
 from __future__ import annotations
 
@@ -110,9 +107,8 @@ def estimated_tracks(
     """Tracks with estimates, (n, 6) states and (n, 6, 6) covariances, in place of their observations.
 
     Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
-    ``modes`` (n, 3), as in `chain.result.Result`, are absent where they begin with NaN, since they are
-    found in all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to
-    copy them for each takes as long as to smooth positions.
+    ``modes`` (n, 3) are absent where they begin with NaN. All tracks share the arrays, ``covariance`` the
+    caller's.
     """
     position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
     others = {
@@ -140,8 +136,7 @@ def estimated_tracks(
 _USUAL = {"position_std": (1e-4, 1e3), "body_kappa": (0.0, 1e6), "head_kappa": (0.0, 1e6)}
 """Values of the channels with which the solvers are well conditioned."""
 
-_SHORTEST, _FARTHEST = 1e-5, 1e6
-"""Seconds between frames, and metres from the origin, likewise."""
+_SHORTEST, _FARTHEST = 1e-5, 1e6  # Seconds between frames, and metres from the origin, likewise
 
 NOT_FINITE = "the estimate is not finite"
 
@@ -161,8 +156,7 @@ def not_finite(track: Track, model: Model) -> str:
 def with_extreme(reason: str, track: Track, model: Model) -> str:
     """A reason why a track could not be estimated, with its most extreme input, if there is one."""
     channels = {name: getattr(track, name) for name in _USUAL}
-    found = list(_of_channels(track.t, track.frame, track.position, channels))
-    return _joined(reason, [*found, *_of_model(model)])
+    return _joined(reason, _extremes(track.t, track.frame, track.position, channels, model))
 
 
 def with_extreme_of(reason: str, seen: Sequence[Observation], model: Model) -> str:
@@ -174,15 +168,15 @@ def with_extreme_of(reason: str, seen: Sequence[Observation], model: Model) -> s
         name: np.array([getattr(one, name) for one in seen], dtype=float)  # None becomes NaN
         for name in _USUAL
     }
-    found = list(_of_channels(t, frame, position, channels))
-    return _joined(reason, [*found, *_of_model(model)])
+    return _joined(reason, _extremes(t, frame, position, channels, model))
 
 
-def _of_channels(
+def _extremes(
     t: FloatArray,
     frame: NDArray[np.int64],
     position: FloatArray,
     channels: Mapping[str, FloatArray | None],
+    model: Model,
 ) -> Iterator[tuple[float, str]]:
     """How many times each extreme input is beyond what is usual, and the input in words."""
     dt = np.diff(t)
@@ -195,6 +189,10 @@ def _of_channels(
     for name, values in channels.items():
         if values is not None:
             yield from _outside(values, frame, _USUAL[name], f"{name} = {{}}")
+    std, (low, high) = model.parameters.likelihood.position_std, _USUAL["position_std"]
+    if not low <= std <= high:
+        words = f"position_std = {std:.3g} of the model, expected {low:g} to {high:g}"
+        yield max(low / std, std / high), words
 
 
 def _outside(
@@ -211,15 +209,6 @@ def _outside(
         yield factor, f"{words.format(f'{values[k]:.3g}')} in frame {frame[k]}{expected}"
     if values[m] > high:
         yield values[m] / high, f"{words.format(f'{values[m]:.3g}')} in frame {frame[m]}{expected}"
-
-
-def _of_model(model: Model) -> Iterator[tuple[float, str]]:
-    std, (low, high) = model.parameters.likelihood.position_std, _USUAL["position_std"]
-    if not low <= std <= high:
-        yield (
-            max(low / std, std / high),
-            f"position_std = {std:.3g} of the model, expected {low:g} to {high:g}",
-        )
 
 
 def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:

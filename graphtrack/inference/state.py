@@ -1,18 +1,13 @@
-"""What the online engines take for an observation.
-
-What a fixed lag remembers of states it has let go: a Gaussian on the oldest step of its window.
-
-The state of an online smoother: its estimate, its window, and both as JSON-able data.
-"""
+"""State of the online engines: checked observations, the marginal prior, windows, and saved states."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -35,13 +30,12 @@ _CHECKS = tuple((name, FIELDS[name].low, FIELDS[name].high, _SIZES.get(name, 0))
 
 
 def checked(observation: Observation) -> Observation:
-    """The observation, with tuples where it had lists or arrays, if an engine can use it.
+    """Return an observation that an engine can use, with tuples where it had lists or arrays.
 
     Raises
     ------
     InputError
-        Naming the channel: a value that is no number within the bounds of `graphtrack.tracks.validation`, or
-        several where there should be one or another number of them; or an input that has no numbers.
+        Naming the channel whose value is out of bounds or of a wrong size, or the input without numbers.
     """
     if not isinstance(observation, Observation):
         found = "None" if observation is None else f"a {type(observation).__name__}"
@@ -127,11 +121,6 @@ class MarginalPrior:
     keys : GTSAM keys of the variables, in order
     point : their values at the linearisation point: 2 numbers for X and V, an angle (radians) for B and H
     information, linear, constant : Λ, η and c
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit the keys.
     """
 
     keys: tuple[int, ...]
@@ -165,11 +154,7 @@ class MarginalPrior:
         return replace(self, information=information)
 
     def turned(self, turns: Mapping[int, float], near: float) -> MarginalPrior:
-        """The same in another basin: key of an orientation → radians to there.
-
-        ``near`` is the cosine of the turn up to which an orientation is in the same basin. What the Gaussian
-        says holds about its own basin; that it is as sure of the other one is the best guess.
-        """
+        """The same in another basin: key → radians to there; ``near``: cosine within the same basin."""
         point = tuple(
             (there[0] + turns[key],) if len(there) == 1 and math.cos(turns[key]) < near else there
             for key, there in zip(self.keys, self.point, strict=True)
@@ -335,17 +320,11 @@ class Estimate:
 
 def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track:
     """A track of online estimates, one for each frame of the recorded one."""
-    found = list(estimates)
-    return track.with_estimates(
-        position=np.array([e.position for e in found]),
-        velocity=np.array([e.velocity for e in found]),
-        body=np.array([e.body for e in found]) if model.has_body else None,
-        head=np.array([e.head for e in found]) if model.has_head else None,
-        covariance=np.array([e.covariance for e in found]),
-        aligned_p=np.array([e.aligned_p for e in found]) if model.has_modes else None,
-        gait_offset=np.array([e.gait_offset for e in found]) if model.has_modes else None,
-        glance_p=np.array([e.glance_p for e in found]) if model.has_modes else None,
-    )
+    found, channels = list(estimates), ["position", "velocity", "covariance"]
+    channels += [name for name, has in (("body", model.has_body), ("head", model.has_head)) if has]
+    channels += ["aligned_p", "gait_offset", "glance_p"] if model.has_modes else []
+    arrays: dict[str, Any] = {name: np.array([getattr(e, name) for e in found]) for name in channels}
+    return track.with_estimates(**arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,29 +352,22 @@ def present(model: Model) -> list[int]:
     return [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
 
 
-def leaving(steps: Sequence[Step], lag: float) -> int:
-    """How many of a window's first steps are further back from its newest than the lag (seconds)."""
+def leaving(steps: Sequence[Step], lag: float, newest: Step | None = None) -> int:
+    """How many of a window's first steps are further back from the newest than the lag (seconds)."""
     if not steps:
         return 0
-    horizon = steps[-1].observation.t - lag - TIME_TOLERANCE
+    horizon = (newest or steps[-1]).observation.t - lag - TIME_TOLERANCE
     return bisect_left(steps, horizon, key=lambda step: step.observation.t)
 
 
-class Estimating(Protocol):
-    """What has an estimate of each step of its window."""
-
-    def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head; NaN for what the model does not have."""
-
-
-def predicted(step: Step, smoother: Estimating) -> tuple[float, ...]:
+def predicted(step: Step, state_of: Callable[[Step], tuple[float, ...]]) -> tuple[float, ...]:
     """Initial values of a new step: constant velocity, the angles as they were or are seen."""
     seen = step.observation
     if step.previous is None or step.dt is None:
         x, y = seen.position if seen.position is not None else (math.nan, math.nan)
         vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
     else:
-        x, y, vx, vy, body, head = smoother.state(step.previous)
+        x, y, vx, vy, body, head = state_of(step.previous)
         x, y = x + step.dt * vx, y + step.dt * vy
     if not math.isfinite(body):
         body = next((a for a in (seen.body, seen.head) if a is not None), 0.0)
@@ -404,18 +376,8 @@ def predicted(step: Step, smoother: Estimating) -> tuple[float, ...]:
     return x, y, vx, vy, body, head
 
 
-def insert_step(values: gtsam.Values, step: Step, model: Model, state: Sequence[float]) -> None:
-    """Put x, y, vx, vy, body, head into GTSAM values, as the variables of a step."""
-    values.insert(step.position_key, np.array(state[:2]))
-    values.insert(step.velocity_key, np.array(state[2:4]))
-    if model.has_body:
-        values.insert(step.body_key, gtsam.Rot2(state[4]))
-    if model.has_head:
-        values.insert(step.head_key, gtsam.Rot2(state[5]))
-
-
 def read_step(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ...]:
-    """The inverse of `insert_step`; NaN for what the model does not have."""
+    """x, y, vx, vy, body, head of a step from GTSAM values; NaN for what the model does not have."""
     body = values.atRot2(step.body_key).theta() if model.has_body else math.nan
     head = values.atRot2(step.head_key).theta() if model.has_head else math.nan
     position, velocity = values.atPoint2(step.position_key), values.atVector(step.velocity_key)
@@ -426,7 +388,12 @@ def values_of(steps: Sequence[Step], states: FloatArray, model: Model) -> gtsam.
     """States (n, 6) as the variables of some steps."""
     values = gtsam.Values()
     for step, state in zip(steps, states.tolist(), strict=True):
-        insert_step(values, step, model, state)
+        values.insert(step.position_key, np.array(state[:2]))
+        values.insert(step.velocity_key, np.array(state[2:4]))
+        if model.has_body:
+            values.insert(step.body_key, gtsam.Rot2(state[4]))
+        if model.has_head:
+            values.insert(step.head_key, gtsam.Rot2(state[5]))
     return values
 
 
@@ -443,22 +410,12 @@ def finite(state: Sequence[float]) -> FloatArray:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class SavedState:
-    """An online smoother between two observations.
-
-    Attributes
-    ----------
-    engine : which one it was
-    window : from which any engine can go on
-    arrays : what the same engine needs besides to go on as if nothing had happened, to the last bit
-    last : the last estimate
-    next_index : index of the next step
-    """
+class SavedState(NamedTuple):
+    """An online smoother between two observations."""
 
     engine: str
-    window: Window
-    arrays: Mapping[str, FloatArray]
+    window: Window  # from which any engine can go on
+    arrays: Mapping[str, FloatArray]  # from which the same engine goes on to the last bit
     last: Estimate | None
     next_index: int
 
@@ -518,13 +475,7 @@ def unpack_observation(saved: Mapping[str, Any]) -> Observation:
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
-    """The inverse of `pack_state`.
-
-    Raises
-    ------
-    InputError
-        If the data are not what `pack_state` makes.
-    """
+    """Return the saved state of `pack_state`'s data; InputError for other data."""
     if not isinstance(state, dict) or state.get("version") != STATE_VERSION:
         raise InputError("a state of another version", f"version {STATE_VERSION}")
     try:
@@ -551,8 +502,7 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
         if steps and not observation.t > steps[-1].observation.t:
             raise ValueError("steps that are not in order")
         steps.append(Step(whole(entry["index"]), observation, previous, dt, entry["starts"], camera))
-        x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
-        values[entry["index"]] = (x, y, vx, vy, body, head)
+        values[entry["index"]] = tuple(_nans(entry["values"]).reshape(6).tolist())
     prior = None
     if state["prior"] is not None:
         saved = state["prior"]

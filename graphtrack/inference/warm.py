@@ -21,8 +21,7 @@ from graphtrack.model.observation import observations, seconds_between
 if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine
 
-SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
-"""What is compiled here, in words: both, or one of the two."""
+WHOLE = "the solver of whole tracks"
 
 
 def make_all_ready(
@@ -40,7 +39,7 @@ def make_all_ready(
         make_online_ready(model, engine)
     else:
         ways = (False, True) if large and has_lanes(model) else (False,)
-        make_ready(SOLVER, *_chain_rehearsals(model, None, ways), _online_rehearsal(model))
+        make_ready("the solver", *_chain_rehearsals(model, None, ways), _online_rehearsal(model))
 
 
 def make_solver_ready(
@@ -51,12 +50,10 @@ def make_solver_ready(
     *,
     complete: bool = False,
 ) -> None:
-    """Compile, or load, what an engine calls for whole tracks.
+    """Compile, or load, what an engine calls for whole tracks, ``in_lanes`` or not.
 
-    Parameters
-    ----------
-    in_lanes : which of them the chain solves in lanes
-    complete : Newton's steps even where the model is linear, and GTSAM's basin search with terms of one's own
+    ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with terms of one's
+    own.
     """
     if engine == "chain":
         make_ready(WHOLE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
@@ -67,7 +64,9 @@ def make_solver_ready(
 
 def make_online_ready(model: Model, engine: OnlineEngine) -> None:
     """Compile, or load, what a compiled window calls, or what guides GTSAM's online engines."""
-    make_ready(ONLINE, _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model))
+    make_ready(
+        "the online solver", _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model)
+    )
 
 
 def has_own_kernels(model: Model) -> bool:

@@ -1,10 +1,8 @@
-"""Bessel functions in compiled code, where SciPy cannot be called.
+"""Bessel functions and elementary functions as polynomials in compiled code, of floats and of `lanes`.
 
-Elementary functions as polynomials, of floats and of `lanes`.
-
-Loops over them become vector instructions; those of the C library are calls, one number at a time. Compiled
-code that calls `math.exp`, `log`, `log1p`, `cos` or `sin` with lanes has these. Errors: 10⁻¹⁴ of the result
-(`exp`, `expm1`), 3·10⁻¹⁶ of the greater of 1 and the result (`log`) or the angle (`cos_sin`).
+Loops over them become vector instructions. Code that calls `math.exp`, `log`, `log1p`, `cos` or `sin` with
+lanes has these. Errors: 10⁻¹⁴ of the result (`exp`, `expm1`), 3·10⁻¹⁶ of the greater of 1 and the result
+(`log`) or the angle (`cos_sin`).
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """How functions are compiled: by numba's public decorator, cached on disk, without the interpreter's lock.
 
-A function is declared by `compiled`, or by `allocating` where it makes arrays.
-
-Machine code before it is needed, and what is logged while it is compiled.
+`compiled` declares a function, `allocating` one that makes arrays; `make_ready` compiles ahead, with a log.
 """
 
 from __future__ import annotations
@@ -43,22 +41,16 @@ _NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
 _DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
 """Found in sources that declare compiled functions."""
 
-_CACHE_DIR = threading.Lock()
-"""Held while numba's setting of the cache folder is another."""
+_CACHE_DIR = threading.Lock()  # Held while numba's setting of the cache folder is another
 
 
 def compiled(function: Function, **options: bool) -> Function:
-    """Compile a function that makes no arrays and hands none back.
-
-    Numba then leaves out the counting of references to arrays, which at every call and every view of a row
-    took as long as a term of the model. A function that does make arrays fails to compile ("NRT required but
-    not enabled"): it is to be `allocating`.
+    """Compile a function that makes no arrays and hands none back, without counting references to arrays.
 
     Raises
     ------
     TypeError
-        If the annotation says that anything but numbers is returned: numba would not find that out, and
-        would free an array that is still in use.
+        If the annotation says that anything but numbers is returned: numba would free an array in use.
     """
     annotation = getattr(function, "__annotations__", {}).get("return")
     returned = str(getattr(annotation, "__name__", annotation))
@@ -68,18 +60,12 @@ def compiled(function: Function, **options: bool) -> Function:
 
 
 def inner(function: Function) -> Function:
-    """`compiled`, for what compiled code alone calls: without the wrapper that Python calls.
-
-    Where arguments are tuples of dozens of arrays the wrapper takes longer to compile than the function.
-    """
+    """`compiled`, for what compiled code alone calls: without the wrapper for Python."""
     return compiled(function, **INNER)
 
 
 def merged(function: Function) -> Function:
-    """`compiled`, for a function that one other calls: its statements become part of that function's.
-
-    Whatever a function calls is optimised again with it; each level of calls costs that once more.
-    """
+    """`compiled`, for a function with one caller: its statements become part of that function's."""
     return _declared(function, inline="always")
 
 
@@ -112,11 +98,7 @@ def _declared(function: Function, **options: bool | str) -> Function:
 
 
 def machine_code_folder() -> Path | None:
-    """The folder in which machine code is kept; None where there is none that can be written to.
-
-    It lies in ``NUMBA_CACHE_DIR``, or else in the user's cache folder, and is another one for other sources:
-    numba alone would look whether the function's own file has changed, but not those of what it calls.
-    """
+    """The folder of machine code, in ``NUMBA_CACHE_DIR`` or the user's cache, one for each source state."""
     try:
         user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
         folder = Path(numba.config.CACHE_DIR or user) / _digest()
@@ -140,25 +122,19 @@ def _digest() -> str:
 
 logger = logging.getLogger("graphtrack")
 
-UNNOTICED = 3.0
-"""Seconds of compiling up to which nothing is logged."""
+UNNOTICED = 3.0  # Seconds of compiling up to which nothing is logged
 
 TRACK = Track(0, np.arange(4), np.linspace(0.0, 0.3, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
 """Synthetic track, 0.1 s a frame, with which compiled functions are called the first time."""
 
-_READY = set[str]()
-"""Names of the rehearsals that this process has run: machine code is the process's."""
+_READY = set[str]()  # Names of the rehearsals that this process has run: machine code is the process's
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """A small job with made-up data that calls every compiled function of some kind of work.
+    """A small job with synthetic data that calls every compiled function of some kind of work.
 
-    Attributes
-    ----------
-    name : of the kind; of several rehearsals with one name the first is run
-    run : does the job
-    seconds : processor time that compiling takes, about
+    ``seconds`` of processor time are what compiling takes, about. Of several with one name the first is run.
     """
 
     name: str
@@ -177,12 +153,7 @@ class Rehearsal:
 
 
 def make_ready(what: str, *rehearsals: Rehearsal) -> None:
-    """Run the rehearsals that this process has not run; a long compilation is logged before and after.
-
-    Parameters
-    ----------
-    what : is compiled, in words
-    """
+    """Run the rehearsals that this process has not run; a long compilation of ``what`` is logged."""
     waiting = [one for one in rehearsals if one.name not in _READY]
     expected = sum(one.seconds for one in waiting if one.is_cold())
     if expected >= UNNOTICED:

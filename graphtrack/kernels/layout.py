@@ -1,9 +1,4 @@
-"""Where things stand: in the state of a frame, in what its kernels add to, and in records.
-
-What the compiled chain engine is given: arrays of some tracks end to end.
-
-What a term hands to the compiled engine: functions that add up its cost, and when they are called.
-"""
+"""Layout of states and records, the arrays of the chain engine, and the kernels of terms."""
 
 from __future__ import annotations
 
@@ -18,17 +13,13 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 
-X, Y, VX, VY, BODY, HEAD = range(6)
-"""Places in the state."""
+X, Y, VX, VY, BODY, HEAD = range(6)  # Places in the state
 
-N = 6
-"""Degrees of freedom of a frame."""
+N = 6  # Degrees of freedom of a frame
 
-LANES = 8
-"""Tracks that are solved at once, each in a lane of a vector."""
+LANES = 8  # Tracks that are solved at once, each in a lane of a vector
 
-TIME_TOLERANCE = 1e-6
-"""Seconds up to which two durations are equal: times of 10⁹ s are rounded to 10⁻⁷ s."""
+TIME_TOLERANCE = 1e-6  # Seconds up to which two durations are equal: times of 10⁹ s are rounded to 10⁻⁷ s
 
 PLACES: dict[str, slice] = {
     "position": slice(X, Y + 1),
@@ -54,8 +45,7 @@ class Field(NamedTuple):
     shape: tuple[int, ...] = ()
 
 
-DT = Field("dt", "seconds since the person's frame before; 0 at the first")
-"""What every record has."""
+DT = Field("dt", "seconds since the person's frame before; 0 at the first")  # What every record has
 
 
 def record_type(fields: Iterable[Field]) -> np.dtype:

@@ -1,9 +1,7 @@
-"""Coupling modes given the states: which mode each coupling is in, and what the coupling then is.
+"""Coupling modes given the states: the mode of each coupling, and the coupling that follows from it.
 
-The modes are those of `graphtrack.model.terms.gait`: a hidden Markov chain over modes and offsets for each
-coupling, whose probabilities follow from the states by the forward–backward recursion. The couplings of the
-next descent are the expectation over modes and offsets. One source for a single track and for tracks in
-lanes.
+The hidden Markov chains of `graphtrack.model.terms.gait`, by the forward–backward recursion; the couplings of
+the next descent are the expectation over modes and offsets. One source for a track and for lanes.
 """
 
 from __future__ import annotations
@@ -22,13 +20,11 @@ from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import steer
 
-BODY_MODE, HEAD_MODE = 0, 1
-"""Places of the two couplings in arrays of both."""
+BODY_MODE, HEAD_MODE = 0, 1  # Places of the two couplings in arrays of both
 
 AHEAD_VX, AHEAD_VY, AHEAD_BODY = range(3)
 
-GLANCE = 3
-"""Place of the probability of a glance in `ModeMemory.held`."""
+GLANCE = 3  # Place of the probability of a glance in `ModeMemory.held`
 
 _TURN = 2.0 * math.pi
 _LAST = BINS - 1
@@ -75,10 +71,7 @@ def mode_memory(n: int) -> ModeMemory:
 def look_ahead(
     n: int, length: Any, states: FloatArray, lead: float, of_motion: bool, dt: FloatArray, ahead: FloatArray
 ) -> None:
-    """Velocity, or body orientation, ``lead`` seconds after each frame by interpolation; the last beyond.
-
-    ``length``: number of frames; ``ahead`` (n, 3) is filled in, with 0 beyond a lane's length.
-    """
+    """Put velocity or body ``lead`` seconds after each frame into ``ahead`` (n, 3); the last beyond."""
     for k in range(n):
         if of_motion:
             ahead[k, AHEAD_VX] = ahead[k, AHEAD_VY] = 0.0 * length
@@ -135,11 +128,7 @@ def add_angle_evidence(
     kappa: Any,
     uniform: Any,
 ) -> None:
-    """Add the log likelihood (BASE,) of an observed angle at each offset from a reference direction.
-
-    But for a constant. ``cos``, ``sin``, ``kappa`` and ``uniform`` as in `pose.add_angle`; they may be NaN
-    where ``weight`` is 0.
-    """
+    """Add the log likelihood (BASE,) of an observed angle at each offset; see `pose.add_angle`."""
     known = weight * kappa > 0.0
     if not any_of(known):
         return
@@ -287,10 +276,7 @@ def classified_in(problem: Problem, track: int) -> tuple[bool, bool]:
 
 @inner
 def drift_of(drift: float, dt: Any) -> tuple[Any, Any]:
-    """Number of diffusion passes for ``dt`` seconds, and the share that goes to either side in each.
-
-    A free offset diffuses around the circle by ``drift`` rad²/s.
-    """
+    """Number of diffusion passes for ``dt`` seconds, and the share that goes to either side in each."""
     share = dt * (drift / (_TURN / BINS) ** 2)
     # More passes than `MOST_DRIFT` leave hardly anything but the uniform density.
     passes = choose(share > 0.0, -whole_of(-2.0 * share), 0.0)
@@ -335,11 +321,7 @@ def changes_in(modes: Modes, dt: Any) -> Any:
 
 @compiled
 def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray, memory: ModeMemory) -> None:
-    """The recursion forward: probabilities given the past, which are not normalised.
-
-    ``before`` (ROW,) are those of the frame before the first, used where that has a dt. Log likelihoods
-    become likelihoods over their greatest.
-    """
+    """The recursion forward, not normalised; ``before`` (ROW,) counts if the first frame has a dt."""
     likelihood, spare, anywhere, near = memory.likelihood, memory.spare[0], modes.anywhere, modes.share
     glances = modes.glance_share > 0.0
     share = 0.0 * memory.dt[0] + 1.0
@@ -411,11 +393,7 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
 
 
 class Smoothed(NamedTuple):
-    """Sums over one frame's probabilities given all frames; of each kind the probability and the resultant.
-
-    Offsets of the free mode are the person's own or the classifier's mistake; those of the aligned mode are
-    near 0.
-    """
+    """Probabilities and resultants of one frame's modes given all frames, by kind."""
 
     own: Any
     own_cos: Any
@@ -443,10 +421,7 @@ class Following(NamedTuple):
 def smooth_modes(
     k: int, modes: Modes, filtered: FloatArray, following: Any, memory: ModeMemory
 ) -> tuple[Any, Any]:
-    """One frame of the recursion backward, as `Smoothed`, and what passes on, as `Following`.
-
-    Its probabilities, not normalised, are left in ``memory.weight``.
-    """
+    """One frame of the recursion backward, as `Smoothed` and `Following`."""
     row, now, weights = memory.likelihood[k], filtered[k], memory.weight[0]
     source, target = memory.after[1 - (k & 1)], memory.after[k & 1]
     scale, again, side = following.scale, following.again, following.side
@@ -533,10 +508,7 @@ def expected(found: Any, strength: float, free_strength: float, glance_strength:
 
 @inner
 def deviation(found: Any, modes: Modes, cos: Any, sin: Any, weights: FloatArray) -> Any:
-    """Standard deviation of the pulls of all modes and offsets on a direction, given by cosine and sine.
-
-    Each pulls with the sine of its angle to the direction, times the strength of its mode.
-    """
+    """Standard deviation of the pulls of all modes and offsets on a direction, given by cosine and sine."""
     free = near = glance = total = 0.0 * cos
     for j in range(BINS):
         pull = modes.sin[j] * cos - modes.cos[j] * sin
@@ -567,11 +539,7 @@ class Coupling(NamedTuple):
 
 @inner
 def loosened(kappa: Any, excess: Any, missing: Any, weight: Any, diffusion: float) -> Any:
-    """A coupling's κ, times so much, where the lead is not known for ``missing`` seconds.
-
-    By so much may the leading orientation have turned. ``excess`` is the factor of κ in the cost:
-    (‖v‖ − τ)², or 1; ``weight`` that of the coupling, which κ contains.
-    """
+    """A coupling's κ as a multiple where the lead is unknown for ``missing`` seconds and may have turned."""
     unknown = (missing > 0.0) & (kappa > 0.0)
     return choose(unknown, 1.0 / (1.0 + kappa * excess / weight * diffusion * missing), 1.0)
 
@@ -741,8 +709,7 @@ def renew_couplings(
     states : (n, 6)
     classified : whether the head is observed by a classifier, which may see it turned all along
     has_spread : whether ``memory.spread`` is wanted
-    memory : ``before`` is read where the first frame has a dt; ``filtered_body``, ``filtered_head``, ``held``
-        and ``spread`` are results
+    memory : ``before`` is read where the first frame has a dt; ``held`` and ``spread`` are results
     """
     offset = problem.offsets[track]
     for k in range(n):
@@ -753,11 +720,7 @@ def renew_couplings(
 
 @inner
 def glance_variance(glance: Any, gait: Gait) -> Any:
-    """What is added to the variance of a head that glances aside with a probability.
-
-    Where that is more than in the long run, it rises to ``gait.glance_variance``: when a glance begins and
-    ends, and where to, is known less well than the inverse curvature about one course of it says.
-    """
+    """Variance added to a head that glances with a probability above the long run's."""
     more = (glance - gait.head.glance_share) / (1.0 - gait.head.glance_share)
     less = 1.0 - choose(more > 0.0, more, 0.0)
     return gait.glance_variance * (1.0 - less * less)
@@ -772,10 +735,7 @@ def add_glance_variance(n: int, held: FloatArray, gait: Gait, covariance: FloatA
 
 @compiled
 def report_modes(n: int, lane: int, held: FloatArray, modes: FloatArray) -> None:
-    """Probability of an aligned body, its offset from the motion in radians and probability of a glance.
-
-    They become ``modes`` (n, 3), of one lane; ``held`` (n, 4) is that of `ModeMemory`.
-    """
+    """Write modes (n, 3): probability of an aligned body, its offset (radians), and of a glance."""
     for k in range(n):
         modes[k, 0] = lane_of(held[k, 2], lane)
         modes[k, 1] = math.atan2(lane_of(held[k, 1], lane), lane_of(held[k, 0], lane))

@@ -1,15 +1,8 @@
-"""Native GTSAM factors of von Mises densities.
+"""GTSAM factors: native von Mises, custom ones through a checked wrapper, and those derived from kernels.
 
-Custom GTSAM factors through one checked wrapper.
-
-GTSAM takes what a callback returns on trust: a Jacobian of a wrong shape, or one left unassigned, ends the
-process. Here every answer is checked on its way, and a wrong shape is a Python error.
-
-GTSAM factors derived from a term's kernels.
-
-A factor of GTSAM is ½‖r‖² with a Jacobian J. From a kernel's cost c, gradient g and Gauss–Newton block H, a
-pivoted Cholesky factorisation makes rows with JᵀJ = H and Jᵀr = g; one more row, without Jacobian, carries
-what c is beyond ½‖r‖². So the factor has the kernel's cost and gradient exactly.
+GTSAM takes a callback's Jacobians on trust; `custom_factor` makes wrong shapes Python errors. From a kernel's
+cost c, gradient g and Gauss–Newton block H, a pivoted Cholesky factorisation makes rows with JᵀJ = H and
+Jᵀr = g; one more row, without Jacobian, carries what c is beyond ½‖r‖².
 """
 
 from __future__ import annotations
@@ -162,11 +155,9 @@ COUPLED = (
 )
 """The fields of a frame that the modes of the couplings set; see `gait.GaitOffsets`."""
 
-Couplings = Mapping[int, Sequence[float]]
-"""Index of a step → what its `COUPLED` fields are now."""
+Couplings = Mapping[int, Sequence[float]]  # Index of a step → what its `COUPLED` fields are now
 
-_SMALLEST_PIVOT = 1e-14
-"""Of the greatest: what is smaller is rounding of a block that is not of full rank."""
+_SMALLEST_PIVOT = 1e-14  # Of the greatest: what is smaller is rounding of a block that is not of full rank
 
 _CONSTANTS: dict[str, Any] = {
     "BODY": BODY,
@@ -191,11 +182,7 @@ _SCRATCH = {
 
 
 def couplings_of(records: np.ndarray) -> list[tuple[float, ...]]:
-    """The `COUPLED` fields of packed frames, a row for each.
-
-    A step that nothing steers is one of white-noise acceleration, for which the chain has another kernel;
-    here it has the same moments.
-    """
+    """The `COUPLED` fields of packed frames, a row for each; unsteered steps as white-noise acceleration."""
     rows = np.stack([records[name] for name in COUPLED], axis=1)
     unsteered = (rows[:, COUPLED.index("steer_gain")] == 0.0) & (records["motion_information"] > 0.0)
     if unsteered.any():
@@ -223,10 +210,7 @@ def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: f
 def derived_factors(
     term: PackedTerm, step: Step, couplings: Couplings | None = None
 ) -> Sequence[gtsam.NonlinearFactor]:
-    """The factors of a term at a step, one for each kernel that is called there.
-
-    With ``couplings`` they read their `COUPLED` fields there, whenever they are evaluated.
-    """
+    """The factors of a term at a step, one for each live kernel; ``couplings`` set their `COUPLED` fields."""
     packed = term.packer(step.observation, step.dt, step.starts, step.camera)
     live = tuple(term.packer.live(step.observation))
     return [
@@ -300,12 +284,7 @@ def _factor(
 
 
 class _Evaluation:
-    """A kernel at one step, called with GTSAM's values.
-
-    Attributes
-    ----------
-    residual, jacobian : (n + 1,) and (n + 1, n) of the n degrees of freedom; GTSAM copies them
-    """
+    """A kernel at one step, called with GTSAM's values; GTSAM copies ``residual`` and ``jacobian``."""
 
     def __init__(self, call: _Call, live: Sequence[tuple[str, float]], keys: Sequence[int]) -> None:
         self._function, self._columns = call.kernel.function, call.columns
@@ -367,14 +346,9 @@ def factorise(
 ) -> None:
     """Rows whose squares are a cost, with its gradient and its block of Gauss–Newton's kind.
 
-    Parameters
-    ----------
-    cost : not negative
-    gradients : (2, 6) of the frame before and of the frame; zero afterwards
-    hessians : (3, 6, 6) lower triangles of the frame before and of the frame, and the block between them;
-        zero afterwards
-    columns : (n,) which of the 12 degrees of freedom there are
-    residual, jacobian : (n + 1,) and (n + 1, n), filled in
+    ``gradients`` (2, 6) and ``hessians`` (3, 6, 6; lower triangles of two frames, and the block between)
+    become zero; ``columns`` (n,) of the 12 degrees of freedom; ``residual``, ``jacobian`` (n + 1, …) are
+    filled in.
     """
     n = len(columns)
     residual[:], jacobian[:] = 0.0, 0.0

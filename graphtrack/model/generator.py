@@ -1,16 +1,9 @@
-"""Frame programs: the kernels of some terms, called one after another, and which one a problem has.
+"""Frame programs: the kernels of some terms, called one after another, written out for floats and lanes.
 
-Compiled code calls `add_frame`, `cut` and `set_quarter_turns`. Their implementation is
-chosen where the call is compiled, by the type of the problem's records: that of the package's terms in
-`program`, or one that was generated for terms of a user's own. So the solver is compiled once more for such
-terms, from the same source.
-
-The frame program of a model: that of the package's terms, or one generated for terms of a user's own.
-
-Writes the frame program: the kernels of a list of terms, called one after another, for floats and lanes.
-
-Functions that looped over kernels could not be inlined, nor their machine code be kept: so every call is
-written out. ``python -m graphtrack.model.generator`` writes `program` again; a test compares.
+Compiled code calls `add_frame`, `cut` and `set_quarter_turns`; the type of the problem's records chooses the
+program, that of the package's terms (`program`) or one generated for terms of a user's own. Loops over
+kernels could not be inlined or cached. ``python -m graphtrack.model.generator`` writes `program`; a test
+compares.
 """
 
 from __future__ import annotations
@@ -19,7 +12,7 @@ import hashlib
 import inspect
 import sys
 import textwrap
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -42,19 +35,12 @@ if TYPE_CHECKING:
     from graphtrack.model.term import Term
 
 
-_FUNCTIONS: dict[tuple[str, ...], Any] = {}
-"""Names of the fields of a record → the functions of its program."""
+_FUNCTIONS: dict[tuple[str, ...], Any] = {}  # Names of the fields of a record → the functions of its program
 
 
 @dataclass(frozen=True, eq=False)
 class FrameProgram:
-    """A frame program, for whoever packs records or reads them.
-
-    Attributes
-    ----------
-    types : of the records
-    links, switched : gates of what links a frame to the one before, and of what the coupling modes switch
-    """
+    """Record types of a frame program, and the gates of links to the frame before and of switched kernels."""
 
     types: RecordTypes
     links: tuple[str, ...]
@@ -66,24 +52,12 @@ class FrameProgram:
         _FUNCTIONS[functions.FRAME.names] = functions
         return cls(RecordTypes(functions.FRAME, functions.SHARED), functions.LINKS, functions.SWITCHED)
 
-    @classmethod
-    def from_source(cls, source: str, name: str) -> FrameProgram:
-        """The program of a source from `generator.Program`."""
-        # Machine code on disk names the module of each function, which is imported when it is loaded.
-        module = sys.modules[name] = ModuleType(name)
-        exec(compile(source, f"<{name}>", "exec"), vars(module))
-        return cls.of(module)
 
-
-OF_PRESETS = FrameProgram.of(program)
-"""The program of the package's terms."""
+OF_PRESETS = FrameProgram.of(program)  # The program of the package's terms
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of compiled code that is, for each type of records, that of their program.
-
-    ``records_of`` takes the types of the arguments to that of the records.
-    """
+    """A function of compiled code that is chosen by the type of records, which ``records_of`` finds."""
 
     def stub(*_arguments: Any) -> Any:
         raise NotImplementedError(f"{name} is called by compiled code alone")
@@ -325,13 +299,6 @@ class Program:
         return text
 
 
-if __name__ == "__main__":
-    from graphtrack.model.model import every_term
-
-    written = Program(every_term(), "the presets' terms").source
-    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")
-
-
 def program_of(model: Model) -> FrameProgram:
     """The frame program of a model's compiled terms."""
     return _program_of(tuple(dict.fromkeys(type(term) for term in model.compiled_terms)))
@@ -342,14 +309,23 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
     """The program of some terms: the presets' where they bring nothing new, else one of their own."""
     if _brought(kinds) <= _brought(every_term()):
         return OF_PRESETS
-    functions = list(_functions(kinds))
+    functions = [
+        function
+        for kind in kinds
+        for kernel in kind.kernels
+        for function in (kernel.function, kernel.add_quarter_turns)
+        if function is not None
+    ]
     for function in functions:
         _check(function)
     title = ", ".join(kind.__name__ for kind in kinds)
     name = f"program_{_digest(functions)}"
     # The solver's machine code on disk is told apart by the names of the record's fields.
     source = Program(kinds, title, every_term(), Field(name, "of which program the record is")).source
-    return FrameProgram.from_source(source, name)
+    # Machine code on disk names the module of each function, which is imported when it is loaded.
+    module = sys.modules[name] = ModuleType(name)
+    exec(compile(source, f"<{name}>", "exec"), vars(module))
+    return FrameProgram.of(module)
 
 
 def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
@@ -359,15 +335,6 @@ def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
         for kind in kinds
         for one in (*kind.fields, *kind.shared, *(id(kernel) for kernel in kind.kernels))
     }
-
-
-def _functions(kinds: Iterable[type[Term]]) -> Iterator[Function]:
-    """All functions of the kernels of some terms."""
-    for kind in kinds:
-        for kernel in kind.kernels:
-            yield kernel.function
-            if kernel.add_quarter_turns is not None:
-                yield kernel.add_quarter_turns
 
 
 def _check(function: Function) -> None:
@@ -397,3 +364,8 @@ def _digest(functions: Iterable[Function]) -> str:
             elif isinstance(value, bool | int | float | str | tuple | np.ndarray):
                 digest.update(f"{name}={value!r}".encode())
     return digest.hexdigest()[:16]
+
+
+if __name__ == "__main__":
+    written = Program(every_term(), "the presets' terms").source
+    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")

@@ -64,11 +64,9 @@ presets: dict[str, tuple[type[Term], ...]] = {
         HoldsStill,
     ),
 }
-"""Name → the terms of the model: positions only; orientations too, each for itself; the body coupled to the
-motion, but not the head to the body (what Chen et al. (2011) call separate, κ₂ = 0); all coupled (Chen et
-al. 2011); positions and the head that steers them (Baxter et al. 2014); all of these; `joint` whose
-couplings have modes; `joint` with a place that people are drawn to or kept from; `full` whose people face
-those whom they stand in conversation with."""
+"""Name → terms. ``joint-body`` is what Chen et al. (2011) call separate (κ₂ = 0), ``joint`` their model, and
+``intentional`` Baxter et al. (2014). In ``full`` couplings have modes; ``joint-place`` has a place that draws
+people or keeps them off; in ``social`` people face those whom they stand in conversation with."""
 
 
 def every_term() -> tuple[type[Term], ...]:
@@ -100,8 +98,7 @@ def default_parameters(preset: str) -> Parameters:
     return preset_parameters.get(preset, Parameters())
 
 
-BEST_PRESET = "full"
-"""The preset of which a model is where none is named."""
+BEST_PRESET = "full"  # The preset of which a model is where none is named
 
 
 class Model:
@@ -197,10 +194,7 @@ class Model:
         return all(term.states("is_linear") and term.is_linear(packed) for term in self.terms)
 
     def factors(self, step: Step, couplings: Couplings | None = None) -> list[gtsam.NonlinearFactor]:
-        """All factors that arrive with a step.
-
-        Where the couplings have modes, what these switch is as ``couplings`` say whenever it is evaluated.
-        """
+        """All factors that arrive with a step; ``couplings`` set what the modes switch."""
         for term in self.terms:
             if term.is_compiled:
                 vars(term).setdefault("packer", self._packer)
@@ -223,13 +217,7 @@ class Model:
         return sum(term.cost(states, track, camera) for term in self.terms)
 
     def to_dict(self) -> dict[str, Any]:
-        """What a model file holds.
-
-        Raises
-        ------
-        InputError
-            If the model has terms of its own: they are code, and would be left out.
-        """
+        """What a model file holds; InputError if the model has terms of its own, which are code."""
         if self.own_terms:
             names = ", ".join(kind.__name__ for kind in self.own_terms)
             raise InputError(
@@ -241,10 +229,7 @@ class Model:
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Model:
-        """The inverse of `to_dict`; InputError names what is unknown or out of range.
-
-        Without a preset it is `BEST_PRESET`.
-        """
+        """The inverse of `to_dict`, by default of `BEST_PRESET`; InputError for unknown or wrong values."""
         tables = dict(content)
         preset, scene = tables.pop("preset", BEST_PRESET), tables.pop("scene", None)
         if not isinstance(preset, str):
@@ -259,10 +244,7 @@ class Model:
 
     @classmethod
     def load(cls, path: str | Path) -> Model:
-        """Read a model file (TOML); InputError names the file and the key.
-
-        One without a preset has `BEST_PRESET`, as `Model.named` says.
-        """
+        """Read a model file (TOML), by default of `BEST_PRESET`; InputError names the file and the key."""
         content = read_toml(path, "a model file")
         try:
             return cls.from_dict(content)
@@ -271,10 +253,7 @@ class Model:
 
     @classmethod
     def named(cls, model: Model | str | Path | None) -> Model:
-        """A model from a preset's name or a model file's path; a model is returned as it is.
-
-        None stands for `BEST_PRESET`, and so does a file that names none.
-        """
+        """A model from a preset's name, a model file's path, or None for `BEST_PRESET`; a model as it is."""
         if model is None:
             return cls(BEST_PRESET)
         if isinstance(model, Model):

@@ -98,10 +98,7 @@ class PackedTracks:
         terms: Iterable[PackedTerm],
         types: RecordTypes,
     ) -> PackedTracks:
-        """A frame from the midst of a track, ``dt`` seconds after the one before (0: there is none).
-
-        The track ``starts`` where the prior on the first velocity stands.
-        """
+        """A frame from the midst of a track, ``dt`` seconds after the one before; 0 where there is none."""
         packed = cls([track], camera, np.array([0, 1]), np.zeros(1, types.frame), np.zeros(1, types.shared))
         packed.dt = np.array([dt])
         packed.is_first = packed.dt == 0.0
@@ -136,13 +133,7 @@ class PackedTracks:
         return self._directions[name]
 
     def input(self, name: str, *size: int) -> FloatArray:
-        """One of the tracks' inputs, (N,) or (N, size); NaN where a track does not have it.
-
-        Raises
-        ------
-        InputError
-            If a track has it in another size.
-        """
+        """One of the tracks' inputs, (N,) or (N, size), NaN where absent; InputError for another size."""
         return np.concatenate([track.input(name, *size) for track in self.tracks])
 
     @cached_property
@@ -152,10 +143,7 @@ class PackedTracks:
 
     @cached_property
     def t(self) -> FloatArray:
-        """(N,) seconds since the first frame of the same track.
-
-        The solvers read time from here alone: a shift of all times changes it by no more than rounding.
-        """
+        """(N,) seconds since the first frame of the same track, from which alone the solvers read time."""
         return np.concatenate([track.t - track.t[:1] for track in self.tracks])
 
     @cached_property
@@ -212,24 +200,14 @@ class RecordTypes(NamedTuple):
         return cls(frame, record_type(field for term in terms for field in term.shared))
 
 
-_KINDS = 256
-"""Kinds of frame that are remembered, packed."""
+_KINDS = 256  # Kinds of frame that are remembered, packed
 
 
 class FramePacker:
-    """Frames packed one at a time, as they come: of a kind that came before, from memory.
+    """Frames packed one at a time, from memory where one of the kind came before.
 
     The kind is what was seen, with its stated spread, and how long after the frame before. A frame with
     inputs, pixels or class likelihoods is of no kind, and is remembered until the next one comes.
-
-    Parameters
-    ----------
-    terms : that pack
-    types : of the records
-
-    Attributes
-    ----------
-    types : of the records
     """
 
     def __init__(self, terms: Sequence[PackedTerm], types: RecordTypes) -> None:

@@ -1,15 +1,8 @@
-"""Parameters of the model, with their units. They are what a model file holds.
+"""Parameters of the model, with their units, and the variances that reported covariances contain besides.
 
-The defaults of motion, orientation and coupling were fitted to motion capture of people who walk, turn and
-run (30 Hz; 0.1 m of noise on positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2), on every
-other clip: q by the likelihood of the true positions under the smoother's covariance, the others by the mean
-angular errors of `separate` and `joint`. docs/model.md has the errors on the clips that were left out.
-
-Variances that reported covariances contain besides the estimator's own.
-
-White-noise acceleration and rotational diffusion are what estimates are made with. People do other things:
-their hips sway with every step, and their accelerations and turns last. None of that changes an estimate, but
-its covariance; see `graphtrack.inference.chain.covariance`.
+The defaults of motion, orientation and coupling were fitted to motion capture (30 Hz; 0.1 m of noise on
+positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md. The sway of hips, and
+accelerations and turns that last, change covariances alone; see `graphtrack.inference.chain.covariance`.
 """
 
 from __future__ import annotations
@@ -34,11 +27,7 @@ Scale = Literal["log", "log odds"]
 def _number(
     default: float, low: float, high: float, unit: str = "", *, scale: Scale = "log", learned: bool = True
 ) -> Any:
-    """A field of a parameter with its range, in its unit, and how `fit` may learn it, if it may.
-
-    Within all ranges estimates are finite: what lies beyond is no property of people, and some of it can not
-    be solved in double precision.
-    """
+    """A field with its range, within which estimates are finite, its unit, and how `fit` may learn it."""
     metadata = {"range": (low, high), "unit": unit, "scale": scale, "learned": learned}
     return field(default=default, metadata=metadata)
 
@@ -70,20 +59,16 @@ def scale_of(group: Any, name: str) -> Scale | None:
 
 @dataclass(frozen=True)
 class MotionParameters(_Group):
-    """White-noise acceleration and intentional motion (the terms motion and motion that the head steers of
-    docs/model.md).
+    """White-noise acceleration and intentional motion (docs/model.md).
 
     Attributes
     ----------
     acceleration_density : q in m²/s³; Q(Δt) = q·[[Δt³/3, Δt²/2], [Δt²/2, Δt]] on each axis
     initial_speed_std : m/s, 1-σ of each axis of the velocity where the track begins
-    head_rate : λ in 1/s at which the velocity turns to where the head points, in the presets that have it;
-        0: it does not
-    sway_std : metres, 1-σ on each axis of what hips sway about the path with every step. It is part of the
-        stated uncertainty of positions and velocities (see docs/model.md), and of no estimate.
+    head_rate : λ in 1/s at which the velocity turns to where the head points, in presets that have it
+    sway_std : metres, 1-σ on each axis of the sway of hips about the path; part of covariances alone
     sway_rate : steps a second, at which they do
-    lasting_std : m/s², 1-σ on each axis of accelerations that last, beside white ones. An estimate lags
-        behind them; that is part of the stated uncertainty, as the sway is.
+    lasting_std : m/s², 1-σ on each axis of accelerations that last, which estimates lag behind; likewise
     lasting_time : seconds for which they last
     """
 
@@ -99,16 +84,14 @@ class MotionParameters(_Group):
 
 @dataclass(frozen=True)
 class OrientationParameters(_Group):
-    """Rotational diffusion of body and head (the terms body turns and head turns of docs/model.md): κ of a
-    step is 1/(diffusion·Δt).
+    """Rotational diffusion of body and head (docs/model.md): κ of a step is 1/(diffusion·Δt).
 
     Attributes
     ----------
     body_diffusion, head_diffusion : rad²/s
     body_white_share, head_white_share : share of the diffusion that is white in truth, 0 to 1; in place of
         the rest people turn on at rates that last
-    body_turn_rate, head_turn_rate : rad/s, 1-σ of such rates. An estimate lags behind a turn; that is part of
-        the stated uncertainty of angles (see docs/model.md), as is the share, and of no estimate.
+    body_turn_rate, head_turn_rate : rad/s, 1-σ of such rates; with the share, part of covariances alone
     body_turn_time, head_turn_time : seconds for which such a rate lasts
     """
 
@@ -124,17 +107,15 @@ class OrientationParameters(_Group):
 
 @dataclass(frozen=True)
 class CouplingParameters(_Group):
-    """Body follows motion and head follows body (the terms of those names in docs/model.md; Chen et al.
-    2011, eq. 8–10).
+    """Body follows motion and head follows body (docs/model.md; Chen et al. 2011, eq. 8–10).
 
     Attributes
     ----------
     motion_body_kappa : κ₁ in (m/s)⁻²; κ(v) = κ₁·max(0, ‖v‖ − τ)²
     speed_threshold : τ in m/s
     head_body_kappa : κ₂, dimensionless
-    correlation_time : seconds over which deviations from a coupling persist. Frames closer than that carry
-        the same evidence again, so a step of Δt counts min(1, Δt/correlation_time) times; 0: each frame
-        counts once, as in Chen et al. 2011.
+    correlation_time : seconds over which deviations from a coupling persist: a step of Δt counts
+        min(1, Δt/correlation_time) times; 0: each frame counts once, as in Chen et al. 2011
     """
 
     motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
@@ -213,8 +194,7 @@ class GaitParameters(_Group):
 
 @dataclass(frozen=True)
 class LikelihoodParameters(_Group):
-    """Position and orientation likelihoods (the terms position seen and body, head seen as an angle of
-    docs/model.md).
+    """Position and orientation likelihoods (docs/model.md).
 
     Attributes
     ----------
@@ -273,8 +253,7 @@ class PlaceParameters(_Group):
     ----------
     x, y : metres in the world
     radius : metres over which it matters
-    strength : how much less, as the logarithm of a density, it is to be far away than there; negative: more.
-        Frames count by their ``weights``, as those of the couplings do
+    strength : log density there less that far away; frames count by their ``weights``, as couplings do
     """
 
     x: float = _number(0.0, -1e7, 1e7, "m", learned=False)
@@ -320,13 +299,7 @@ class Parameters:
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], defaults: Parameters | None = None) -> Parameters:
-        """Parameters from nested tables; what is not named keeps its value in ``defaults``.
-
-        Raises
-        ------
-        InputError
-            For an unknown table or key, and for a value outside its range.
-        """
+        """Parameters from nested tables over ``defaults``; InputError for unknown or wrong values."""
         start = cls() if defaults is None else defaults
         known = [f.name for f in fields(cls)]
         parts = {}
@@ -358,9 +331,7 @@ def steady(parameters: Parameters) -> Parameters:
 def swaying(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
     """Covariances (..., 4 or more, …) of hips, from those of the path that they sway about; in place.
 
-    What sways as a sine, ``sway_rate`` times a second, has the variance ``sway_std``² in each position and
-    (2π·``sway_rate``·``sway_std``)² in each velocity, and at any one time these two have nothing to do with
-    each other.
+    The sine of ``sway_rate`` has the variances ``sway_std``² and (2π·``sway_rate``·``sway_std``)².
     """
     variance = np.einsum("...ii->...i", covariance)
     variance[..., :4] += sway_variances(motion)
@@ -375,9 +346,5 @@ def sway_variances(motion: MotionParameters) -> tuple[float, float, float, float
 
 
 def kept_shares(orientation: OrientationParameters) -> tuple[float, float]:
-    """What remains of the variances of body and head where not all diffusion is white in truth.
-
-    Of the variance that a filter or a smoother of a diffusing angle states, a half is the noise's and a half
-    what the angle diffuses.
-    """
+    """Shares of the variances of body and head that remain where not all diffusion is white."""
     return 0.5 * (1.0 + orientation.body_white_share), 0.5 * (1.0 + orientation.head_white_share)

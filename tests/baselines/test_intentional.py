@@ -139,7 +139,6 @@ def test_the_estimates_of_a_track_are_those_of_the_steps() -> None:
     states = intentional_filter(track.position, track.head, PRINTED)
     found = step_tracker(track, PRINTED)
     np.testing.assert_allclose(found.position, states.mean[0, :, :2])
-    assert found.velocity is not None and found.covariance is not None
     np.testing.assert_allclose(found.velocity, states.mean[0, :, 2:] / 0.25)
     np.testing.assert_allclose(found.covariance[:, 2, 0], states.spread[0, :, 1] / 0.25)
     np.testing.assert_allclose(found.covariance[:, 3, 3], states.spread[0, :, 2] / 0.25**2)
@@ -181,15 +180,9 @@ def test_without_a_head_it_is_the_kalman_filter() -> None:
     position, _ = noisy_walk()
     plain = intentional_filter(position, None)
     np.testing.assert_array_equal(intentional_filter(position, np.full(60, np.nan)).mean, plain.mean)
-    kalman = filterpy.kalman.KalmanFilter(dim_x=4, dim_z=2)
-    kalman.F = np.eye(4) + np.diag([1.0, 1.0], 2)
-    kalman.H, kalman.Q, kalman.R = np.eye(2, 4), 0.1 * np.eye(4), 0.5 * np.eye(2)
-    kalman.x, kalman.P = np.array([[*position[0], 0.0, 0.0]]).T, np.diag([0.5, 0.5, 1.0, 1.0])
-    for seen in position[1:]:
-        kalman.predict()
-        kalman.update(seen[:, None] if np.isfinite(seen).all() else None)
-    np.testing.assert_allclose(plain.mean[0, -1], kalman.x[:, 0], atol=1e-9)
-    np.testing.assert_allclose(full_covariance(plain.spread[0, -1]), kalman.P, atol=1e-9)
+    mean, covariance, _ = by_the_book(position, np.full(60, np.nan), IntentionalParameters())
+    np.testing.assert_allclose(plain.mean[0], mean, atol=1e-9)
+    np.testing.assert_allclose(full_covariance(plain.spread[0]), covariance, atol=1e-9)
 
 
 def test_the_head_carries_the_track_through_a_gap() -> None:

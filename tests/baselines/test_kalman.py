@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -10,19 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from stonesoup.models.measurement.linear import LinearGaussian
-from stonesoup.models.transition.linear import (
-    CombinedLinearGaussianTransitionModel,
-    ConstantVelocity,
-)
-from stonesoup.predictor.kalman import KalmanPredictor
-from stonesoup.smoother.kalman import KalmanSmoother
-from stonesoup.types.detection import Detection
-from stonesoup.types.hypothesis import SingleHypothesis
-from stonesoup.types.prediction import GaussianStatePrediction
-from stonesoup.types.track import Track as StoneSoupTrack
-from stonesoup.types.update import GaussianStateUpdate
-from stonesoup.updater.kalman import KalmanUpdater
 from walks import walk, without
 
 from graphtrack.baselines.kalman import (
@@ -51,13 +37,6 @@ def discretised(dt: float, density: float) -> tuple[np.ndarray, np.ndarray]:
     both = expm(np.block([[-drift, diffusion], [np.zeros((4, 4)), drift.T]]) * dt)
     transition = both[4:, 4:].T
     return transition, transition @ both[:4, 4:]
-
-
-def first_state(track: Track, start: int) -> tuple[np.ndarray, np.ndarray]:
-    """What is known at the first observed position: that position, and a broad velocity around 0."""
-    variance = position_std(track, PARAMETERS)[start] ** 2
-    speed = PARAMETERS.motion.initial_speed_std**2
-    return np.array([*track.position[start], 0.0, 0.0]), np.diag([variance, variance, speed, speed])
 
 
 def dense_posterior(track: Track, parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
@@ -108,47 +87,6 @@ def track_with(gaps: str, *, uneven: bool, own_std: bool = False) -> Track:
 GAPS = ["none", "inner", "last", "first", "first and last", "all but one"]
 
 
-@pytest.mark.parametrize("gaps", GAPS)
-def test_filter_and_smoother_equal_stone_soup(gaps: str) -> None:
-    track = track_with(gaps, uneven=True)
-    # Stone Soup counts time in whole microseconds.
-    track = replace(track, t=np.round(track.t, 3))
-    start = int(np.flatnonzero(np.isfinite(track.position[:, 0]))[0])
-    epoch = datetime.datetime(2024, 1, 1)
-    times = [epoch + datetime.timedelta(milliseconds=round(1000 * float(t))) for t in track.t]
-    order = [0, 2, 1, 3]  # Stone Soup's x, vx, y, vy
-    motion = CombinedLinearGaussianTransitionModel([ConstantVelocity(0.7), ConstantVelocity(0.7)])
-    measurement = LinearGaussian(ndim_state=4, mapping=(0, 2), noise_covar=0.08**2 * np.eye(2))
-    predictor, updater = KalmanPredictor(motion), KalmanUpdater(measurement)
-    mean, covariance = first_state(track, start)
-    # Their smoother leaves a first state alone that is neither predicted nor updated.
-    first = GaussianStatePrediction(mean[order], covariance[np.ix_(order, order)], timestamp=times[start])
-    states = [first]
-    for k in range(start + 1, len(track)):
-        prediction = predictor.predict(states[-1], timestamp=times[k])
-        if np.isfinite(track.position[k]).all():
-            detection = Detection(track.position[k], timestamp=times[k], measurement_model=measurement)
-            states.append(updater.update(SingleHypothesis(prediction, detection)))
-        else:
-            # A bare prediction, once smoothed, would count as its own prediction there.
-            states.append(
-                GaussianStateUpdate(
-                    prediction.state_vector,
-                    prediction.covar,
-                    timestamp=times[k],
-                    hypothesis=SingleHypothesis(prediction, None),
-                )
-            )
-    filtered, _ = filter_states(track, PARAMETERS)
-    smoothed = smooth_states(track, PARAMETERS)
-    their_smoothed = KalmanSmoother(motion).smooth(StoneSoupTrack(states))
-    for ours, theirs in ((filtered, states), (smoothed, their_smoothed.states)):
-        their_means = np.array([np.asarray(s.state_vector, dtype=float).ravel()[order] for s in theirs])
-        their_covariances = np.array([np.asarray(s.covar)[np.ix_(order, order)] for s in theirs])
-        np.testing.assert_allclose(ours.mean[start:], their_means, atol=1e-8)
-        np.testing.assert_allclose(ours.covariance[start:], their_covariances, atol=1e-8)
-
-
 @settings(deadline=None, max_examples=40)
 @given(
     seed=st.integers(0, 10_000),
@@ -192,7 +130,6 @@ def test_nothing_is_filtered_before_the_first_position_but_it_is_smoothed() -> N
     assert np.isfinite(online.position[4:]).all()
     assert np.isfinite(offline.position).all()
     spread = offline.std("x")
-    assert spread is not None
     assert np.all(np.diff(spread[:5]) < 0.0)  # the further back, the less is known
 
 
@@ -208,9 +145,7 @@ def test_a_position_of_which_half_is_missing_does_not_count() -> None:
 def test_estimates_hold_no_observations_any_more() -> None:
     track = replace(track_with("none", uneven=False, own_std=True), body_kappa=np.ones(25))
     for estimate in (kalman_filter(track), rauch_tung_striebel(track)):
-        assert estimate.covariance is not None
         assert np.isnan(estimate.covariance[:, 4:]).all()
-        assert estimate.velocity is not None
         for name in ("position_std", "pixel", "body", "body_kappa", "head", "head_kappa"):
             assert getattr(estimate, name) is None
         np.testing.assert_array_equal(estimate.true_position, track.true_position)

@@ -109,7 +109,7 @@ def test_seeds() -> None:
     assert generator(rng) is rng
     for wrong in (-1, 1.5, "x", True):
         with pytest.raises(InputError, match="seed"):
-            generator(wrong)  # type: ignore[arg-type]
+            generator(wrong)
 
 
 # -- densities ---------------------------------------------------------------------------------------------
@@ -177,10 +177,8 @@ def test_the_pose_likelihood_is_the_models(outliers: float, classes: bool) -> No
     found = np.zeros(60)
     add_pose_log_density(particles, 5, 3, job.head, job.camera, found)
     if classes:
-        assert track.head_likelihood is not None
         means, weights, kappa = class_centres(12), track.head_likelihood[3], class_kappa(12)
     else:
-        assert track.head is not None
         means, weights, kappa = track.head[3:4], np.ones(1), 6.0
     expected = mixture_log_density(particles[:, 5], means, np.tile(weights, (60, 1)), kappa, outliers)
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -199,7 +197,6 @@ def test_poses_in_the_image_are_judged_at_the_particles_position(view: GroundCam
     add_pose_log_density(particles, 4, 2, job.body, job.camera, found)
     in_image = view.image_angle(particles[:, 4], particles[:, :2])
     nearest = np.argmin(np.abs(difference(in_image[:, None], class_centres(8))), axis=1)
-    assert track.body_likelihood is not None
     scores = track.body_likelihood[2] / track.body_likelihood[2].sum()
     expected = np.log((0.05 + 0.95 * 8 * scores) / (2.0 * np.pi))[nearest]
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -333,7 +330,6 @@ def test_the_mean_tends_to_the_kalman_filters_at_the_rate_of_monte_carlo() -> No
 def test_the_covariance_is_the_kalman_filters() -> None:
     track = walk(20, noise=0.1)
     found = particle_filter(track, LINEAR, options=options(20_000)).track.covariance
-    assert found is not None
     exact = filter_states(track, PARAMETERS)[0].covariance
     ratio = np.trace(found[:, :4, :4], axis1=1, axis2=2) / np.trace(exact, axis1=1, axis2=2)
     np.testing.assert_allclose(ratio, 1.0, atol=0.1)
@@ -368,7 +364,6 @@ def angle_on_a_grid(track: Track, model: Model, size: int = 720) -> tuple[np.nda
             step = np.exp(von_mises_log_density(grid[:, None], grid, kappa)) * width
             steps.append(step)
             ahead = step @ filtered[-1]
-        assert track.body_likelihood is not None
         likelihood = np.ones(size)
         if np.isfinite(track.body_likelihood[k]).all():
             scores = np.tile(track.body_likelihood[k], (size, 1))
@@ -401,10 +396,8 @@ def test_one_angle_agrees_with_a_grid() -> None:
     alone = replace(track, position=np.where(np.arange(15)[:, None] == 0, track.position, np.nan))
     found = particle_filter(alone, model, options=options(60_000))
     exact = resultants(filtered)
-    assert found.track.body is not None
     np.testing.assert_allclose(difference(found.track.body, np.angle(exact)), 0.0, atol=np.radians(1.5))
     assert np.nansum(found.log_evidence) == pytest.approx(log_evidence, abs=0.1)
-    assert found.track.covariance is not None
     grid = 2.0 * np.pi * np.arange(filtered.shape[1]) / filtered.shape[1]
     squared = difference(grid, np.angle(exact)[:, None]) ** 2
     variance = np.sum(filtered * squared, axis=1) * (grid[1] - grid[0])
@@ -439,8 +432,7 @@ def test_backward_simulation_is_rauch_tung_striebel_on_the_linear_model() -> Non
     off = np.linalg.norm(mean - exact.position, axis=1)
     assert np.sqrt(np.mean(off**2)) < 0.03
     assert np.linalg.norm(online - exact.position, axis=1)[6:10].max() > 5.0 * off[6:10].max()
-    variance = np.mean([r.covariance[:, 0, 0] for r in runs], axis=0)  # type: ignore[index]
-    assert exact.covariance is not None
+    variance = np.mean([r.covariance[:, 0, 0] for r in runs], axis=0)
     np.testing.assert_allclose(variance, exact.covariance[:, 0, 0], rtol=0.5)
 
 
@@ -452,7 +444,7 @@ def test_a_seed_decides_everything(estimator: object) -> None:
     track = walk(15)
 
     def run(seed: int | np.random.Generator) -> np.ndarray:
-        return estimator(track, "joint", options=options(50, paths=9), seed=seed).track.position  # type: ignore[operator]
+        return estimator(track, "joint", options=options(50, paths=9), seed=seed).track.position
 
     np.testing.assert_array_equal(run(1), run(1))
     np.testing.assert_array_equal(run(1), run(np.random.default_rng(1)))
@@ -486,7 +478,6 @@ def test_a_head_out_of_reach_is_recovered_from_alone(preset: str, gap: bool) -> 
     with pytest.warns(InputWarning, match="frame 15"):
         found = particle_filter(track, preset)
     assert found.recovered == (15,)
-    assert found.track.head is not None
     assert np.abs(difference(found.track.head, head)).max() < np.radians(4.0)
     # The position is not given up for the head: a prior on the velocity would be off by a metre at once.
     assert np.linalg.norm(found.track.position - truth, axis=1).max() < 0.5
@@ -515,7 +506,6 @@ def test_orientations_are_drawn_from_what_was_observed(kind: str) -> None:
 def test_what_is_out_of_reach_together_is_drawn_anew_together() -> None:
     track = replace(walk(5), position_std=np.full(5, 0.01), head_kappa=np.full(5, 2e3))
     job = prepare(track, Model("joint"), None, "smooth", False)
-    assert track.head is not None
     particles = np.zeros((400, 6))
     particles[:, :2], particles[:, 5] = track.position[2] + 9.0, track.head[2]
     # The position alone is lost; then everything, one half here and the other half there.
@@ -534,7 +524,6 @@ def test_before_the_first_position_nothing_is_known() -> None:
         found = estimator(track, "joint", options=options(100, paths=20))
         assert np.isnan(found.track.position[:4]).all()
         assert np.isfinite(found.track.position[4:]).all()
-        assert found.track.body is not None
         assert np.isfinite(found.track.body[4:]).all()
         assert np.isnan(found.log_evidence[:4]).all()
 
@@ -559,7 +548,7 @@ def test_no_position_at_all() -> None:
 
 
 class _Other(Term):
-    uses: ClassVar[frozenset[str]] = frozenset()  # type: ignore[assignment]
+    uses: ClassVar[frozenset[str]] = frozenset()
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         return []
@@ -581,7 +570,7 @@ def test_what_cannot_be_run_is_refused() -> None:
         {"pose": "nearest"},
     ):
         with pytest.raises(InputError, match=next(iter(wrong))):
-            ParticleOptions(**wrong)  # type: ignore[arg-type]
+            ParticleOptions(**wrong)
 
 
 def test_variances_are_not_below_zero_where_the_first_particle_is_far_from_all_of_the_weight() -> None:

@@ -60,7 +60,6 @@ def test_whoever_turns_around_is_followed_out_of_the_past(engine: Any) -> None:
     Not of a full history, which forgets nothing: to have turned around costs more than these answers weigh.
     """
     (track,) = misjudged(1)
-    assert track.true_head is not None
     turned = np.array(track.true_head)
     turned[30:] += np.pi
     people = add_class_likelihoods(

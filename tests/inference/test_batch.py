@@ -47,7 +47,6 @@ def assert_same_angles(found: np.ndarray | None, expected: np.ndarray | None, to
 
 def assert_covariances_are_proper(track: Track, model: Model) -> None:
     columns = free(model)
-    assert track.covariance is not None
     for block in track.covariance[:, columns][:, :, columns]:
         np.testing.assert_allclose(block, block.T, rtol=1e-9, atol=1e-12)
         assert np.linalg.eigvalsh(block).min() > 0.0
@@ -81,8 +80,6 @@ def test_the_preset_position_equals_rauch_tung_striebel(gaps: str, uneven: bool,
     parameters = Parameters(motion=MotionParameters(0.7, 1.3))
     found = smooth_track(track, Model("position", parameters)).track
     expected = rauch_tung_striebel(track, parameters)
-    assert found.covariance is not None
-    assert expected.covariance is not None
     np.testing.assert_allclose(found.position, expected.position, atol=1e-8)
     np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-8)
     np.testing.assert_allclose(
@@ -118,8 +115,6 @@ def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> No
         track, truth = simulated(rng, 12, 0.15, parameters)
         track = without(track, "position", [3, 4, 5])
         found = smooth_track(track, model).track
-        assert found.velocity is not None
-        assert found.covariance is not None
         error = np.concatenate([found.position[frame], found.velocity[frame]]) - truth[frame]
         spread = found.covariance[frame, :4, :4]
         total += error @ np.linalg.solve(spread, error)
@@ -135,8 +130,7 @@ def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> No
 
 @MOST_TERMS
 @pytest.mark.parametrize(
-    ("angle", "shift"),
-    [(0.0, (30.0, -80.0)), (1.0, (0.0, 0.0)), (np.pi, (0.0, 0.0)), (-2.5, (5.0, 7.0))],
+    ("angle", "shift"), [(0.0, (30.0, -80.0)), (1.0, (0.0, 0.0)), (np.pi, (0.0, 0.0)), (-2.5, (5.0, 7.0))]
 )
 def test_estimates_move_and_turn_with_the_world(
     preset: str, angle: float, shift: tuple[float, float]
@@ -166,9 +160,6 @@ def assert_equivariant(model: Model, track: Track, angle: float, shift: tuple[fl
     moved = model.with_parameters(replace(model.parameters, place=replace(place, x=x, y=y)))
     there = smooth_track(turned(track, angle, shift), moved, options=EXACTLY)
     turn = rotation(angle)
-    assert here.track.velocity is not None
-    assert here.track.covariance is not None
-    assert there.track.covariance is not None
     np.testing.assert_allclose(there.track.position, here.track.position @ turn.T + shift, atol=1e-6)
     np.testing.assert_allclose(there.track.velocity, here.track.velocity @ turn.T, atol=1e-6)
     for name in ("body", "head"):
@@ -190,8 +181,6 @@ def test_a_walk_seen_backwards_is_the_walk_backwards(preset: str) -> None:
         motion=MotionParameters(initial_speed_std=1e3), coupling=CouplingParameters(correlation_time=0.0)
     )
     model, track = Model(preset, parameters), walk(25, seed=7, uneven=True)
-    assert track.body is not None
-    assert track.head is not None
     backwards = replace(
         track,
         t=(track.t[0] + track.t[-1] - track.t)[::-1],
@@ -201,10 +190,6 @@ def test_a_walk_seen_backwards_is_the_walk_backwards(preset: str) -> None:
     )
     one = smooth_track(track, model, options=EXACTLY).track
     other = smooth_track(backwards, model, options=EXACTLY).track
-    assert one.velocity is not None
-    assert other.velocity is not None
-    assert one.covariance is not None
-    assert other.covariance is not None
     np.testing.assert_allclose(other.position[::-1], one.position, atol=1e-5)
     np.testing.assert_allclose(-other.velocity[::-1], one.velocity, atol=1e-4)
     for name in ("body", "head"):
@@ -212,8 +197,6 @@ def test_a_walk_seen_backwards_is_the_walk_backwards(preset: str) -> None:
         assert_same_angles(None if after is None else after[::-1] + np.pi, before, 1e-4)
     for name in ("x", "vx", "body", "head"):
         one_std, other_std = one.std(name), other.std(name)
-        assert one_std is not None
-        assert other_std is not None
         np.testing.assert_allclose(other_std[::-1], one_std, rtol=1e-4)
 
 
@@ -223,10 +206,7 @@ SITUATIONS = {
     "angles": (walk(8, seed=1), Parameters()),
     "uneven": (walk(8, seed=2, uneven=True), Parameters()),
     "classes": (walk(8, seed=3, classes=True), Parameters()),
-    "gaps": (
-        without(without(walk(8, seed=4), "position", slice(2, 5)), "body", slice(0, 5)),
-        Parameters(),
-    ),
+    "gaps": (without(without(walk(8, seed=4), "position", slice(2, 5)), "body", slice(0, 5)), Parameters()),
     "outliers": (walk(8, seed=5), Parameters(likelihood=LikelihoodParameters(outlier_probability=0.1))),
     "huber": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="huber"))),
     "cauchy": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="cauchy"))),
@@ -272,18 +252,15 @@ def test_frames_without_any_observation_are_bridged(preset: str) -> None:
         track = without(track, name, gap)
     model = Model(preset)
     found = smooth_track(track, model).track
-    assert found.true_position is not None
     miss = np.linalg.norm(found.position - found.true_position, axis=1)
     assert miss[gap].max() < 0.3
     spread = found.std("x")
-    assert spread is not None
     # Among the inner frames: where the head steers, the ends of the track are less certain than the gap.
     assert 5 + np.argmax(spread[5:25]) in range(14, 18)
     assert spread[15] > 1.1 * spread[10]
     for name in ("body", "head"):
         estimate, spread = getattr(found, name), found.std(name)
         if estimate is not None:
-            assert spread is not None
             assert np.abs(difference(estimate, getattr(found, f"true_{name}"))).max() < np.radians(40.0)
             assert spread[15] > spread[8]
     assert_covariances_are_proper(found, model)
@@ -294,8 +271,6 @@ def test_a_track_of_which_only_the_head_is_seen_at_most_frames(preset: str) -> N
     track = without(without(walk(30, seed=2), "position", slice(1, 30)), "body", slice(0, 30))
     model = Model(preset)
     found = smooth_track(track, model).track
-    assert found.head is not None
-    assert found.true_head is not None
     assert np.abs(difference(found.head, found.true_head)).max() < np.radians(25.0)
     assert np.isfinite(found.position).all()
     assert_covariances_are_proper(found, model)
@@ -307,16 +282,12 @@ def test_an_orientation_that_nothing_determines_is_as_uncertain_as_can_be(preset
     still = replace(walk(5), position=np.zeros((5, 2)), body=None, head=None)
     found = smooth_track(still, Model(preset)).track
     body = found.std("body")
-    assert body is not None
     np.testing.assert_allclose(body, UNIFORM_STD, rtol=1e-3)
 
 
 def test_the_joint_model_finds_bodies_from_the_motion_and_heads_from_the_bodies() -> None:
     track = replace(walk(30, seed=2), body=None, head=None)
     found = smooth_track(track, Model("joint")).track
-    assert found.body is not None
-    assert found.head is not None
-    assert found.true_body is not None
     assert np.abs(difference(found.body, found.true_body)).mean() < np.radians(8.0)
     np.testing.assert_allclose(difference(found.head, found.body), 0.0, atol=0.15)
 
@@ -330,7 +301,7 @@ def test_a_robust_likelihood_resists_an_outlier_that_ruins_the_plain_one(robust:
     spoiled = track.position.copy()
     spoiled[15] += [4.0, -3.0]
     spoiled_track = replace(track, position=spoiled)
-    parameters = Parameters(likelihood=LikelihoodParameters(robust=robust))  # type: ignore[arg-type]
+    parameters = Parameters(likelihood=LikelihoodParameters(robust=robust))
     clean = smooth_track(track, Model("position")).track
     plain = smooth_track(spoiled_track, Model("position")).track
     sound = smooth_track(spoiled_track, Model("position", parameters)).track
@@ -342,7 +313,6 @@ def test_a_robust_likelihood_resists_an_outlier_that_ruins_the_plain_one(robust:
 
 def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood() -> None:
     track = walk(40, seed=3, angle_kappa=50.0)
-    assert track.body is not None
     spoiled = np.array(track.body)
     spoiled[18:21] = wrap(spoiled[18:21] + 2.2)
     track = replace(track, body=spoiled, body_kappa=np.full(40, 50.0))
@@ -353,8 +323,6 @@ def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood
             likelihood=LikelihoodParameters(outlier_probability=outlier),
         )
         found = smooth_track(track, Model("separate", parameters)).track
-        assert found.body is not None
-        assert found.true_body is not None
         errors[outlier] = np.abs(difference(found.body, found.true_body))[17:22].max()
     assert errors[0.0] > 0.5
     assert errors[0.1] < 0.4 * errors[0.0]
@@ -391,7 +359,6 @@ def test_the_pixel_likelihood_through_a_homography_is_gaussian_in_metres_for_sma
         vector[place] += precision[k] @ track.position[k]
     spread = np.linalg.inv(information)
     expected = (spread @ vector).reshape(n, 4)
-    assert found.covariance is not None
     np.testing.assert_allclose(found.position, expected[:, :2], atol=5e-4)
     np.testing.assert_allclose(found.velocity, expected[:, 2:], atol=5e-3)
     for k in range(n):

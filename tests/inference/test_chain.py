@@ -34,8 +34,6 @@ EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
 
 def distance(one: Track, other: Track) -> float:
     """The most by which estimates differ: metres, m/s, radians."""
-    assert one.velocity is not None
-    assert other.velocity is not None
     apart = [np.abs(one.position - other.position).max(), np.abs(one.velocity - other.velocity).max()]
     for name in ("body", "head"):
         if getattr(one, name) is not None:
@@ -106,8 +104,6 @@ def test_covariances_of_gaussian_factors_are_those_of_gtsams_marginals(seed: int
     model = Model("position", parameters)
     found = smooth_track(track, model, engine="chain").track.covariance
     expected = smooth_track(track, model, engine="gtsam").track.covariance
-    assert found is not None
-    assert expected is not None
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
 
 
@@ -117,7 +113,7 @@ def test_covariances_of_gaussian_factors_are_those_of_gtsams_marginals(seed: int
 def test_covariances_are_the_inverse_of_the_cost_differences(preset: str, robust: str, seen: str) -> None:
     track, camera = walk(3, seed=3, uneven=True, noise=0.15, classes=seen == "classes"), None
     parameters = Parameters(
-        likelihood=LikelihoodParameters(robust=robust, outlier_probability=0.1, robust_threshold=1.3)  # type: ignore[arg-type]
+        likelihood=LikelihoodParameters(robust=robust, outlier_probability=0.1, robust_threshold=1.3)
     )
     if seen == "pixels":
         camera = lens_camera()
@@ -126,7 +122,6 @@ def test_covariances_are_the_inverse_of_the_cost_differences(preset: str, robust
     found = smooth_track(track, model, camera, EXACTLY, engine="chain").track
     size = 6 * len(track)
     covariance = np.linalg.inv(hessian(cost_around(states_of(found), track, model, camera), size))
-    assert found.covariance is not None
     for block, expected in zip(
         found.covariance, stated_blocks(covariance, range(6), model, found), strict=True
     ):
@@ -218,7 +213,6 @@ def test_an_orientation_on_the_wrong_side_is_no_solution() -> None:
     body = np.array(track.body)
     body[:5] = 1.0 - np.pi
     found = smooth_track(replace(track, body=body), Model("separate"), engine="chain").track
-    assert found.body is not None
     np.testing.assert_allclose(difference(found.body[6:], 1.0), 0.0, atol=0.5)
 
 
@@ -238,7 +232,6 @@ def test_nine_tenths_of_the_frames_are_missing(preset: str, seed: int) -> None:
     columns = free(model)
     slope = gradient(cost_around(states_of(found.track), track, model), 30 * len(columns))
     assert np.abs(slope).max() < 1e-4
-    assert found.track.covariance is not None
     for block in found.track.covariance[:, columns][:, :, columns]:
         assert np.linalg.eigvalsh(block).min() > 0.0
 
@@ -265,8 +258,8 @@ def test_far_from_the_origin_estimates_are_as_exact_as_near_it(preset: str) -> N
     near = replace(track, position=distant.position - far)
     here, there = smooth_track(near, model, engine="chain"), smooth_track(distant, model, engine="chain")
     np.testing.assert_allclose(there.track.position - far, here.track.position, atol=5e-9)
-    np.testing.assert_allclose(there.track.velocity, here.track.velocity, atol=1e-9)  # type: ignore[arg-type]
-    np.testing.assert_allclose(there.track.covariance, here.track.covariance, rtol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(there.track.velocity, here.track.velocity, atol=1e-9)
+    np.testing.assert_allclose(there.track.covariance, here.track.covariance, rtol=1e-6)
     assert there.cost == pytest.approx(here.cost, rel=1e-9)
 
 
@@ -274,7 +267,6 @@ def test_far_from_the_origin_estimates_are_as_exact_as_near_it(preset: str) -> N
 def test_an_angle_of_concentration_zero_says_nothing(preset: str) -> None:
     track = walk(20, seed=1)
     kappa = np.where(np.arange(20) % 3 == 0, 0.0, 4.0)
-    assert track.body is not None
     blind = without(replace(track, body_kappa=kappa), "body", kappa == 0.0)
     for parameters in (Parameters(), Parameters(likelihood=LikelihoodParameters(outlier_probability=0.1))):
         model = Model(preset, parameters)
@@ -297,7 +289,7 @@ def test_a_track_of_numbers_too_great_to_square_fails_alone() -> None:
 class Homesick(Term):
     """A term of a user's own: people tend to the origin. It has no compiled kernel."""
 
-    def factors(self, step):  # type: ignore[no-untyped-def]
+    def factors(self, step):
         from gtsam import PriorFactorPoint2, noiseModel
 
         return [PriorFactorPoint2(step.position_key, np.zeros(2), noiseModel.Isotropic.Sigma(2, 1.0))]

@@ -79,19 +79,17 @@ def test_modes_in_doubt_widen_and_modes_that_are_known_do_not() -> None:
     )
     known = full.with_parameters(replace(given, gait=replace(sure, head_switching=0.0)))
     wide, narrow = (smooth_track(track, model).track.covariance for model in (full, known))
-    assert wide is not None and narrow is not None
     assert (wide[:, 4, 4] > 1.1 * narrow[:, 4, 4]).mean() > 0.9
     for covariance in (wide, narrow):
         assert np.linalg.eigvalsh(covariance).min() > 0.0
         assert covariance == pytest.approx(covariance.transpose(0, 2, 1))
     newest = track_online(track, full).covariance
-    assert newest is not None and np.linalg.eigvalsh(newest).min() > 0.0
+    assert np.linalg.eigvalsh(newest).min() > 0.0
 
 
 @pytest.mark.parametrize("engine", ["gtsam", "chain"])
 def test_the_newest_frame_offline_and_online_have_it_alike(engine: str) -> None:
     track = walk(12, dt=0.2, seed=5)
-    whole = smooth_track(track, Model("full"), engine=engine).track.covariance  # type: ignore[arg-type]
+    whole = smooth_track(track, Model("full"), engine=engine).track.covariance
     online = track_online(track, "full", engine="chain" if engine == "chain" else "fixed-lag", lag=60.0)
-    assert whole is not None and online.covariance is not None
     assert np.sqrt(np.diag(whole[-1])) == pytest.approx(np.sqrt(np.diag(online.covariance[-1])), rel=0.2)

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from walks import turned
 
 from graphtrack import OnlineSmoother, TrackSet, smooth
 from graphtrack.geometry.angles import difference, wrap
@@ -41,19 +42,10 @@ def later(track: Track) -> Track:
     return replace(track, t=track.t + FAR)
 
 
-def turned(track: Track, angle: float) -> Track:
-    assert track.head is not None
-    c, s = math.cos(angle), math.sin(angle)
-    position = track.position @ np.array([[c, s], [-s, c]])
-    return replace(track, position=position, head=wrap(track.head + angle))
-
-
 def apart(a: Sequence[Track], b: Sequence[Track], turn: float = 0.0) -> np.ndarray:
     """Greatest difference of body and head (m, 2) of each pair of tracks, where ``b`` is turned."""
     found = []
     for one, other in zip(a, b, strict=True):
-        assert one.body is not None and one.head is not None
-        assert other.body is not None and other.head is not None
         found.append(
             [
                 np.abs(difference(other.body - turn, one.body)).max(),
@@ -64,7 +56,7 @@ def apart(a: Sequence[Track], b: Sequence[Track], turn: float = 0.0) -> np.ndarr
 
 
 def solved(tracks: Sequence[Track], engine: str = "auto") -> Sequence[Track]:
-    found = smooth(TrackSet(list(tracks)), "full", engine=engine)  # type: ignore[arg-type]
+    found = smooth(TrackSet(list(tracks)), "full", engine=engine)
     assert isinstance(found, TrackSet)
     return list(found.tracks)
 
@@ -102,7 +94,7 @@ def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track
     for track in tracks[:12]:
         found = []
         for given in (track, later(track)):
-            smoother = OnlineSmoother("full", engine=engine)  # type: ignore[arg-type]
+            smoother = OnlineSmoother("full", engine=engine)
             estimates = [smoother.update(one) for one in observations(given)]
             found.append([[estimate.body, estimate.head] for estimate in estimates])
         assert np.abs(difference(np.array(found[0]), np.array(found[1]))).max() < SAME
@@ -124,10 +116,8 @@ def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
 ) -> None:
     walks = [out_and_back(seed) for seed in range(30)]
     angle = math.radians(degrees)
-    c, s = math.cos(angle), math.sin(angle)
-    others = [replace(w, position=w.position @ np.array([[c, s], [-s, c]])) for w in walks]
+    others = [turned(track, angle) for track in walks]
     found = [smooth(TrackSet(them), preset).tracks for them in (walks, others)]
     for one, other in zip(*found, strict=True):
-        assert one.body is not None and other.body is not None
         assert np.abs(difference(other.body - angle, one.body)).max() < SAME
         assert np.sum(difference(one.body[1:], one.body[:-1])) > 0.0  # counter-clockwise

@@ -25,23 +25,9 @@ from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
-from graphtrack.model.coupling_modes import (
-    AHEAD_BODY,
-    AHEAD_VX,
-    AHEAD_VY,
-    look_ahead,
-    loosened,
-)
+from graphtrack.model.coupling_modes import AHEAD_BODY, AHEAD_VX, AHEAD_VY, look_ahead, loosened
 from graphtrack.model.program import add_frame
-from graphtrack.model.terms.gait import (
-    BASE,
-    BINS,
-    NEAR,
-    ROW,
-    angle_information,
-    class_information,
-    gait_of,
-)
+from graphtrack.model.terms.gait import BASE, BINS, NEAR, ROW, angle_information, class_information, gait_of
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
 from graphtrack.smoothing import solve, track_online
@@ -363,24 +349,8 @@ def test_gradient_and_hessian_of_couplings_about_an_offset(seed: int) -> None:
 
     def evaluate(at: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         gradient, hessian, none = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
-        memory = np.zeros((1, 4))
-        start = state[0].copy()
-        cost = add_frame(
-            problem,
-            0,
-            0,
-            start,
-            at,
-            True,
-            True,
-            True,
-            memory,
-            np.zeros(6),
-            gradient,
-            none.copy(),
-            hessian,
-            none,
-        )
+        ways, out = (True, True, True), (np.zeros(6), gradient, none.copy(), hessian, none)
+        cost = add_frame(problem, 0, 0, state[0].copy(), at, *ways, np.zeros((1, 4)), *out)
         lower = np.tril(hessian)
         return cost, gradient, lower + np.tril(hessian, -1).T
 

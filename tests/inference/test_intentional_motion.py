@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from costs import cost_around, free, hessian, moved, states_of
-from random_tracks import random_parameters, random_track
 from walks import walk, without
 
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
@@ -18,7 +17,6 @@ from graphtrack.inference import SolverOptions, smooth_track
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import workspace
 from graphtrack.inference.chain.window_kernels import condense
-from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.io import read
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
@@ -31,31 +29,6 @@ from graphtrack.tracks.track import Track
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
 STEERED = pytest.mark.parametrize("preset", ["intentional", "joint-intentional"])
 UNSTEERED = Parameters(MotionParameters(head_rate=0.0))
-
-
-def compare_with_gtsam(count: int) -> None:
-    same = 0
-    for seed in range(count):
-        rng = np.random.default_rng(seed)
-        track, parameters = random_track(rng), random_parameters(rng)
-        motion = replace(parameters.motion, head_rate=rng.choice([0.2, 2.0, 8.0]))
-        model = Model(["intentional", "joint-intentional"][seed % 2], replace(parameters, motion=motion))
-        found = smooth_track(track, model, engine="chain")
-        cost = model.cost(states_of(found.track), track)
-        assert found.converged
-        assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-5)
-        graph = smooth_graph(track, model, None, EXACTLY)
-        if cost > model.cost(states_of(graph.track), track) - 1e-8 * (1.0 + abs(cost)):
-            same += 1
-            assert graph.cost == pytest.approx(found.cost, rel=1e-7, abs=1e-7), seed
-            assert np.abs(graph.track.position - found.track.position).max() < 1e-4
-    # Else GTSAM ended in another basin, which costs more.
-    assert same >= 0.8 * count
-
-
-@pytest.mark.slow
-def test_the_optimum_is_that_of_gtsams_graph_on_60_tracks() -> None:
-    compare_with_gtsam(60)
 
 
 def test_without_a_rate_it_is_white_noise_acceleration() -> None:

@@ -31,13 +31,7 @@ from graphtrack.inference.chain.initialisation import pack, pack_to_solve, probl
 from graphtrack.inference.result import seconds_to_ends
 from graphtrack.kernels.compilation import allocating
 from graphtrack.kernels.layout import LANES, Problem, number_rows
-from graphtrack.model import (
-    GaitParameters,
-    LikelihoodParameters,
-    Model,
-    MotionParameters,
-    Parameters,
-)
+from graphtrack.model import GaitParameters, LikelihoodParameters, Model, MotionParameters, Parameters
 from graphtrack.model.coupling_modes import mode_memory, renew_couplings
 from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior

@@ -25,8 +25,6 @@ def mean_differences(whole: gt.TrackSet, online: gt.TrackSet) -> np.ndarray:
     """Of the last bodies and the last heads, in degrees."""
     found = []
     for one, other in zip(whole, online, strict=True):
-        assert one.body is not None and one.head is not None
-        assert other.body is not None and other.head is not None
         found.append([difference(one.body[-1], other.body[-1]), difference(one.head[-1], other.head[-1])])
     return np.asarray(np.degrees(np.abs(found).mean(axis=0)))
 

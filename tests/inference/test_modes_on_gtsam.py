@@ -46,7 +46,6 @@ TRACKS = pytest.mark.parametrize("make", [side_stepping, classified, unseen_for_
 
 
 def states(track: Track) -> np.ndarray:
-    assert track.velocity is not None and track.body is not None and track.head is not None
     return np.column_stack([track.position, track.velocity, track.body, track.head])
 
 
@@ -71,11 +70,9 @@ def online(track: Track, **options: Any) -> tuple[np.ndarray, np.ndarray, np.nda
 def test_offline_gtsam_ends_where_the_chain_does(make: Any) -> None:
     track = make()
     chain, graph = (smooth_track(track, Model("full"), engine=engine) for engine in ("chain", "gtsam"))
-    assert chain.track.covariance is not None and graph.track.covariance is not None
     assert graph.converged
     assert in_sigmas(states(graph.track), states(chain.track), chain.track.covariance).max() < 2e-3
     assert graph.cost == pytest.approx(chain.cost, abs=1e-3)
-    assert graph.track.aligned_p is not None and graph.track.gait_offset is not None
     np.testing.assert_allclose(graph.track.aligned_p, chain.track.aligned_p, atol=1e-4)
     assert np.abs(difference(graph.track.gait_offset, chain.track.gait_offset)).max() < 1e-3
 
@@ -157,7 +154,7 @@ def test_modes_beside_a_term_that_has_no_kernel() -> None:
     np.testing.assert_allclose(states(one), states(other), atol=1e-9)
     assert OnlineSmoother(model).engine == "isam2"
     for engine in ("isam2", "fixed-lag"):
-        smoothers = [OnlineSmoother(m, engine=engine) for m in (model, Model("full"))]  # type: ignore[arg-type]
+        smoothers = [OnlineSmoother(m, engine=engine) for m in (model, Model("full"))]
         for seen in observations(track):
             found, expected = (smoother.update(seen) for smoother in smoothers)
         assert found.status == "new"

@@ -52,7 +52,6 @@ def assert_same(found: Estimate, expected: Estimate, tolerance: float) -> None:
 
 def distance(found: Estimate, track: Track) -> float:
     """Largest difference from the last state of a smoothed track (metres, m/s, radians)."""
-    assert track.velocity is not None
     parts = [found.position - track.position[-1], found.velocity - track.velocity[-1]]
     for angle, smoothed in ((found.body, track.body), (found.head, track.head)):
         if smoothed is not None:
@@ -63,11 +62,8 @@ def distance(found: Estimate, track: Track) -> float:
 def differences(history: list[tuple[float, np.ndarray]], track: Track) -> np.ndarray:
     """Differences (n, 6) of a window's states from the last n of a smoothed track with both orientations."""
     states = np.array([state for _, state in history])
-    assert track.velocity is not None
     n = len(states)
     found = np.hstack([states[:, :2] - track.position[-n:], states[:, 2:4] - track.velocity[-n:]])
-    assert track.body is not None
-    assert track.head is not None
     return np.column_stack(
         [found, difference(states[:, 4], track.body[-n:]), difference(states[:, 5], track.head[-n:])]
     )
@@ -75,7 +71,6 @@ def differences(history: list[tuple[float, np.ndarray]], track: Track) -> np.nda
 
 def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.ndarray:
     """Joint covariance (6, 6) of the last step, from the dense information matrix at a smoothed track."""
-    assert smoothed.velocity is not None and smoothed.body is not None and smoothed.head is not None
     states = States(smoothed.position, smoothed.velocity, smoothed.body, smoothed.head)
     steps = chain(track)
     graph, values = build_graph(steps, model, states)
@@ -97,8 +92,6 @@ def test_the_preset_position_equals_the_kalman_filter(
     track = without(walk(40, seed=3, uneven=uneven), "position", missing)
     track = replace(track, position_std=np.linspace(0.03, 0.4, 40), body=None, head=None)
     found, expected = track_online(track, "position", engine=engine, lag=lag), kalman_filter(track)
-    assert found.covariance is not None
-    assert expected.covariance is not None
     np.testing.assert_allclose(found.position, expected.position, atol=1e-8)
     np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-8)
     np.testing.assert_allclose(found.covariance[:, :4, :4], expected.covariance[:, :4, :4], atol=1e-8)
@@ -192,7 +185,6 @@ def test_a_person_who_enters_without_a_position_waits_for_one(engine: Any) -> No
 def test_orientations_never_seen_follow_the_motion_or_stay_unknown(engine: Any) -> None:
     track = replace(walk(30, seed=1), body=None, head=None)
     joint, separate = (track_online(track, preset, engine=engine) for preset in ("joint", "separate"))
-    assert joint.body is not None and joint.velocity is not None and separate.covariance is not None
     heading = np.arctan2(joint.velocity[-1, 1], joint.velocity[-1, 0])
     assert abs(difference(joint.body[-1], heading)) < 0.2
     uniform = np.pi / np.sqrt(3.0)
@@ -230,7 +222,6 @@ def test_a_late_observation_after_the_window_has_moved_equals_the_kalman_filter(
     assert found.status == "late"
     assert (found.t, found.frame) == (seen[35].t, seen[35].frame)
     np.testing.assert_allclose(found.position, expected.position[35], atol=1e-8)
-    assert expected.covariance is not None
     np.testing.assert_allclose(found.covariance[:4, :4], expected.covariance[35, :4, :4], atol=1e-8)
     for k in range(36, 40):
         np.testing.assert_allclose(smoother.update(seen[k]).position, expected.position[k], atol=1e-8)
@@ -267,7 +258,6 @@ def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
         for unchanged in (repeated, again, old):
             assert_same(unchanged, estimate, 0.0)
         window = smoother.window
-        assert window is not None
         assert window[1] == observation.t
         oldest = max(start, observation.t - 1.0)
         assert oldest - 1e-9 <= window[0] <= oldest + 0.1 + 1e-9
@@ -564,5 +554,4 @@ def test_the_estimates_of_a_recorded_track_are_those_of_its_observations() -> No
     for k, observation in enumerate(observations(track)):
         estimate = smoother.update(observation)
         np.testing.assert_array_equal(found.position[k], estimate.position)
-        assert found.covariance is not None
         np.testing.assert_array_equal(found.covariance[k], estimate.covariance)

@@ -39,7 +39,7 @@ def through_json(state: dict[str, Any]) -> dict[str, Any]:
 def spinning(track: Track) -> Track:
     """Somebody who turns round and round, so that angles are known in turns that nobody writes down."""
     turn = 4.0 * (track.t - track.t[0])
-    return replace(track, body=wrap(track.body + turn), head=wrap(track.head + turn))  # type: ignore[operator]
+    return replace(track, body=wrap(track.body + turn), head=wrap(track.head + turn))
 
 
 def seen_by_camera(track: Track) -> Track:

@@ -34,25 +34,38 @@ def test_bodies_of_a_party_are_found_from_positions() -> None:
     assert errors["social"] < min(0.9, 0.5 * errors["full"])
 
 
-def test_a_single_person_is_as_without_groups() -> None:
-    track = party(np.random.default_rng(3), people=1, steps=30).tracks.tracks[0]
-    one, other = (gt.smooth(track, model) for model in ("full", "social"))
-    np.testing.assert_allclose(one.body, other.body, atol=1e-6)
-
-
-def test_those_who_walk_together_are_as_without_groups() -> None:
-    rng = np.random.default_rng(5)
-    frame = np.arange(60)
+def side_by_side() -> gt.TrackSet:
+    """Three who walk together, bodies and heads seen."""
+    rng, frame, walkers = np.random.default_rng(5), np.arange(60), []
     t = 0.2 * frame
-    walkers = []
     for k in range(3):
         position = np.column_stack([1.3 * t, np.full(60, 0.8 * k)]) + 0.05 * rng.standard_normal((60, 2))
         angle = 0.3 * rng.standard_normal(60)
         walkers.append(gt.Track(k, frame, t, position, body=angle, body_kappa=np.full(60, 4.0), head=angle))
-    one, other = (gt.smooth(gt.TrackSet(tuple(walkers)), model) for model in ("full", "social"))
+    return gt.TrackSet(tuple(walkers))
+
+
+def far_apart() -> gt.TrackSet:
+    """Four who meet nobody and stand at times, of whom places alone are seen."""
+    rng, frame, walkers = np.random.default_rng(6), np.arange(80), []
+    for k in range(4):
+        speed = np.repeat(rng.uniform(0.0, 1.4, 4) * [1.0, 0.0, 1.0, 1.0], 20)
+        way = unit(np.cumsum(rng.normal(0.0, 0.15, 80)))
+        position = np.array([30.0 * k, 0.0]) + np.cumsum(0.2 * speed[:, None] * way, axis=0)
+        walkers.append(gt.Track(k, frame, 0.2 * frame, position + rng.normal(0.0, 0.05, (80, 2))))
+    return gt.TrackSet(tuple(walkers))
+
+
+def alone() -> gt.TrackSet:
+    return party(np.random.default_rng(3), people=1, steps=30).tracks
+
+
+@pytest.mark.parametrize(("people", "within"), [(alone, 1e-6), (side_by_side, 0.02), (far_apart, 1e-9)])
+def test_who_is_in_no_conversation_is_as_without_groups(people, within: float) -> None:
+    one, other = (gt.smooth(people(), model) for model in ("full", "social"))
     for a, b in zip(one, other, strict=True):
-        np.testing.assert_allclose(a.body, b.body, atol=0.02)
-        np.testing.assert_allclose(a.head, b.head, atol=0.02)
+        np.testing.assert_allclose(a.body, b.body, atol=within)
+        np.testing.assert_allclose(a.head, b.head, atol=within)
 
 
 def test_who_walks_past_a_conversation_is_told_nothing_of_it() -> None:
@@ -79,21 +92,6 @@ def test_a_direction_counts_in_full_once_and_by_the_time_later() -> None:
     ramp = np.outer(np.linspace(0.0, 0.8, 21), [1.0, 0.0])
     whole = np.sum(counts(ramp, np.zeros(21), 100.0) * np.linalg.norm(ramp, axis=1))
     np.testing.assert_allclose(whole, 0.8)
-
-
-def test_people_of_whom_places_alone_are_known_and_who_meet_nobody_are_as_without_groups() -> None:
-    rng = np.random.default_rng(6)
-    frame = np.arange(80)
-    walkers = []
-    for k in range(4):
-        speed = np.repeat(rng.uniform(0.0, 1.4, 4) * [1.0, 0.0, 1.0, 1.0], 20)
-        way = unit(np.cumsum(rng.normal(0.0, 0.15, 80)))
-        position = np.array([30.0 * k, 0.0]) + np.cumsum(0.2 * speed[:, None] * way, axis=0)
-        walkers.append(gt.Track(k, frame, 0.2 * frame, position + rng.normal(0.0, 0.05, (80, 2))))
-    one, other = (gt.smooth(gt.TrackSet(tuple(walkers)), model) for model in ("full", "social"))
-    for a, b in zip(one, other, strict=True):
-        np.testing.assert_allclose(a.body, b.body, atol=1e-9)
-        np.testing.assert_allclose(a.head, b.head, atol=1e-9)
 
 
 @pytest.mark.slow

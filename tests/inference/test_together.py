@@ -47,10 +47,10 @@ def test_together_is_the_same_as_one_by_one(preset: str) -> None:
         there = [person for person, one in enumerate(frame) if one is not None]
         if k == 12:  # going on elsewhere makes no difference either
             joined = [OnlineSmoother.from_state(one.state(), preset, lag=1.0) for one in joined]
-        seen = [joined[person].usable(frame[person]) for person in there]  # type: ignore[arg-type]
+        seen = [joined[person].usable(frame[person]) for person in there]
         estimates = OnlineSmoother.update_together([joined[person] for person in there], seen)
         for person, estimate in zip(there, estimates, strict=True):
-            assert_same(alone[person].update(frame[person]), estimate)  # type: ignore[arg-type]
+            assert_same(alone[person].update(frame[person]), estimate)
             told += estimate.status == "new"
     assert told > 10 * people
 

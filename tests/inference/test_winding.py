@@ -45,7 +45,6 @@ def test_a_turn_too_many_is_taken_back_and_nothing_else_changes(place: int, turn
     right = rest * ramp
     states[:, place] = right + turns * 2.0 * np.pi * ramp
     found = proposed(track, states)
-    assert found is not None
     # A start for the descent: evenly, from where the path is slow to where it is no more.
     np.testing.assert_allclose(difference(found[:, place], right), 0.0, atol=np.radians(45.0))
     steps = difference(found[1:, place], found[:-1, place])

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibrated import calibrated
-from scipy import integrate
 
-from graphtrack.geometry.angles import von_mises_log_density, wrap
+from graphtrack.geometry.angles import wrap
 from graphtrack.inference.chain.batch import solve_packed
 from graphtrack.inference.chain.covariance import calibration_of, lag_variances, seconds_behind
 from graphtrack.inference.chain.initialisation import pack
@@ -20,27 +19,6 @@ from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
 
 STILL, RESTING = steady(Parameters()), np.zeros(2)
-
-
-def of_angle(variance: float) -> np.ndarray:
-    covariance = np.diag([0.01, 0.02, 0.03, 0.04, variance, variance])
-    covariance[4, 0] = covariance[0, 4] = 0.02 * np.sqrt(variance)
-    return covariance
-
-
-@pytest.mark.parametrize("variance", [1e-4, 0.01, 0.1, 0.5, 1.0, 3.0, 50.0])
-def test_an_angle_states_the_root_mean_square_of_its_von_mises(variance: float) -> None:
-    found = calibrated(of_angle(variance), RESTING, STILL)
-    reach = min(np.pi, 12.0 * np.sqrt(variance))
-
-    def weighted(angle: float) -> float:
-        return angle**2 * float(np.exp(von_mises_log_density(angle, 0.0, 1.0 / variance)))
-
-    mean_square = 2.0 * integrate.quad(weighted, 0.0, reach)[0]
-    assert found[4, 4] == pytest.approx(mean_square, rel=2e-3)
-    # The correlation stays, and the rest is as it was.
-    assert found[4, 0] / np.sqrt(found[0, 0] * found[4, 4]) == pytest.approx(0.2)
-    assert found[:4, :4] == pytest.approx(of_angle(variance)[:4, :4])
 
 
 def test_sway_is_that_of_a_sine() -> None:

@@ -9,9 +9,7 @@ from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.covariance import (
-    add_lags,
     calibrate,
-    calibrate_frame,
     calibrate_tracks,
     calibration_of,
 )
@@ -20,7 +18,7 @@ from graphtrack.inference.result import seconds_to_ends
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import MotionParameters, OrientationParameters, steady
 
-STILL, RESTING = steady(Parameters()), np.zeros(2)
+STILL = steady(Parameters())
 LASTING = Parameters(
     MotionParameters(lasting_std=0.4, sway_std=0.02),
     OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.4, body_white_share=0.3),
@@ -33,15 +31,6 @@ def states_of(velocity: FloatArray) -> FloatArray:
     states = np.zeros((len(velocity), 6))
     states[:, 2:4] = velocity
     return states
-
-
-def of_frame(
-    covariance: FloatArray, velocity: FloatArray, parameters: Parameters, end: float = 0.0
-) -> FloatArray:
-    """The calibrated covariance (6, 6) of one frame."""
-    found = covariance[None].copy()
-    calibrate(found, states_of(velocity[None]), np.array([end]), calibration_of(parameters))
-    return np.asarray(found[0])
 
 
 def random_covariances(rng: np.random.Generator, count: int, scale: float) -> FloatArray:
@@ -74,19 +63,11 @@ def test_covariances_are_those_of_the_documented_formulas(missing: list[int], pa
 
 
 def test_a_frame_that_is_known_for_certain_is_calibrated() -> None:
-    found = of_frame(np.zeros((6, 6)), RESTING, Parameters())
-    np.testing.assert_allclose(found, calibrated(np.zeros((1, 6, 6)), RESTING[None], Parameters())[0])
-    assert not found[4:].any()
-
-
-def test_the_newest_frame_online_is_calibrated_as_one_at_an_end() -> None:
-    rng, calibration, lags = np.random.default_rng(2), calibration_of(LASTING), np.empty(5)
-    for covariance in random_covariances(rng, 40, 0.3):
-        velocity = rng.normal(size=2)
-        expected, found = of_frame(covariance, velocity, LASTING), covariance.copy()
-        add_lags(covariance[None], states_of(velocity[None]), 0, 0.0, calibration, lags)
-        calibrate_frame(found, lags, calibration)
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    found = np.zeros((1, 6, 6))
+    calibrate(found, np.zeros((1, 6)), np.zeros(1), calibration_of(Parameters()))
+    expected = calibrated(np.zeros((1, 6, 6)), np.zeros((1, 2)), Parameters())
+    np.testing.assert_allclose(found, expected)
+    assert not found[0, 4:].any()
 
 
 def test_frames_of_several_tracks_are_calibrated_by_the_ends_of_their_own() -> None:

@@ -16,12 +16,7 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
-from graphtrack.model import (
-    CouplingParameters,
-    Model,
-    Parameters,
-    presets,
-)
+from graphtrack.model import CouplingParameters, Model, Parameters, presets
 from graphtrack.model.parameters import range_of
 from graphtrack.model.terms.turning import BodyDynamics
 from graphtrack.streaming.saved_state import settings_of
@@ -131,8 +126,7 @@ def test_a_preset_that_is_none_is_named(tmp_path: Path, value: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
-    [("[motoin]\n", "the unknown table 'motoin'"), ("foo = 1\n", "the unknown key 'foo'")],
+    ("text", "found"), [("[motoin]\n", "the unknown table 'motoin'"), ("foo = 1\n", "the unknown key 'foo'")]
 )
 def test_an_unknown_table_or_key_is_named(tmp_path: Path, text: str, found: str) -> None:
     error = refused(tmp_path, text)

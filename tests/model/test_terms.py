@@ -11,7 +11,7 @@ from typing import Any
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import B, H, V, X
+from gtsam.symbol_shorthand import B
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernels import called, evaluate, packed_alone, rows_of
@@ -24,6 +24,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import note_turns
+from graphtrack.inference.state import values_of
 from graphtrack.kernels.layout import BODY, HEAD, PLACES
 from graphtrack.model import (
     CouplingParameters,
@@ -119,7 +120,6 @@ def metres_density(states: States, track: Track, parameters: Parameters) -> floa
 
 
 def pixels_density(states: States, track: Track, parameters: Parameters) -> float:
-    assert track.pixel is not None
     miss = CAMERA.ground_to_image(states.position) - track.pixel
     return float(np.sum(stats.norm.logpdf(miss, scale=parameters.likelihood.pixel_std)))
 
@@ -227,12 +227,7 @@ CASES = [
     Case("metres, Huber", PositionLikelihood, likelihood(robust="huber")),
     Case("metres, Cauchy", PositionLikelihood, likelihood(robust="cauchy")),
     Case("pixels", PositionLikelihood, density=pixels_density, channels=("position", "pixel")),
-    Case(
-        "pixels, Cauchy",
-        PositionLikelihood,
-        likelihood(robust="cauchy"),
-        channels=("position", "pixel"),
-    ),
+    Case("pixels, Cauchy", PositionLikelihood, likelihood(robust="cauchy"), channels=("position", "pixel")),
     Case("body angle", BodyLikelihood, density=angle_density("body"), **SEEN_BODY),
     Case("head angle", HeadLikelihood, density=angle_density("head"), **SEEN_HEAD),
     Case("body angle, outliers", BodyLikelihood, OUTLIERS, angle_density("body"), **SEEN_BODY),
@@ -320,16 +315,6 @@ def seen_by(case: Case, track: Track) -> Track:
     return replace(track, inputs=inputs, **{name: None for name in channels if name not in case.channels})
 
 
-def values_of(states: States) -> gtsam.Values:
-    values = gtsam.Values()
-    for k in range(len(states.position)):
-        values.insert(X(k), states.position[k])
-        values.insert(V(k), states.velocity[k])
-        values.insert(B(k), gtsam.Rot2(states.body[k]))
-        values.insert(H(k), gtsam.Rot2(states.head[k]))
-    return values
-
-
 def factors_of(case: Case, track: Track) -> list[gtsam.NonlinearFactor]:
     term = case.term(case.parameters)
     return [factor for step in chain(track, CAMERA) for factor in term.factors(step)]
@@ -397,8 +382,10 @@ def test_the_other_curvature_is_never_negative_and_goes_with_the_cost(case: Case
 def test_the_factors_have_the_cost_and_the_gradient_of_the_kernels(case: Case) -> None:
     term = case.term(case.parameters)
     for states, track in every_situation(case):
-        packed, rows, values = packed_alone(term, track, CAMERA), rows_of(states), values_of(states)
-        for k, step in enumerate(chain(track, CAMERA)):
+        packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
+        steps = chain(track, CAMERA)
+        values = values_of(steps, rows, Model("separate"))
+        for k, step in enumerate(steps):
             cost, gradient, block = evaluate(term, packed, k, rows[k - 1], rows[k], False)
             error, found, curvature, derived = 0.0, np.zeros(12), np.zeros((12, 12)), True
             for factor in term.factors(step):
@@ -430,7 +417,6 @@ def test_the_written_density_is_the_one_of_the_definition(case: Case) -> None:
         rng = np.random.default_rng(seed)
         moved = States(*(value + rng.normal(0.0, 0.5, value.shape) for value in vars(states).values()))
         written = term.cost(moved, track, CAMERA) - term.cost(states, track, CAMERA)
-        assert case.density is not None
         defined = case.density(states, track, case.parameters) - case.density(moved, track, case.parameters)
         assert written == pytest.approx(defined, rel=1e-8, abs=1e-7)
 

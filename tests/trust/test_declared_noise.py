@@ -40,8 +40,6 @@ def misdeclared(tracks: TrackSet, position: float, body: float, head: float) -> 
     """The same observations, said to be so many times as noisy (1-σ) as they are."""
 
     def changed(track: Track) -> Track:
-        assert track.position_std is not None
-        assert track.body_kappa is not None and track.head_kappa is not None
         return replace(
             track,
             position_std=position * track.position_std,
@@ -57,7 +55,6 @@ def test_positions_are_as_probable_as_a_gaussian_of_all_says() -> None:
     seen = np.random.default_rng(0).normal(size=(4, 2))
     track = Track(0, np.arange(4), t, seen)
     pieces = pieces_of([track], lambda one: (one.position, None), np.random.default_rng(0))
-    assert pieces is not None
     found = position_log_density(pieces, sigma, speed, np.ones(1), np.array([q]), NEVER)
     # The covariance of all positions, given that the first was drawn about its observation.
     later = t[1:]
@@ -76,7 +73,6 @@ def test_angles_are_as_probable_as_an_integral_over_the_circle_says() -> None:
     seen, kappa, diffusion, dt = np.array([0.3, 1.4, -2.0, 0.1]), 3.0, 0.8, 0.25
     track = Track(0, np.arange(4), dt * np.arange(4), np.zeros((4, 2)), body=seen)
     pieces = pieces_of([track], lambda one: (one.body, None), np.random.default_rng(0))
-    assert pieces is not None
     found = angle_log_density(pieces, kappa, np.ones(1), np.array([diffusion]), NEVER)
     grid = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     width = grid[1] - grid[0]
@@ -107,7 +103,7 @@ def test_what_is_declared_wrongly_is_found_and_corrected(factor: float) -> None:
     found = {one.name: one.multiplier for one in noise.channels}
     for name, wrong in (("position", factor), ("body", 0.5), ("head", 2.0)):
         one = found[name]
-        assert one is not None and one.low < one.value < one.high
+        assert one.low < one.value < one.high
         assert one.value == pytest.approx(1.0 / wrong, rel=0.12), name
     assert [line.split(":")[0] for line in noise.lines()] == ["position", "body", "head"]
     assert all("--trust learn" in line for line in noise.lines())
@@ -199,7 +195,6 @@ def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
     def honesty(estimates: TrackSet) -> float:
         squares = []
         for track, one in zip(tracks, estimates, strict=True):
-            assert track.true_position is not None and one.covariance is not None
             error = one.position - track.true_position
             squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.covariance[:, :2, :2]), error))
         return float(np.concatenate(squares).mean() / 2.0)
@@ -207,7 +202,7 @@ def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
     assert honesty(checked) == honesty(plain) > 3.0
     assert 0.8 < honesty(learned) < 1.3
     with pytest.raises(InputError, match="declared, check or learn"):
-        gt.smooth(tracks, "separate", trust="blindly")  # type: ignore[call-overload]
+        gt.smooth(tracks, "separate", trust="blindly")
 
 
 def test_scales_are_of_what_the_data_declare_alone() -> None:

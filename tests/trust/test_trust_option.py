@@ -34,7 +34,6 @@ def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(
         assert len(said) == (trust != "declared")
         assert all(("corrected" in line) == (trust == "learn") and "pos_std" in line for line in said)
         std = gt.read(output).tracks[0].std("x")
-        assert std is not None
         stds[trust] = float(np.median(std))
     assert stds[None] == stds["check"] == stds["declared"] < 0.6 * stds["learn"]
 

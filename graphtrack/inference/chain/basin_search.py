@@ -1,16 +1,8 @@
-"""Basin search: orientations of a track on a grid, by dynamic programming, as another start of a descent.
+"""Basin search: orientations on a grid by dynamic programming, as another start of Newton's descent.
 
-Newton's method ends in the basin it began in. Where observations contradict each other (a classifier that
-takes front for back) another course of the orientations may cost less. Two steps look for it, with the motion
-fixed: `greatest_gain` bounds at little cost what there is to gain, `best_course` finds it. They know the cost
-of each orientation by itself, of its turns, and of the head's deviation from the body; another kind of term
-that depends on both is left to the descent.
-
-Winding: somebody who stands turns by less than half a turn, unless it costs less to turn by more.
-
-While somebody stands, the direction of their path means nothing and may go all around. A body that followed
-it has turned by 360° too much, and no descent can take that back: each frame by itself is where it should be.
-`unwind` proposes the other way round.
+With the motion fixed, `greatest_gain` bounds what there is to gain and `best_course` finds it, by the costs
+of single orientations, of turns, and of the head's deviation from the body. `unwind` proposes to turn less
+than 180° where a body followed the path of somebody who stands all around.
 """
 
 from __future__ import annotations
@@ -30,8 +22,7 @@ from graphtrack.model.generator import set_quarter_turns
 
 Single = NDArray[np.float32]
 
-SURE = 4.0
-"""Greatest concentration that the past of a window has in the search for another basin."""
+SURE = 4.0  # Greatest concentration that the past of a window has in the search for another basin
 
 WORTHWHILE = 4.0
 """Least `greatest_gain` for which a grid is searched: turning there and back costs more than that."""
@@ -47,10 +38,7 @@ descent begins, and those where it ended."""
 
 @compiled
 def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
-    """The most that a stretch of frames gains by turning body, head or both by one, two or three quarters.
-
-    Turning there and back is free, so that this is more than any such course can gain.
-    """
+    """The most that a stretch of frames gains by quarter turns of body, head or both, turning free."""
     scratch, turns = workspace.scratch, workspace.trigonometry
     body, head, gain = scratch[0, 0], scratch[0, 1], scratch[1]
     greatest, curved = 0.0 * workspace.length[0], as_variable(False)
@@ -83,11 +71,7 @@ def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, work
 
 @inner
 def nodes_of(problem: Problem, track: int, n: int, spread: float, node: np.ndarray) -> int:
-    """Group frames of a track until body and head diffuse by the variance ``spread``; returns the number.
-
-    ``node`` (n,) gets the group of each frame. A grid cannot follow turns of less than its spacing: without
-    groups it would overrate the cost of turning wherever frames are dense.
-    """
+    """Group frames until body and head diffuse by the variance ``spread``; returns the number of groups."""
     count, body, head = 0, 0.0, 0.0
     for k in range(n):
         frame = problem.records[problem.offsets[track] + k]
@@ -110,10 +94,7 @@ def hops(variance: float, cos: FloatArray, cost: Single) -> None:
 
 @inner_allocating
 def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> None:
-    """Least cost of arriving at each pair of directions: ``now`` from ``before``, both (bins, bins).
-
-    Turns of body and head are independent, so it is a minimum over those of the one, then of the other.
-    """
+    """Least cost of arriving at each pair of directions: ``now`` from ``before``, both (bins, bins)."""
     bins = len(before)
     between, doubled = np.empty_like(before), np.empty(2 * bins, before.dtype)
     for b in range(bins):
@@ -138,11 +119,7 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
 
 @inner_allocating
 def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Single) -> None:
-    """Add what the past says of body and head in the first frame of a window, (bins, bins).
-
-    The prior's Gaussian becomes cosines about its mean, given the motion of ``state``. It knows its own basin
-    alone, so it counts for no more than `SURE`: what the window saw can outweigh it.
-    """
+    """Add what the prior says of body and head in a first frame, (bins, bins), at most `SURE`."""
     slope = -prior[N, BODY:]
     for i in range(2):
         for j in range(BODY):
@@ -185,10 +162,7 @@ def add_grid_costs(
     body: FloatArray,
     head: FloatArray,
 ) -> None:
-    """Add what frames cost at each direction of a grid, to the rows (groups, bins) of their groups.
-
-    ``node`` (n,) is each frame's group. Directions are looked up four at a time, a quarter from each other.
-    """
+    """Add costs of frames at each direction of a grid to the rows (groups, bins) of their ``node``."""
     gradient, hessian, turns = np.zeros(N), np.zeros((N, N)), np.empty(4)
     of_body, of_head, quarter, curved = np.empty(4), np.empty(4), len(cos) // 4, as_variable(False)
     for k in range(len(states)):
@@ -207,11 +181,7 @@ def add_grid_costs(
 def best_course(
     problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
 ) -> None:
-    """The course (n, 2) of body and head on a grid of ``bins`` × ``bins`` directions that costs least.
-
-    The motion is that of ``states``. Frames are grouped as `nodes_of` says; 0: each for itself. Viterbi's
-    algorithm.
-    """
+    """The cheapest course (n, 2) of body and head on a grid, given the motion, by Viterbi's algorithm."""
     n, a = len(states), problem.offsets[track]
     records = problem.records[a : a + n]
     node = np.empty(n, np.int64)
@@ -306,8 +276,7 @@ def find_other_basins(
 ) -> Any:
     """Put into ``workspace.again`` the states with the orientations of the best course on the grid.
 
-    Returns a condition that holds where that is another basin; else the states are as they were. Costs little
-    where there is none worth a visit.
+    Returns a condition that holds where that is another basin; else the states are as they were.
 
     Parameters
     ----------
@@ -349,26 +318,16 @@ def find_other_basin(
     return find_other_basins(problem, tracks, problem, track, len(states), states, near, workspace)
 
 
-SLOW = 0.3
-"""m/s below which somebody may stand: half of the slowest walk."""
+SLOW = 0.3  # m/s below which somebody may stand: half of the slowest walk
 
-BRIEF = 0.5
-"""Seconds for which the estimated speed of somebody who stands may be above that."""
+BRIEF = 0.5  # Seconds for which the estimated speed of somebody who stands may be above that
 
 _TURN = 2.0 * math.pi
 
 
 @compiled
 def unwind(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
-    """Put into ``workspace.again`` the states with each slow turn of more than 180° the other way round.
-
-    Returns a condition that holds where there is one; else the states are not copied.
-
-    Parameters
-    ----------
-    problem, track : as the kernels see them: whole, or lanes
-    n, states : (n, 6)
-    """
+    """Put into ``workspace.again`` states with slow turns of over 180° reversed; whether there are any."""
     length, again = workspace.length[0], workspace.again
     found, copied = length < 0.0, False
     for lane in range(lane_count(length)):

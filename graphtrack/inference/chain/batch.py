@@ -1,9 +1,7 @@
-"""Whole tracks: descents, other basins, coupling modes and covariances, one track at a time or in lanes.
+"""The compiled chain engine on whole tracks: initialise, solve, find covariances and calibrate them.
 
-Everything here is written once. A `Group` is one track, whose arrays hold floats, or one track in each lane,
-whose arrays are `lanes`; `solve_tracks` takes tracks one at a time, `solve_lanes` `LANES` at once.
-
-The compiled chain engine on whole tracks: initialise, solve, find covariances and calibrate them.
+A `Group` is one track, whose arrays hold floats, or one in each lane, whose arrays are `lanes`:
+`solve_tracks` takes tracks one at a time, `solve_lanes` `LANES` at once, with the same code.
 """
 
 from __future__ import annotations
@@ -96,10 +94,7 @@ class Group(NamedTuple):
 
 @inner
 def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
-    """Minimise the costs of a group; ``workspace.ended`` reports how.
-
-    With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
-    """
+    """Minimise the costs of a group, with ``search`` from another basin where that promises to cost less."""
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, ended, again = group.workspace, group.workspace.ended, group.workspace.again
     nothing = 0.0 * workspace.length[0]
@@ -149,11 +144,7 @@ def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states:
 
 @merged
 def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
-    """Search other basins once the couplings are known, and stay there if they cost less.
-
-    Class likelihoods have basins that only the couplings tell apart; but the grid does not know the offset of
-    the head's coupling, so that it may lead to a worse basin.
-    """
+    """Search other basins once the couplings are known, and stay there if they cost less."""
     states, workspace = group.states, group.workspace
     ended, before, start = workspace.ended, workspace.before, workspace.start
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
@@ -262,10 +253,7 @@ def solve_tracks(
     modes: Any,
     result: Result,
 ) -> None:
-    """Solve all tracks from the states in the result, in place; parameters as in `solve_group`.
-
-    ``tracks`` (1,), ``workspace`` and ``modes`` are memory.
-    """
+    """Solve all tracks from the states in the result, in place; the other arrays are memory."""
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         tracks[0], workspace.length[0] = track, b - a
@@ -307,9 +295,7 @@ def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
 
 def _for_lanes(memory: Any) -> Any:
     """A `Workspace` or a `ModeMemory` with room in every array of floats for all lanes."""
-    return type(memory)(
-        *(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory),
-    )
+    return type(memory)(*(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory))
 
 
 @inner_allocating
@@ -377,10 +363,7 @@ def gather(
     begin: int,
     arrays: LaneArrays,
 ) -> int:
-    """Put the tracks from a place in an order on into the lanes; returns how many frames the longest has.
-
-    ``numbers`` (N, fields) are the problem's records, ``states`` (N, 6) those of all tracks.
-    """
+    """Put the tracks from a place in an order on into the lanes; returns how many frames the longest has."""
     longest = 0
     for lane in range(LANES):
         track = order[begin + lane] if begin + lane < len(order) else -1
@@ -446,8 +429,7 @@ LARGE = 200_000
 """Person-frames from which work is large: solved in lanes, which takes as long to compile as all else of an
 engine, and a third of the time."""
 
-LONGEST = 5_000
-"""Frames of a track that is solved in lanes; those of the longest take 15 kB each."""
+LONGEST = 5_000  # Frames of a track that is solved in lanes; those of the longest take 15 kB each
 
 NONE_GUESSED = np.zeros((0, 2), bool)
 
@@ -468,14 +450,7 @@ def has_lanes(model: Model) -> bool:
 
 
 def fit_lanes(tracks: Sequence[Track], model: Model, n_frames: int | None = None) -> list[bool]:
-    """Which tracks are solved in lanes: those of large work, without class likelihoods.
-
-    Parameters
-    ----------
-    tracks : to be solved
-    model : solves them
-    n_frames : of all the work that the tracks are a part of; by default there is no other
-    """
+    """Return which tracks are solved in lanes: those of large work, without class likelihoods."""
     n_frames = sum(map(len, tracks)) if n_frames is None else n_frames
     large = is_large(model, n_frames)
     return [
@@ -498,7 +473,7 @@ def solve_packed(
 
     Parameters
     ----------
-    packed : from `initial.pack` or `initial.pack_to_solve`, with the same model, which is a chain
+    packed : from `initialisation.pack` or `pack_to_solve`, with the same model, which is a chain
     max_iterations : Newton steps a track
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
@@ -508,10 +483,8 @@ def solve_packed(
     Returns
     -------
     Result
-        States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
-        that is positive definite. NaN for what the model does not have. Where couplings have modes, they are
-        weighed by the modes' probabilities. Costs are those given these weights; covariances contain what is
-        not known of the modes (see `covariance`).
+        States in the world's frame, angles not wrapped; NaN for what the model does not have. Costs are those
+        given the couplings' weights; covariances contain what is not known of the modes.
     """
     result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
     if model.is_linear(packed):
@@ -538,10 +511,7 @@ def solve_terms(
     in_lanes: bool = False,
     memory: Workspace | None = None,
 ) -> None:
-    """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states.
-
-    ``guessed`` (N, 2): angles that nothing holds without couplings; they stay as they are until there are.
-    """
+    """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states."""
     lengths = np.diff(problem.offsets)
     longest, gait = int(lengths.max()), gait_of(model.parameters.gait) if model.has_modes else None
     if gait is not None:

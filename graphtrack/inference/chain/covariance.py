@@ -1,17 +1,9 @@
-"""Covariances of the states: the inverse Hessian, and what the coupling modes leave open.
+"""Covariances of the states: the inverse Hessian, the spread of the coupling modes, and calibration.
 
-The inverse Hessian is the covariance given the couplings; the law of total variance adds the rest. Of one
-coupling each mode and offset would pull the states another way, and of all of them it has the mean. What is
-off the mean has a standard deviation γ in each frame (`coupling_modes.couple`), and modes last longer than
-the states remember, so that along a track it is one unknown: the states' deviations by it are u = H⁻¹·γ, and
-their covariance grows by u·uᵀ.
-
-Calibrated covariances: the inverse curvature, and the errors of people that the model does not have.
-
-Of angles, an inverse curvature P is that of a von Mises density with concentration 1/P, whose root mean
-square is reported: the wider it is the more it differs from √P, and it ends at that of the uniform density,
-`UNIFORM_STD`. Added is what estimates do not follow: the oscillation of the hips with each step, and
-accelerations and turns that last (`graphtrack.model.parameters`).
+By the law of total variance the modes add u·uᵀ with u = H⁻¹·γ, where γ is the standard deviation of their
+pulls in each frame (`coupling_modes.couple`) and along a track one unknown. Calibrated angles have the root
+mean square of a von Mises density of concentration 1/P, and all states what estimates do not follow: the
+oscillation of the hips, and accelerations and turns that last (`graphtrack.model.parameters`).
 """
 
 from __future__ import annotations
@@ -111,11 +103,7 @@ def spread_track(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """Add to the covariances (n, 6, 6) of the only track what the modes of both couplings leave open.
-
-    ``spread`` (n, 2) is that of `coupling_modes.renew_couplings`; the states are those found with its
-    couplings.
-    """
+    """Add to the covariances (n, 6, 6) of the only track what the modes leave open; ``spread`` is (n, 2)."""
     # The only track, as a number that is no constant: functions are compiled once more for each of those.
     if factorise(problem, len(problem.offsets) - 2, n, states, workspace):
         add_spread(problem, n, states, spread, workspace, covariance)
@@ -130,10 +118,7 @@ def spread_newest(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """The same of the newest frame of a window, (6, 6), by the factorisation that `solve_window` has left.
-
-    What the frames before the window said is taken as known: the states remember less than a window.
-    """
+    """Add the same to the newest frame's (6, 6), by the factorisation of `solve_window`."""
     threshold = problem.shared[0].speed_threshold
     for coupling in range(2):
         sweep_pulls(n, states, coupling, spread, threshold, workspace)
@@ -151,10 +136,7 @@ def find_covariances(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """Covariances (n, 6, 6) at states: of the exact curvature where that is positive definite.
-
-    ``modes``: the `ModeMemory` of the couplings, whose part is added; None without modes.
-    """
+    """Covariances (n, 6, 6) at states, of the exact curvature if definite, with the part of ``modes``."""
     full = as_variable(True)
     _, exact = sweep_forward(problem, track, n, states, full, workspace)
     if any_of(exact):
@@ -170,8 +152,7 @@ def find_covariances(
             add_spread(problem, n, states, modes.spread, workspace, others)
 
 
-SHRINK_WIDEST = 1e3
-"""Inverse curvature in rad² beyond which an angle may be anything."""
+SHRINK_WIDEST = 1e3  # Inverse curvature in rad² beyond which an angle may be anything
 
 
 def _von_mises_shrink(variance: FloatArray) -> FloatArray:
@@ -189,8 +170,7 @@ _SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
 _LAST = len(_SHRINK) - 1
 _PER_SHARE = 1.0 / float(_SHARES[1])
 
-_CHUNK = 64
-"""Frames whose lags are computed at a time, in vector instructions."""
+_CHUNK = 64  # Frames whose lags are computed at a time, in vector instructions
 
 
 class Lasting(NamedTuple):
@@ -234,10 +214,10 @@ def calibration_of(parameters: Parameters) -> Calibration:
 def lag_variances(seconds: float, lasting: Lasting, end: float) -> tuple[float, float]:
     """Variance of the lag behind a rate that lasts: the part from the past alone, and all of it.
 
-    With diffusion D an estimate of variance P is a mean over τ = P/D ``seconds`` of the past, or 2·τ of past
-    and future, with weights that fall off exponentially. A rate with the standard deviation σ that lasts for
-    T leaves the variance σ²·τ²·T/(τ + T), or ½·σ²·τ³·T/(τ + T)² with the τ of both where past and future
-    balance. ``end``: seconds to the nearer end of the track; towards it the one becomes the other.
+    An estimate of variance P averages τ = P/D ``seconds`` of the past, or 2·τ of past and future, with
+    weights that fall off exponentially. A rate with the standard deviation σ that lasts for T leaves
+    σ²·τ²·T/(τ + T), or ½·σ²·τ³·T/(τ + T)² where past and future balance. ``end``: seconds to the nearer end
+    of the track.
     """
     lasts, square, around = lasting.lasts, lasting.rate * lasting.rate, 2.0 * seconds
     share = around / (around + lasts)
@@ -254,17 +234,10 @@ def known(value: float) -> float:
 
 @compiled
 def seconds_behind(across: float, body: float, head: float, calibration: Calibration) -> float:
-    """Radians by which an angle is behind in a newest frame, for each radian a second.
+    """Radians by which a newest angle is behind for each rad/s, as body, head and velocity turn as a whole.
 
-    Who turns, turns as a whole: body, head, and the velocity with its ‖v‖ m/s² across. Their processes hold
-    that nothing turns, and pull with 1/D for each radian a second, and with 1/q for each m/s². Of a turn that
-    has long lasted that is left where the track ends, and it moves the estimate by P times as much. Where the
-    head steers the motion, some of the turn is predicted, and it is less.
-
-    Parameters
-    ----------
-    across : covariance of the angle with the velocity across, times the speed
-    body, head : its covariances with both angles; NaN where the model has no such state
+    ``across``: covariance of the angle with the velocity across, times the speed; ``body``, ``head``: with
+    both angles; NaN where the model has no such state. Each process pulls with 1/D (or 1/q) for each rad/s.
     """
     return abs(
         known(across * (1.0 / calibration.accelerations.diffusion))
@@ -282,11 +255,9 @@ def add_lags(
     calibration: Calibration,
     lags: FloatArray,
 ) -> None:
-    """Put into ``lags`` (5,) what lags add to frame k.
+    """Put into ``lags`` (5,) what lags add to frame k: pp, pv, vv of each axis, body, head.
 
-    To the variance of the position, its covariance with the velocity and the velocity's variance, of each
-    axis, and to the variances of body and head. The position lags with the velocity as its error goes with
-    that of the velocity: by P_pv/P_vv, exactly so in a Kalman filter that has forgotten its start.
+    The position lags with the velocity by P_pv/P_vv, as in a Kalman filter that has forgotten its start.
     """
     covariance, vx, vy = covariances[k], states[k, VX], states[k, VY]
     own = 0.5 * (covariance[2, 2] + covariance[3, 3])
@@ -348,13 +319,9 @@ def calibrate_frame(covariance: FloatArray, lags: FloatArray, calibration: Calib
 def calibrate(
     covariances: FloatArray, states: FloatArray, ends: FloatArray, calibration: Calibration
 ) -> None:
-    """Calibrate covariances (n, 6, 6), the inverse curvature of the cost, in place.
+    """Calibrate covariances (n, 6, 6), the inverse curvature at states (n, 6), in place.
 
-    Parameters
-    ----------
-    covariances : NaN where the model has no such state
-    states : (n, 6) estimates; their velocities are read: who turns, turns that too
-    ends : (n,) seconds from each frame to the nearer end of its track, 0 of the newest online
+    ``ends`` (n,): seconds from each frame to the nearer end of its track, 0 of the newest online.
     """
     lags = np.empty((_CHUNK, 5))
     for begin in range(0, len(covariances), _CHUNK):

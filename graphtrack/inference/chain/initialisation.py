@@ -1,10 +1,7 @@
-"""The linear part of the model, solved exactly in one pass: motion and positions in metres.
+"""Where the optimisers start: the linear solution for positions, a circular running mean for angles.
 
-Both axes share one covariance, so a frame is a 2 × 2 block (position, velocity) with two right-hand sides.
-
-Where the optimiser starts, compiled: the linear solution, and running means of the angles seen.
-
-Where the optimisers start: the linear solution for positions, a circular running mean for angles.
+Motion and positions in metres are solved exactly in one pass. Both axes share one covariance, so a frame is a
+2 × 2 block (position, velocity) with two right-hand sides.
 """
 
 from __future__ import annotations
@@ -69,10 +66,7 @@ def linear_part(packed: PackedTracks) -> Linear:
 
 @allocating
 def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
-    """Solve tracks, none longer than ``longest``, of which the linear part is all that there is.
-
-    States are in the world's frame; orientations are NaN.
-    """
+    """Solve tracks of which the linear part is all that there is; states in the world, orientations NaN."""
     spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
     for track in range(len(linear.offsets) - 1):
         solve_linear_track(linear, track, spread, memory, result)
@@ -108,11 +102,11 @@ def solve_linear_track(
 def solve_linear(
     linear: Linear, track: int, states: FloatArray, spread: FloatArray, memory: FloatArray
 ) -> float:
-    """Posterior mean and covariance of positions and velocities of one track; returns the cost there.
+    """Posterior of positions and velocities of one track; returns the cost there.
 
-    Fills in the first four columns of ``states`` (n, 6), and ``spread`` (n, 3): the variance of the position,
-    the covariance of position and velocity, and the variance of the velocity, on each axis. ``memory`` is
-    (n, 7). Positions are counted from the origin. NaN comes out where no position determines the track.
+    Fills in four columns of ``states`` (n, 6), and ``spread`` (n, 3): variance of the position, covariance,
+    and variance of the velocity on each axis. ``memory`` is (n, 7). NaN where no position determines the
+    track.
     """
     at, origin = linear.places, linear.origin[track]
     frames = linear.rows[linear.offsets[track] : linear.offsets[track + 1]]
@@ -246,9 +240,7 @@ def headings(states: FloatArray, threshold: float, angle: FloatArray) -> int:
 def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
     """Put the fallback where an angle is NaN, else the nearest in time of either, else 0.
 
-    Of two that are as near as `TIME_TOLERANCE` can tell, the earlier one. Between two fallbacks that are
-    opposite a turn to either side is as likely: angles turn evenly and counter-clockwise, however the track
-    lies in the world.
+    Between two fallbacks that are opposite, angles turn evenly and counter-clockwise.
     """
     n = len(t)
     last, guessed = -1, False
@@ -295,8 +287,7 @@ def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArra
                 here[k, place] = angle[k]
 
 
-WINDOW = 0.5
-"""Seconds to either side over which observed angles are averaged for the initial values."""
+WINDOW = 0.5  # Seconds to either side over which observed angles are averaged for the initial values
 
 NO_PRIOR = np.zeros((0, 6))
 
@@ -310,10 +301,7 @@ def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = No
 
 
 def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
-    """The same; with the fields of the model's own terms alone where the linear solution is all there is.
-
-    That is a fourth of the memory.
-    """
+    """The same; where the model is linear, with a fourth of the memory."""
     terms = model.terms  # what holds first orientations has nothing to hold
     if camera is None and not (model.has_body or model.has_head):
         packed = PackedTracks.of(tracks, camera, terms, RecordTypes.of(terms))
@@ -339,30 +327,17 @@ def problem_of(packed: PackedTracks) -> Problem:
 
 def seen_in(packed: PackedTracks, model: Model) -> Seen:
     """What the first orientations are made of."""
-    none = np.zeros((0, 2))
-    return Seen(
-        packed.t,
-        vectors_of(packed.directions("body"), packed.channel("body_likelihood"), len(packed.t))
-        if model.has_body
-        else none,
-        vectors_of(packed.directions("head"), packed.channel("head_likelihood"), len(packed.t))
-        if model.has_head
-        else none,
-        max(model.parameters.coupling.speed_threshold, CREEPING),
-        WINDOW,
+    body, head = (
+        vectors_of(packed.directions(name), packed.channel(f"{name}_likelihood"), len(packed.t))
+        if has
+        else np.zeros((0, 2))
+        for name, has in (("body", model.has_body), ("head", model.has_head))
     )
+    return Seen(packed.t, body, head, max(model.parameters.coupling.speed_threshold, CREEPING), WINDOW)
 
 
 def initial_states(track: Track, model: Model) -> States:
-    """Where the optimiser starts; NaN angles for orientations that the model does not have.
-
-    Terms of your own have no part in it: nothing is compiled for them.
-
-    Raises
-    ------
-    SolveError
-        If no position was observed.
-    """
+    """Where the optimiser starts; NaN where there is no orientation. SolveError without positions."""
     packed = pack([track], Model(model.preset, model.parameters))
     require_position(track)
     states = np.zeros((len(track), 6))
@@ -379,7 +354,6 @@ def initial_states(track: Track, model: Model) -> States:
 def empty_result(packed: PackedTracks) -> Result:
     """Room for the solution of packed tracks."""
     n, m = len(packed.records), len(packed.tracks)
-    ended = np.zeros(m, np.int64)
-    modes = np.full((n, 3), np.nan)
-    covariance = np.empty((n, 6, 6))
-    return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended, modes)
+    steps, status = np.zeros((2, m), np.int64)
+    states, covariance, modes = np.zeros((n, 6)), np.empty((n, 6, 6)), np.full((n, 3), np.nan)
+    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes)

@@ -1,14 +1,8 @@
-"""Linear algebra of a chain: its block-tridiagonal Hessian, factored frame by frame.
+"""Newton's method on tracks whose Hessian is block-tridiagonal, one at a time or one in each lane.
 
-Block Cholesky, the same recursion as a Kalman filter in information form; the sweep back gives the Newton
-step, or the covariances by the recursion of the Rauch–Tung–Striebel smoother.
-
-What the compiled chain engine gives.
-
-Newton's method on tracks whose Hessian is block-tridiagonal, one at a time or one in each lane.
-
-One sweep forward adds the terms up frame by frame and eliminates each frame as soon as it is complete; one
-sweep back gives the step (see `elimination`).
+One sweep forward adds the terms up frame by frame and eliminates each frame by block Cholesky, as a Kalman
+filter in information form; the sweep back gives the Newton step, or the covariances as the
+Rauch–Tung–Striebel smoother does.
 """
 
 from __future__ import annotations
@@ -27,11 +21,7 @@ from graphtrack.model.generator import add_frame
 
 
 class Workspace(NamedTuple):
-    """Memory of a factorisation and a descent, for tracks of up to n frames: of one track, or of lanes.
-
-    A window's frames that have not moved since they were factored are not factored again: what the frames up
-    to one of them say about it, and of which states, is kept.
-    """
+    """Memory of a factorisation and a descent, for tracks of up to n frames: of one track, or of lanes."""
 
     inverse: FloatArray  # (n, 6, 6) inverse Cholesky factors
     link: FloatArray  # (n, 6, 6) what ties each frame to the next, in the whitened state
@@ -50,8 +40,7 @@ class Workspace(NamedTuple):
     before: FloatArray  # (n, 6) states to go back to
 
 
-FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)
-"""Places in `Workspace.ended`."""
+FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)  # Places in `Workspace.ended`
 
 
 @allocating
@@ -81,11 +70,7 @@ _SMALLEST_PIVOT = 1e-13  # relative to the diagonal
 
 @compiled
 def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> Any:
-    """The inverse of the Cholesky factor of a symmetric matrix, of which the lower half is read.
-
-    Returns whether the matrix is positive definite; if not, what is written is of no use. Only the lower half
-    of ``inverse`` is written.
-    """
+    """Write the lower inverse Cholesky factor of a symmetric matrix; whether it is positive definite."""
     # Written out, so that it stays in registers: loops that run to a changing end take twice as long.
     pivot = matrix[0, 0]
     sound0 = pivot > _SMALLEST_PIVOT * abs(matrix[0, 0])
@@ -254,10 +239,7 @@ def first_open(workspace: Workspace) -> int:
 
 @inner
 def sweep_back(n: int, workspace: Workspace) -> Any:
-    """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises.
-
-    Frames that are kept have none, but for the last of them.
-    """
+    """The Newton step (n, 6) of the frames not kept; returns the decrease that it promises."""
     solution, decrement = workspace.solution, 0.0
     for k in range(n - 1, first_open(workspace) - 1, -1):
         for i in range(N):
@@ -363,8 +345,7 @@ class Result(NamedTuple):
     )
 
 
-CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2
-"""How a descent ended."""
+CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2  # How a descent ended
 
 
 @inner
@@ -418,10 +399,7 @@ def add_message(
 def sweep_forward(
     problem: Problem, track: int, n: int, states: FloatArray, exact: bool, workspace: Workspace
 ) -> tuple[Any, Any]:
-    """Cost of the states, and whether the Hessian there is positive definite; if so it is factored.
-
-    Where frames are kept it begins with the last of these, and the cost is less by a constant.
-    """
+    """Factor the Hessian at the states; returns their cost and whether it is positive definite."""
     inverse, link, solution, scratch = (
         workspace.inverse,
         workspace.link,
@@ -513,8 +491,7 @@ def minimise(
 ) -> None:
     """Newton's method with step halving from ``states`` (n, 6), in place; ``workspace.ended`` says how.
 
-    Frames that are kept stay where they are, but for the last of them. Each lane has its own step length, and
-    stays where it is once it is done.
+    Kept frames stay, but for the last of them. Each lane has its own step length.
     """
     step, candidate, ended = workspace.step, workspace.candidate, workspace.ended
     first, full = first_open(workspace), as_variable(True)
@@ -582,10 +559,7 @@ def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace:
 
 @merged
 def factorise(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> bool:
-    """Factor the Hessian of one track at its states: exact if that is positive definite, else Gauss–Newton's.
-
-    Returns whether one of them was positive definite.
-    """
+    """Factor the Hessian of one track, exact or else Gauss–Newton's; whether one was definite."""
     full = as_variable(True)
     workspace.length[0] = n
     copy_rows(0, 1, states, workspace.start)

@@ -25,14 +25,14 @@ from graphtrack.inference.chain.window_kernels import (
 from graphtrack.inference.state import (
     FAILURES,
     Angles,
-    MarginalPrior,
     Newest,
     StatePrior,
     Window,
+    leaving,
     on_state,
     on_variables,
 )
-from graphtrack.kernels.layout import TIME_TOLERANCE, N
+from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import program_of
@@ -52,14 +52,12 @@ _KNOWN = (math.nan, math.nan)
 class ChainWindow:
     """A fixed-lag smoother of one person by compiled Newton steps.
 
-    The frames of the window stand one after another in arrays that the kernels read in place, side by side
-    with those of others, so that `extend_together` takes many people's observations in one call. What leaves
-    the window is eliminated with its exact curvature, and what it says about the next frame stays as a
-    Gaussian. Time and memory are bounded by the window. Whatever a method raises, all stays as it was.
+    The frames of the window stand in arrays that kernels read in place, alongside those of others. What
+    leaves the window is eliminated with its exact curvature. Whatever a method raises, all stays as it was.
 
     Parameters
     ----------
-    model : a chain (see `chain.engine.is_chain`)
+    model : a chain (see `chain.batch.is_chain`)
     lag : seconds that the window reaches back from its newest step
     tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
         cost, relative to 1 + the cost
@@ -92,7 +90,9 @@ class ChainWindow:
     def state(self, step: Step) -> tuple[float, ...]:
         """x, y, vx, vy, body, head of a step of the window; NaN for what the model does not have."""
         # The newest step is asked for at every observation.
-        back = 1 if step is self._steps[-1] else len(self._steps) - self._index(step)
+        back = 1
+        if step is not self._steps[-1]:
+            back = next(k for k, known in enumerate(reversed(self._steps), 1) if known.index == step.index)
         return self._read(self._offsets[1] - back)
 
     @property
@@ -153,13 +153,7 @@ class ChainWindow:
         return kept
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
-        """Go on where `window` and `arrays` were taken, as if nothing had happened.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If the arrays do not fit the window.
-        """
+        """Go on where `window` and `arrays` were taken; KeyError or ValueError if these do not fit."""
         n = len(window.steps)
         self._take(window, arrays["origin"])
         self._states[:n] = arrays["states"].reshape(n, N)
@@ -179,7 +173,8 @@ class ChainWindow:
         prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
         classified = self._slot.classified[0]
         if window.prior is not None:
-            prior = self._from_prior(window.prior, window.steps[0], origin)
+            prior[:] = np.vstack(on_state(window.prior, window.steps[0], self._model))
+            prior[N + 1, :2] -= origin
         if window.modes is not None and self._model.has_modes:
             modes = window.modes
         size = _size_for(len(window.steps))
@@ -210,7 +205,11 @@ class ChainWindow:
         """What another smoother needs to go on from here."""
         steps = tuple(self._steps)
         values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
-        prior = self._to_prior(steps[0]) if steps and self._has_prior else None
+        prior = None
+        if steps and self._has_prior:
+            there = self._prior.copy()
+            there[N + 1, :2] += self._origin
+            prior = on_variables(StatePrior(there[:N], there[N], there[N + 1]), steps[0], self._model)
         return Window(steps, values, prior, self._anchor, self.modes_before)
 
     # -- arrays --------------------------------------------------------------------------------------------
@@ -282,32 +281,11 @@ class ChainWindow:
 
     def _leaving(self, newest: Step) -> int:
         """How many steps leave the window when there is a newest one."""
-        horizon, n, last = newest.observation.t - self._lag - TIME_TOLERANCE, 0, len(self._steps) - 1
-        while n <= last and self._steps[n].observation.t < horizon:
-            n += 1
-        return n
-
-    # -- priors --------------------------------------------------------------------------------------------
-
-    def _index(self, step: Step) -> int:
-        return next(k for k, known in enumerate(self._steps) if known.index == step.index)
-
-    def _to_prior(self, step: Step) -> MarginalPrior:
-        prior = self._prior.copy()
-        prior[N + 1, :2] += self._origin
-        return on_variables(StatePrior(prior[:N], prior[N], prior[N + 1]), step, self._model)
-
-    def _from_prior(self, prior: MarginalPrior, step: Step, origin: FloatArray) -> FloatArray:
-        information, linear, point = on_state(prior, step, self._model)
-        point[:2] -= origin
-        return np.vstack([information, linear, point])
+        return leaving(self._steps, self._lag, newest)
 
 
 def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> list[Newest | Exception]:
-    """Add a step, not the first, to each of some windows; what is known of each then, or why it is not.
-
-    The new variables start where those before lead to. Who is taken together with whom makes no difference.
-    """
+    """Add a step, not the first, to each of some windows; returns the newest states or the errors."""
     found: list[Newest | Exception | None] = [None] * len(windows)
     groups: dict[tuple[int, int], list[int]] = {}
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):

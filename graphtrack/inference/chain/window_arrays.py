@@ -24,8 +24,7 @@ from graphtrack.model.packing import FramePacker, PackedTracks
 from graphtrack.model.terms.gait import ROW
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
-SLOTS = 32
-"""Windows of a block."""
+SLOTS = 32  # Windows of a block
 
 
 class Windows(NamedTuple):
@@ -160,10 +159,6 @@ def pool_of(program: FrameProgram) -> Pool:
 
 class FrameRows:
     """The frames of one person in the arrays of a problem.
-
-    Parameters
-    ----------
-    model : a chain (see `chain.engine.is_chain`)
 
     Attributes
     ----------

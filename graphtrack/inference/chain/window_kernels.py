@@ -1,8 +1,6 @@
-"""The sliding window of the online chain engine, compiled.
+"""The sliding windows of the online chain engine: one call takes an observation of each of many people.
 
-One observation more of each of some people, compiled: one call takes them all.
-
-Nobody's window knows of another's, so that it makes no difference who is taken together with whom.
+Windows do not depend on each other: results are the same whoever is taken together.
 """
 
 from __future__ import annotations
@@ -61,12 +59,10 @@ from graphtrack.model.terms.gait import Gait
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.model.terms.position import CAUCHY
 
-_FAR = 0.5
-"""Radians beyond which a first guess is not better than that nothing turns."""
+_FAR = 0.5  # Radians beyond which a first guess is not better than that nothing turns
 _MOVED, _TURNED = 1e-2, 2e-3
 """Metres or m/s, and radians, up to which a frame that has moved is not factored anew."""
-_STILL = 1e-9
-"""All of these, up to which the frames before one that has moved do not follow it."""
+_STILL = 1e-9  # All of these, up to which the frames before one that has moved do not follow it
 
 _RUN, _LONGEST_RUN = 3, 10
 """Newest positions in a row that are taken for gross errors: so many, and another place is looked for. With
@@ -88,14 +84,11 @@ def solve_window(
     memory: Workspace,
     covariance: FloatArray,
 ) -> bool:
-    """Newton steps on the states (n, 6) of a window, in place.
+    """Newton steps on the states (n, 6) of a window, in place; returns whether all went well.
 
-    ``warm`` if the memory holds the factorisation of all frames but the newest, from the last call.
-    ``search``: for another basin too, in which the window costs less; the prior is turned with it.
-    ``keeps``: frames that have settled since they were factored are not factored again, and follow those
-    after them; their terms must be the same as then.
-    ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, neither the
-    states nor the factorisation are to be used.
+    ``warm``: the memory holds the factorisation of all frames but the newest. ``search``: for another basin
+    too. ``keeps``: settled frames are not factored again, and follow those after them. ``covariance`` (6, 6)
+    becomes that of the newest frame.
     """
     track, exactly, ended = the_only(problem), as_variable(True), memory.ended
     n, last, tracks = len(states), len(states) - 1, np.zeros(1, np.int64)
@@ -171,11 +164,7 @@ def move_if_less(
     tolerance: float,
     memory: Workspace,
 ) -> tuple[float, bool]:
-    """Minimise from other states ``again``, and go there if it costs less by more than ``gain``.
-
-    Else the problem's prior is ``prior`` as before, and the memory holds the factorisation at the states.
-    Returns the cost, and whether the curvature is exact.
-    """
+    """Minimise from ``again`` and go there if that gains more than ``gain``; the cost, and exactness."""
     track, n, ended = the_only(problem), len(states), memory.ended
     minimise(problem, track, n, again, max_iterations, tolerance, memory)
     if ended[STATUS] != NOT_FINITE and ended[COST] < cost - gain:
@@ -188,11 +177,7 @@ def move_if_less(
 
 @merged
 def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
-    """Whether some of the newest positions that were seen are all farther from the states than k.
-
-    At least `_RUN` of them and at most `_LONGEST_RUN`. Only with the Cauchy loss, whose pull falls beyond k
-    standard deviations.
-    """
+    """Whether the newest positions seen, `_RUN` to `_LONGEST_RUN` of them, are beyond the Cauchy loss's k."""
     shared, offset, count = problem.shared[0], problem.offsets[track], 0
     if shared.robust != CAUCHY:
         return False
@@ -216,12 +201,7 @@ def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
 
 @merged
 def find_by_squares(
-    problem: Problem,
-    track: int,
-    states: FloatArray,
-    max_iterations: int,
-    tolerance: float,
-    memory: Workspace,
+    problem: Problem, track: int, states: FloatArray, max_iterations: int, tolerance: float, memory: Workspace
 ) -> None:
     """Minimise with squares in place of the robust loss, in place."""
     robust = problem.shared[0].robust
@@ -260,11 +240,7 @@ def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace)
 
 @inner
 def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None:
-    """Turn the prior with a first frame that went from ``states`` to another basin in ``again``.
-
-    What the Gaussian says holds about its own basin; that it is as sure of the other one is the best guess.
-    The angles of ``again`` go on from those of the states, and from frame to frame.
-    """
+    """Turn the prior with a first frame that went from ``states`` to another basin in ``again``."""
     for place in (BODY, HEAD):
         reference = states[0, place]
         for k in range(len(again)):
@@ -277,20 +253,13 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
 
 @inner
 def the_only(problem: Problem) -> int:
-    """The number of the window's track, 0.
-
-    As a constant it would have everything compiled once more, for that number alone.
-    """
+    """The number of the window's track, 0, but not as a constant, for which all would be compiled again."""
     return len(problem.offsets) - 2
 
 
 @compiled
 def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> None:
-    """A Newton step of the window for the price of its newest frame, as a better start.
-
-    The frames before were at their optimum when they were factored: they have no gradient but what the newest
-    one sends back. A step that turns anything far is not trusted.
-    """
+    """A Newton step of the window for the price of its newest frame, as a better start."""
     last = len(states) - 1
     gradients, hessians, transition = memory.scratch[0], memory.scratch[1:3], memory.scratch[3]
     memory.scratch[:] = 0.0
@@ -338,12 +307,7 @@ def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> N
 
 @inner
 def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) -> None:
-    """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
-
-    ``states`` (2, 6) and ``memory`` begin with it.
-
-    The curvature is exact unless that leaves no positive definite prior, as it may at outliers.
-    """
+    """Eliminate the oldest frame, the first of ``states`` (2, 6), for good; the rest becomes the prior."""
     begin = problem.offsets[0]
     prior, after = problem.prior, problem.records[begin + 1]
     for exact in (True, False):
@@ -362,10 +326,7 @@ def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) 
 
 @compiled
 def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
-    """Schur complement and gradient on the second of two frames, without its own terms, in the scratch.
-
-    Returns whether it is positive definite.
-    """
+    """Schur complement and gradient on the second of two frames, in the scratch; whether definite."""
     scratch, inverse, turns = workspace.scratch, workspace.inverse[0], workspace.trigonometry
     gradient, gradient_after, hessian, hessian_after = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2]
     # A first frame of 0 would be a constant, as in `the_only`.
@@ -439,10 +400,7 @@ class Advanced(NamedTuple):
 
 @inner
 def predict_state(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
-    """Initial values of a new frame: constant velocity, the angles as they were.
-
-    ``guess`` (2,) are angles that are known otherwise, NaN where those before count.
-    """
+    """Initial values of a new frame: constant velocity, angles as they were, or as in ``guess`` (2,)."""
     before, state = states[row - 1], states[row]
     state[X], state[Y] = before[X] + dt * before[VX], before[Y] + dt * before[VY]
     state[VX], state[VY] = before[VX], before[VY]
@@ -486,17 +444,9 @@ def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
 
 @allocating
 def advance(
-    windows: Windows,
-    tasks: np.ndarray,
-    guesses: FloatArray,
-    rules: Rules,
-    gait: Any,
-    advanced: Advanced,
+    windows: Windows, tasks: np.ndarray, guesses: FloatArray, rules: Rules, gait: Any, advanced: Advanced
 ) -> None:
     """Take one observation more, or what was changed, into each of some windows of a block.
-
-    Predict the new frame, infer the coupling modes, solve the window, report its newest frame, and
-    marginalise the oldest ones.
 
     Parameters
     ----------

@@ -74,10 +74,7 @@ def descend(
     cost: float,
     shortest: float,
 ) -> tuple[gtsam.Values, float, float] | None:
-    """The values after a step that is halved until they do not cost more, their cost, and the step's length.
-
-    None if they still cost more once the step is shorter than ``shortest``.
-    """
+    """Halve a step until the values cost no more: values, cost, length; None below ``shortest``."""
     length, scale = step.norm(), 1.0
     while True:
         candidate = values.retract(step if scale == 1.0 else step.scale(scale))
@@ -90,15 +87,11 @@ def descend(
 
 
 def optimize(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    ordering: gtsam.Ordering,
-    options: SolverOptions,
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ordering: gtsam.Ordering, options: SolverOptions
 ) -> tuple[gtsam.Values, list[float], bool]:
     """Gauss–Newton with step halving; returns values, the cost after each step, and whether it converged.
 
-    The loop stands here and not in GTSAM's optimisers because those copy all values for each Python
-    callback, which makes their cost quadratic in the length of the track.
+    GTSAM's optimisers copy all values for each Python callback, which is quadratic in the track's length.
     """
     costs = [graph.error(values)]
     for _ in range(options.max_iterations):
@@ -117,18 +110,13 @@ def optimize(
 
 
 def smooth_graph(
-    track: Track,
-    model: Model,
-    camera: GroundCamera | None = None,
-    options: SolverOptions | None = None,
+    track: Track, model: Model, camera: GroundCamera | None = None, options: SolverOptions | None = None
 ) -> Solution:
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
-    It starts from the grid of orientations where that has a better basin, and again where the grid has one
-    once it has ended; with kernels of your own only where what was seen may speak for several directions,
-    since an engine for them is to be compiled first. Modes of couplings are inferred as by the chain engine,
-    from the graph's own states, in turns. Terms without a kernel take part in the graph, not in the grid or
-    in what the modes leave open.
+    The grid of orientations is searched before and after the descent; with kernels of your own only where
+    what was seen may speak for several directions. Modes of couplings alternate with the graph's states.
+    Terms without a kernel take part in the graph alone.
 
     Raises
     ------
@@ -194,10 +182,7 @@ def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequen
 
 @dataclass(frozen=True)
 class _Descent:
-    """`optimize` of a track's graph, from values; what it returns is the same.
-
-    With a view, it also knows the basins that the chain's grid, or less winding, leads to.
-    """
+    """`optimize` of a track's graph; with a view, also from the basins of the chain's grid."""
 
     graph: gtsam.NonlinearFactorGraph
     steps: Sequence[Step]

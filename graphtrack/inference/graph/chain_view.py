@@ -54,10 +54,7 @@ class _View:
         self._filtered = np.empty((2, 0, ROW))
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:
-        """States (n, 6) in a better basin by the grid, with the same motion; None where there is none.
-
-        ``near`` is the cosine of the turn up to which an orientation is in the same basin.
-        """
+        """States (n, 6) in a basin that the grid prefers, with the same motion; None where there is none."""
         if not (self._model.has_body or self._model.has_head):
             return None
         here = self._here(states)
@@ -110,13 +107,7 @@ class _View:
 
 
 class ChainView(_View):
-    """A whole track; its couplings are those of the model until `decouple` or `renew`.
-
-    Parameters
-    ----------
-    track, camera : the observations
-    model : its terms (see `Model.compiled`)
-    """
+    """A whole track; its couplings are those of the model until `decouple` or `renew`."""
 
     def __init__(self, track: Track, model: Model, camera: GroundCamera | None) -> None:
         super().__init__(model)
@@ -140,13 +131,7 @@ class ChainView(_View):
 
 
 class WindowView(_View):
-    """The steps of a window, which follows a smoother's.
-
-    Parameters
-    ----------
-    model : its terms (see `Model.compiled`)
-    couplings : that of the smoother's factors; None for a model without modes
-    """
+    """The steps of a window, which follows a smoother's; ``couplings`` are those of its factors, or None."""
 
     def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None) -> None:
         super().__init__(model, couplings)

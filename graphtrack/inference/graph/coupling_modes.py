@@ -22,29 +22,19 @@ from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
 
-_LAG = 5.0
-"""Seconds of a full history in which modes are inferred and basins are searched."""
-_RECOUPLED = 0.01
-"""Share by which what the modes set has to change for a step's factors to be evaluated anew."""
-_REST = 0.5
-"""Seconds for which basins are not searched after a descent that led nowhere better."""
-_SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)
-"""Of the descent in another basin."""
+_LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
+_RECOUPLED = 0.01  # Share by which what the modes set has to change for a step's factors to be evaluated anew
+_REST = 0.5  # Seconds for which basins are not searched after a descent that led nowhere better
+_SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # Of the descent in another basin
 
 
 class Guided:
-    """A smoother of GTSAM's with the modes of the couplings, and other basins, from its own states.
+    """A GTSAM smoother with the modes of the couplings, and other basins, from its own states.
 
-    The modes are no variables of the graph. With each observation they are inferred from the graph's states
-    of the window, by the hidden Markov chain that the chain engine has, and the factors of the steps whose
-    couplings have changed are evaluated anew.
-
-    Gauss–Newton ends in the basin that it began in. Where what was seen may speak for several directions
-    (class likelihoods, or angles with outliers) the window's orientations are searched on a grid with each
-    observation. Where another course promises to cost less, and a descent from it does, the graph begins anew
-    from there.
-
-    Whatever a method raises, it leaves the smoother as it was.
+    With each observation the modes are inferred from the window's states by the chain engine's hidden Markov
+    chain, and the factors whose couplings have changed are evaluated again. Where what was seen may speak for
+    several directions, the orientations are searched on a grid, and the graph begins again from a course
+    whose descent costs less. Whatever a method raises, it leaves the smoother as it was.
 
     Parameters
     ----------
@@ -55,7 +45,6 @@ class Guided:
 
     Attributes
     ----------
-    graph : the smoother
     modes : probability of an aligned body, and its offset from the motion, in the newest frame; or NaN
     """
 
@@ -197,10 +186,7 @@ class Guided:
         return newest[0], newest[1] + covariance[-1]
 
     def _moved(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
-        """Begin anew where the window costs less: what is known about the newest step then, and the states.
-
-        None where no such place was found, and nothing has changed.
-        """
+        """Begin again where the window costs less; the newest step then, and the states, or None."""
         assert self._view is not None
         t = recent[-1].observation.t
         other = None if t < self._search_from else self._view.other(states, AT_END)
@@ -226,10 +212,7 @@ class Guided:
         return self.graph.settled(), self._states(recent)
 
     def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
-        """Where a descent from some states (n, 6) of a window ends, and the cost at each step.
-
-        What came before the window is as it is.
-        """
+        """Where a descent from states (n, 6) of a window ends, and the cost at each step."""
         model, ordering = self._whole, gtsam.Ordering(keys_of(window.steps, self._whole))
         begun = values_of(window.steps, states, model)
         values, costs, _ = optimize(window_graph(window, model, self._couplings), begun, ordering, _SEARCH)
@@ -256,13 +239,7 @@ class Guided:
         return own
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
-        """Go on where `window` and `arrays` were taken, as if nothing had happened.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If the arrays do not fit the window.
-        """
+        """Go on where `window` and `arrays` were taken; KeyError or ValueError if these do not fit."""
         self._take(window)
         if self._couplings is not None:
             rows = arrays["couplings"].reshape(len(window.steps), len(COUPLED)).tolist()

@@ -31,12 +31,10 @@ _SHORTEST = 1e-6
 
 
 class FixedLag:
-    """A fixed-lag smoother of one person.
+    """A fixed-lag smoother of one person: each observation linearises and eliminates the window again.
 
-    With each observation, the whole window is linearised anew and eliminated from the oldest step to the
-    newest, so that the last conditionals of the Bayes net are the joint density of the newest step. What
-    has left the window is then eliminated for good; what it says about the step after it stays, as a
-    Gaussian about the point where it was linearised. Time and memory are bounded by the window.
+    The last conditionals of the Bayes net are the joint density of the newest step. What has left the window
+    stays as a Gaussian about the point where it was linearised.
 
     Parameters
     ----------
@@ -45,8 +43,7 @@ class FixedLag:
     step_tolerance : the Gauss–Newton steps of an observation end when none of the variables changes by more
         than this (metres, m/s, radians)
     max_iterations : or after so many
-    couplings : what the modes of the couplings set, of each step of the window; whoever has the smoother
-        renews them before each observation
+    couplings : what the modes of the couplings set, of each step of the window
     """
 
     def __init__(
@@ -153,10 +150,7 @@ class FixedLag:
         return values, bayes_net
 
     def _slide(self, window: Window, values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> Window:
-        """The window once the steps that leave it are marginalised, linearised at the values.
-
-        ``graph`` has what holds the first of them; it gets their factors.
-        """
+        """The window once the steps that leave it are marginalised; their factors are added to ``graph``."""
         n = leaving(window.steps, self._lag)
         if not n:
             return window

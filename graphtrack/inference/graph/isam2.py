@@ -33,13 +33,11 @@ ANCHOR_KAPPA = 1e-4
 """Concentration at which first orientations are held. GTSAM's Bayes tree refuses a clique whose last pivot is
 less than 2⁻²⁴ of the one before, as between turning and a weaker anchor in the frames of a video."""
 
-_WILDFIRE = 1e-6
-"""Metres, m/s or radians, below which GTSAM does not go on substituting into the past."""
+_WILDFIRE = 1e-6  # Metres, m/s or radians, below which GTSAM does not go on substituting into the past
 _OF_CLASSES = 0.1
 """Share of the threshold at which orientations are linearised again once class likelihoods have been seen:
 their peaks are sharper than what an observed angle says."""
-_WATCHED = 50
-"""Newest steps of which some has to be beyond the threshold for a further update."""
+_WATCHED = 50  # Newest steps of which some has to be beyond the threshold for a further update
 _REMEMBERED = 50
 """The estimates of a full history are remembered again once it has grown by one in so many steps."""
 
@@ -47,14 +45,10 @@ _REMEMBERED = 50
 class Isam2:
     """An iSAM2 smoother of one person.
 
-    Each step adds `X(k)`, `V(k)`, `B(k)` and `H(k)` and the nonlinear factors of its terms to one
-    `gtsam.ISAM2`, which relinearises a variable where its estimate is farther from its linearisation point
-    than the threshold of its kind.
-
-    With a lag, the variables of steps that leave the window are marginalised by `ISAM2.marginalizeLeaves`:
-    what they say about the step after them stays as a Gaussian. For that they have to be leaves of the Bayes
-    tree, so that the window's variables are eliminated again, beginning with them. Time and memory are
-    bounded by the window then. Without a lag the tree is GTSAM's own, and memory grows with the track.
+    Each step adds `X(k)`, `V(k)`, `B(k)` and `H(k)` and the factors of its terms to one `gtsam.ISAM2`. With a
+    lag, the variables that leave the window are marginalised by `ISAM2.marginalizeLeaves`, for which they
+    have to be leaves: the window's variables are eliminated again, beginning with them. Without one, memory
+    grows.
 
     Parameters
     ----------
@@ -202,11 +196,7 @@ class Isam2:
         return known
 
     def _farthest(self) -> float:
-        """Greatest distance of the newest steps from their linearisation points, in thresholds.
-
-        The first step of a window does not count: what has left it holds its linearisation point. Without a
-        lag `_WATCHED` steps count.
-        """
+        """Greatest distance of the newest steps from their linearisation points, in thresholds."""
         begin = 1 if self._marginals else 0
         if self._lag == math.inf:
             begin = max(begin, len(self.steps) - _WATCHED)

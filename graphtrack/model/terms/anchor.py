@@ -45,13 +45,7 @@ def _held(name: Variable) -> Kernel:
 
 
 class Anchor(Term):
-    """No term of the model's list, but one of the engine's own, which every model has there.
-
-    Parameters
-    ----------
-    parameters : of the model
-    has_body, has_head : whether the model estimates them; one that it does not stands still
-    """
+    """The engine's own term, in no model's list; an orientation that is not estimated stands still."""
 
     repeats = True
     fields = (

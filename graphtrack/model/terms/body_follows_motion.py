@@ -99,10 +99,7 @@ def add_motion_quarter_turns(
     body_sin: float,
     cost: FloatArray,
 ) -> None:
-    """What a direction of the body costs, and those one, two and three quarters on.
-
-    As if the coupling rested at 0.
-    """
+    """Cost of a direction of the body and those one, two and three quarters on, the coupling at 0."""
     vx, vy = state[VX], state[VY]
     speed = math.sqrt(vx * vx + vy * vy)
     moves = (speed > speed_threshold) & (speed >= 1e-12)

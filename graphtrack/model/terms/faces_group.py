@@ -21,8 +21,7 @@ GROUP = "group"
 """The input: the direction of the o-space, x and y of a vector as long as that counts in the frame, and the
 probability that there is a conversation."""
 
-Group = tuple[float, float, float]
-"""The value of `GROUP` in a frame."""
+Group = tuple[float, float, float]  # The value of `GROUP` in a frame
 
 
 def with_group_at(observation: Observation, group: Group | None) -> Observation:

@@ -27,16 +27,14 @@ from graphtrack.model.term import Term, Variable
 from graphtrack.packages import gtsam, special
 from graphtrack.tracks.track import Track
 
-BINS, NEAR = 36, 7
-"""Offsets of the free mode, all around, and of the aligned mode, about 0."""
+BINS, NEAR = 36, 7  # Offsets of the free mode, all around, and of the aligned mode, about 0
 
 BASE = BINS + NEAR
 ROW = BASE + BINS
 
 MOST_DRIFT = 100
 
-NECK_REACH = math.radians(95.0)
-"""Angle of the head against the body within which a glance stays."""
+NECK_REACH = math.radians(95.0)  # Angle of the head against the body within which a glance stays
 
 
 class Modes(NamedTuple):
@@ -120,11 +118,7 @@ def _glances(parameters: GaitParameters, side: str, cos: FloatArray) -> dict[str
 
 
 def _mistaken(modes: Modes, bias: float, kappa: float) -> Modes:
-    """The modes of an orientation that a classifier may see turned all along, with the probability ``bias``.
-
-    The free mode's offsets are what appears then: the person's, or the classifier's, which is drawn from a
-    von Mises density about 0 with the concentration ``kappa``, and says nothing of the person.
-    """
+    """The modes of an orientation that a classifier sees turned all along with probability ``bias``."""
     own = (1.0 - bias) * (1.0 - modes.aligned) * modes.anywhere
     turned = np.exp(kappa * (modes.cos[:BINS] - 1.0))
     apparent = own + bias * turned / turned.sum()
@@ -154,11 +148,9 @@ def class_information(heights: FloatArray) -> FloatArray:
 class GaitOffsets(Term):
     """Hidden modes of the two couplings, which stand before it in the list of terms.
 
-    In each frame each coupling is *aligned* (at rest near 0, as Chen et al. (2011) have it) or *free* (at
-    rest at an offset that may be anything and drifts slowly); a hidden Markov chain says that this seldom
-    changes. The couplings, and the head that steers the motion, count by the probabilities of the modes. The
-    engine infers both in turn: given the states the modes, by the forward–backward recursion; given the
-    modes the states.
+    In each frame each coupling is *aligned* (at rest near 0, as in Chen et al. (2011)) or *free* (at rest at
+    an offset that drifts); a hidden Markov chain says that this seldom changes. The engine infers modes and
+    states in turn.
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})

@@ -18,8 +18,7 @@ from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.faces_group import GROUP
 from graphtrack.tracks.track import Track
 
-SLOW = 0.05
-"""rad/s up to which a turn is a drift, which costs by its square."""
+SLOW = 0.05  # rad/s up to which a turn is a drift, which costs by its square
 LEAST_TURN, GREATEST_TURN = 0.01, 0.05
 """Radians within which a drift from a frame to the next is, however near or far that is."""
 

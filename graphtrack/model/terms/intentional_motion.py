@@ -24,8 +24,7 @@ from graphtrack.model.terms.motion import Motion
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
-SMALL_TURN = 1e-3
-"""λΔt below which the closed forms of a steered step cancel; there, their series."""
+SMALL_TURN = 1e-3  # λΔt below which the closed forms of a steered step cancel; there, their series
 
 HEAD_RATE = "head_rate"
 """The input: λ in 1/s of the step that leads to a frame, where it is not the parameters'."""
@@ -72,18 +71,7 @@ def steered_step(dt: FloatArray | float, rate: FloatArray | float) -> SteeredSte
 
 
 def head_rates(given: FloatArray, rate: float) -> FloatArray:
-    """λ (n,) in 1/s of the steps that lead to n frames.
-
-    Parameters
-    ----------
-    given : (n,) the input `HEAD_RATE`, NaN where there is none
-    rate : λ of the parameters, which holds there; 0: no step is steered, whatever is given
-
-    Raises
-    ------
-    InputError
-        If a given rate is negative.
-    """
+    """λ (n,) in 1/s: as ``given``, else ``rate``; 0: all unsteered. InputError if negative."""
     if (given < 0.0).any():
         raise InputError(f"an input {HEAD_RATE} of {np.nanmin(given):g}", "a rate in 1/s, at least 0")
     return np.where(np.isfinite(given), given, rate) if rate > 0.0 else np.zeros(len(given))
@@ -223,11 +211,10 @@ ADD_STEERED_MOTION = Kernel(
 class IntentionalMotion(Motion):
     """White-noise acceleration about a velocity that turns towards where the head points.
 
-    Over a step, v_t = (1 − a)·v_{t−1} + a·‖v_{t−1}‖·u(α_{t−1}) + noise with a = 1 − e^−λΔt, and the position
-    is its exact integral (Baxter et al. 2014, eq. 4–6 in continuous time). λ = 0 is `Motion`. Otherwise the
-    prior on the first velocity stands at the first frame of the track, whether a position was seen there or
-    not: steering forgets a velocity, so that later frames may not determine it. The input `HEAD_RATE` has λ
-    of single steps, such as one that grows with the deviation of the head (eq. 2–3, `GrowingRate`).
+    v_t = (1 − a)·v_{t−1} + a·‖v_{t−1}‖·u(α_{t−1}) + noise with a = 1 − e^−λΔt, and the position is its exact
+    integral (Baxter et al. 2014, eq. 4–6 in continuous time). λ = 0 is `Motion`; otherwise the prior on the
+    first velocity stands at the first frame, seen or not. The input `HEAD_RATE` has λ of single steps
+    (`GrowingRate`).
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})

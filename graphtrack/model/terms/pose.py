@@ -1,6 +1,4 @@
-"""Kernels of class likelihoods of body or head: von Mises densities about the centres of the classes.
-
-The orientation likelihoods of body and head, from angles or from class likelihoods.
+"""The orientation likelihoods of body and head, from angles or from class likelihoods.
 
 As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observed angle is the mixture of one class; with
 ε = 0 it is a von Mises, which is native.
@@ -94,10 +92,7 @@ def add_class_quarter_turns(
     doubt: float,
     cost: FloatArray,
 ) -> None:
-    """What class likelihoods cost at a direction and one, two and three quarters on.
-
-    A quarter on, a class is where another was: its density is known.
-    """
+    """Cost of class likelihoods at a direction and one, two and three quarters on, by symmetry."""
     n = len(directions)
     quarter = n // 4
     here = onward = opposite = back = doubted(heights[n], kappa, doubt)

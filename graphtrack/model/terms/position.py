@@ -152,10 +152,7 @@ def add_pixel(
 
 
 ADD_POSITION = Kernel(
-    add_position,
-    gate="position_information",
-    variables=("position",),
-    unless="pixel_information",
+    add_position, gate="position_information", variables=("position",), unless="pixel_information"
 )
 ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",))
 
@@ -212,13 +209,7 @@ class PositionLikelihood(Term):
         return float(robust_loss(np.linalg.norm(residual, axis=1), likelihood).sum())
 
     def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log 2πσ² of each observed position, with the mass of the robust loss's tails.
-
-        Raises
-        ------
-        InputError
-            For a Cauchy loss with k² ≤ 2, whose tails have no finite mass.
-        """
+        """log 2πσ² of each position, and the mass of robust tails; InputError for Cauchy with k² ≤ 2."""
         likelihood = self.parameters.likelihood
         std = likelihood.position_stds(track.position_std, len(track))
         seen = np.isfinite(track.position).all(axis=1)
