@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from command import run
 
-from graphtrack import io
+import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import write_calibration
@@ -310,7 +310,7 @@ def test_observe_writes_detections_and_smooth_finds_who_is_who(
     table = pd.read_csv(out)
     assert set(table["track_id"]) == {-1} and table["score"].between(0.5, 1.0).all()
     assert not list(tmp_path.glob("seen.csv.*"))
-    people = io.read(out)
+    people = gt.read(out)
     assert 6 <= len(people) <= 14
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from command import run
 
-from graphtrack import io
+import graphtrack as gt
 from graphtrack.errors import InputError
 from perception.detection.boxes import Detections, PersonBox, read_boxes, write_boxes
 from perception.detection.hog import PeopleDetector
@@ -69,7 +69,7 @@ def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "6 person-frames in 1 track" in done.stderr
     assert not list(tmp_path.glob("*.journal"))
-    track = io.read(out)[7]
+    track = gt.read(out)[7]
     np.testing.assert_allclose(np.diff(track.t), 0.2)
     # The box's lower edge is the toe, not the middle of the person.
     np.testing.assert_allclose(track.position[:, 0], -1.0 + 0.25 * np.arange(6), atol=0.25)
@@ -164,10 +164,10 @@ def test_detections_stand_alone_and_are_associated(long_clip: Path, tmp_path: Pa
     for suffix in (".parquet", ".ndjson"):
         other = tmp_path / f"found{suffix}"
         assert run("observe", long_clip / "images", "--boxes", det, "--fps", 5, "-o", other).returncode == 0
-        people = io.read(other)  # associated
+        people = gt.read(other)  # associated
         assert all(track.score is not None and "appearance" in track.inputs for track in people)
         with pytest.raises(InputError, match="without identities"):
-            io.read(other, associate="never")
+            gt.read(other, associate="never")
 
 
 def test_a_detection_depends_on_no_other_when_causal(long_clip: Path, tmp_path: Path) -> None:
