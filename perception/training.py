@@ -143,11 +143,9 @@ _HEADS = HeadVariation(size=(16, 40), offset=0.02, scale=0.03)
 _SCENES = PedestrianVariation(
     size=(150, 280), head_turn=1.2, tilt=0.25, occluded=0.0, cluttered=0.6, margin=1.5, offset=0.02
 )
-_BOXES = 40
-"""Boxes looked at in each scene: the head's, as many beside it as anywhere."""
+_BOXES = 40  # boxes looked at in each scene: the head's, as many beside it as anywhere
 _OFFSET, _SCALE = 0.25, 0.2
-_BESIDE = 0.3
-"""A box that is off by more than this share of the head's size is no head."""
+_BESIDE = 0.3  # A box that is off by more than this share of the head's size is no head
 _SEARCH = 120
 _EXEMPLAR_FAILS = "heads below 16 pixels, views from above, boxes that start off by a third of the head"
 

@@ -38,31 +38,21 @@ from perception.pose.classifier import fit_temperature_and_share, reliability, w
 from perception.pose.features import BINS
 from perception.pose.head_detection import HeadCandidates
 
-_STEP = 2
-"""Pixels of a patch from one place to the next."""
-_APART = 2
-"""Steps between a template's cells."""
+_STEP = 2  # pixels of a patch from one place to the next
+_APART = 2  # steps between a template's cells
 _CELLS = 14
-_ABOVE, _BESIDE = 10, 14
-"""Steps from a template's first cell to the middle of the head, down and across."""
-_ACROSS, _DOWN = 11, 10
-"""Steps that a head is looked for from where it usually is."""
-_USUAL = np.array([0.0, 0.085])
-"""The middle of the head, in heights of the box from the middle of its top."""
-_MARGIN = 6
-"""Squares about the part that is looked at, for filters."""
-_BLUR, _BLUR_AROUND = 1.0, 5.0
-"""1-σ in squares."""
+_ABOVE, _BESIDE = 10, 14  # steps from a template's first cell to the middle of the head, down and across
+_ACROSS, _DOWN = 11, 10  # steps that a head is looked for from where it usually is
+_USUAL = np.array([0.0, 0.085])  # the middle of the head, in heights of the box from the middle of its top
+_MARGIN = 6  # squares about the part that is looked at, for filters
+_BLUR, _BLUR_AROUND = 1.0, 5.0  # 1-σ in squares
 _SQUARES = (2 * _DOWN + 1 + _APART * _CELLS, 2 * _ACROSS + 1 + _APART * _CELLS)
 """Rows and columns that templates see from all of the places."""
 _SHRINKAGE = 0.05
 _QUARTERS = 4
-_SHARED = 30.0
-"""Samples that the mean of all quarters counts as in that of each."""
-_BESIDE_EACH = 5
-"""Places beside each head, for the covariance."""
-_NOT_NEAR = 4.0
-"""Steps from the head from which on a place is beside it."""
+_SHARED = 30.0  # samples that the mean of all quarters counts as in that of each
+_BESIDE_EACH = 5  # places beside each head, for the covariance
+_NOT_NEAR = 4.0  # steps from the head from which on a place is beside it
 
 HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
 """Of the head, in heights of the box."""
@@ -70,8 +60,7 @@ HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
 _X, _Y = (
     part.ravel() for part in np.meshgrid(np.arange(-_ACROSS, _ACROSS + 1), np.arange(-_DOWN, _DOWN + 1))
 )
-_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])
-"""(n, 2) where a head is looked for."""
+_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) where a head is looked for
 
 
 def within_reach(head: FloatArray) -> NDArray[np.bool_]:
@@ -269,17 +258,13 @@ CLASSES = PoseClasses.circle(8)
 _FOLDS = 5
 _CHOICES = ((1.0, 0.0), (3.0, 0.0))
 """Shrinkages, and what rendered people count in all, in those who walk; people left out choose."""
-_CHOICES_WITH_RENDERED = (*_CHOICES, (10.0, 1.0), (10.0, 3.0))
-"""The same where people are rendered."""
-_NEVER = 100.0
-"""Log density by which a direction that nobody walked in is behind the others."""
-_LEAST_PEOPLE = 2
-"""Who must have walked in a direction, or its mirror image, for it to count as seen."""
+_CHOICES_WITH_RENDERED = (*_CHOICES, (10.0, 1.0), (10.0, 3.0))  # the same where people are rendered
+_NEVER = 100.0  # log density by which a direction that nobody walked in is behind the others
+_LEAST_PEOPLE = 2  # who must have walked in a direction, or its mirror image, for it to count as seen
 _MIRROR = (-np.arange(len(CLASSES))) % len(CLASSES)
 _COLOURS: Window = (-0.1, -0.09, 0.2, 0.18)
 _COLOUR_SIDE = 8
-_CELL = 8
-"""Pixels of a cell of gradients."""
+_CELL = 8  # pixels of a cell of gradients
 
 
 @dataclass(frozen=True)
@@ -585,8 +570,7 @@ def _parts(sign: NDArray[np.float32]) -> tuple[slice, slice]:
 OUTLIERS = "class_outlier_probability"
 """What the card of a camera's models calls it."""
 _SHARES = np.linspace(0.05, 0.98, 94)
-_EQUAL = 0.01
-"""Log likelihood a person by which no share is better than another."""
+_EQUAL = 0.01  # log likelihood a person by which no share is better than another
 
 
 def class_outlier_probability(

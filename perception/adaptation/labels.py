@@ -96,8 +96,7 @@ def cut(patch: Image, head: FloatArray, window: Window, size: tuple[int, int]) -
     return np.asarray(found, np.uint8)
 
 
-_CENTRAL = 0.25
-"""Share of the image, on each side, in which no camera has its principal point."""
+_CENTRAL = 0.25  # share of the image, on each side, in which no camera has its principal point
 
 
 def looks_of(

@@ -69,16 +69,12 @@ if TYPE_CHECKING:
 
 
 _COUNT = 900
-_PLACES = 60
-"""Of a recording, in which people are rendered."""
-_FRAMES = 20
-"""Of which the median is what a place looks like without people."""
-_STEEPEST = 1.2
-"""Radians; from straight above nobody is upright."""
+_PLACES = 60  # of a recording, in which people are rendered
+_FRAMES = 20  # of which the median is what a place looks like without people
+_STEEPEST = 1.2  # radians; from straight above nobody is upright
 _UNKNOWN = (0.0, 0.45), 10.0
 """Elevation, from and to, and distance in metres where the camera's are not known."""
-_MIDDLE = 0.9
-"""Metres above the ground of a person's middle."""
+_MIDDLE = 0.9  # metres above the ground of a person's middle
 
 
 class Scenery:
@@ -170,12 +166,9 @@ def rendered_people(places: Sequence[Place], rng: np.random.Generator, count: in
     return RenderedPeople(patches, np.array(heads), angle)
 
 
-_SMOOTHNESS = 12.0
-"""Log ratio that a step of one head height along a track costs."""
-_TEMPLATE_HEADS = 500
-"""Rendered heads of which templates are learned."""
-_FOUND = 0.01
-"""1-σ in heights of the box of where heads are found, which rendered people's heads have too."""
+_SMOOTHNESS = 12.0  # log ratio that a step of one head height along a track costs
+_TEMPLATE_HEADS = 500  # rendered heads of which templates are learned
+_FOUND = 0.01  # 1-σ in heights of the box of where heads are found, which rendered people's heads have too
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,7 @@ from perception.images.pixels import Image
 from perception.pose.head_detection import HeadCandidates
 from perception.storage import ModelCard, Stored
 
-_SCALE = 6.0
-"""Log ratio of a candidate that counts as a score of 1 along a track."""
+_SCALE = 6.0  # log ratio of a candidate that counts as a score of 1 along a track
 
 
 @dataclass(eq=False)

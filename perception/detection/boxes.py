@@ -166,8 +166,7 @@ _LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1
 _SURE = 0.3
 _ABOVE, _BELOW, _BESIDE = 0.09, 0.04, 0.06
 """How far a person reaches beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
-_TRUNKS = 1.86
-"""From hips to soles, in lengths from shoulders to hips."""
+_TRUNKS = 1.86  # from hips to soles, in lengths from shoulders to hips
 
 
 def found_by_frame(people: Iterable[PersonPoints]) -> dict[int, Detections]:

@@ -103,10 +103,8 @@ def _square_matrix(to_image: FloatArray, size: tuple[int, int]) -> FloatArray:
     return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
 
 
-_STEP = 1.12
-"""Ratio of the heights of neighbouring bands."""
-_LEAST, _MOST = 28.0, 1200.0
-"""Heights of people in pixels who are looked for."""
+_STEP = 1.12  # ratio of the heights of neighbouring bands
+_LEAST, _MOST = 28.0, 1200.0  # heights of people in pixels who are looked for
 _LATTICE = 16
 
 
@@ -241,8 +239,7 @@ def _band(
 
 FEATURES = WINDOW[0] * WINDOW[1] * (ORIENTATIONS + 1)
 """Numbers that are kept of a candidate's window."""
-_MOST_FOREGROUND = 0.5
-"""Share of the frame; where it is more, the camera moved or the light was switched."""
+_MOST_FOREGROUND = 0.5  # share of the frame; where it is more, the camera moved or the light was switched
 
 
 @dataclass(frozen=True)

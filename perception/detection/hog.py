@@ -108,14 +108,10 @@ def foot_boxes(foot: FloatArray, height: FloatArray) -> FloatArray:
 
 
 _ROWS = 720
-_OVERLAP = 0.4
-"""Intersection over union above which the weaker of two boxes is dropped."""
-_STEP = 1.08
-"""Ratio of neighbouring scales."""
-_MARGIN = 16
-"""Pixels by which a window may reach beyond the image."""
-_SLOPE = 2.0
-"""Log odds of a score of one; those of zero are even."""
+_OVERLAP = 0.4  # intersection over union above which the weaker of two boxes is dropped
+_STEP = 1.08  # ratio of neighbouring scales
+_MARGIN = 16  # pixels by which a window may reach beyond the image
+_SLOPE = 2.0  # log odds of a score of one; those of zero are even
 
 
 class PeopleDetector:

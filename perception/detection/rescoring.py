@@ -35,12 +35,9 @@ from perception.detection.ground_search import (
 from perception.detection.hog import foot_boxes
 from perception.images.pixels import Image
 
-_PARTS = 3
-"""Every third frame is left out at a time."""
-_LEAST_SEEN = 3
-"""Detections in other frames, for a track to say where somebody is."""
-_ORDER = 1e-3
-"""Slope beyond the ends: what is likelier stays likelier."""
+_PARTS = 3  # every third frame is left out at a time
+_LEAST_SEEN = 3  # detections in other frames, for a track to say where somebody is
+_ORDER = 1e-3  # slope beyond the ends: what is likelier stays likelier
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,14 +34,12 @@ _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 FRACTION = 4
 """Bits behind the point of the pixels that OpenCV draws."""
 _DASH = 6
-_FARTHEST = 2.0**20
-"""Pixels: farther away OpenCV's numbers do not reach."""
+_FARTHEST = 2.0**20  # pixels: farther away OpenCV's numbers do not reach
 _LIKELY = 0.95
 _STEP = np.deg2rad(3.0)
 _BETWEEN = np.deg2rad(0.7)
 _FAINTEST, _STRONGEST = 0.12, 0.6
-_REACH = 1.7
-"""Lengths of an arrow that a sector reaches."""
+_REACH = 1.7  # lengths of an arrow that a sector reaches
 
 
 def enlargement(image: Image) -> int:
@@ -202,14 +200,12 @@ def identity(picture: Image, track_id: int, box: FloatArray, colour: Colour, wid
     text(picture, str(track_id), (max(left, 2), max(top - 4, 14)), colour, 0.3 + 0.25 * width)
 
 
-_RADIUS = 0.5
-"""Metres of the horizontal circles at feet and head (Chen et al. 2011, §4.2)."""
+_RADIUS = 0.5  # metres of the horizontal circles at feet and head (Chen et al. 2011, §4.2)
 _BODY: Colour = (60, 60, 235)
 _HEAD: Colour = (40, 220, 245)
 _BOX: Colour = (235, 160, 60)
 _TRUE: Colour = (120, 220, 90)
-_GROWN = 0.15
-"""Of the box's height, above and below, that is shown besides."""
+_GROWN = 0.15  # of the box's height, above and below, that is shown besides
 _ASPECT = 0.75
 
 

@@ -25,8 +25,7 @@ from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
-_RADII = 0.8, 0.55
-"""Metres on the ground, of the arrows of body and head."""
+_RADII = 0.8, 0.55  # metres on the ground, of the arrows of body and head
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +112,9 @@ def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Pla
     return marks.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)
 
 
-_TRACKED_RADII = 0.8, 0.6
-"""Metres on the ground, of the arrows of body and head."""
-_HEAD_BELOW = 0.08
-"""Height of the head's middle below the top of a box, in its heights."""
-_INTERVAL = 1.96
-"""Standard deviations to each side, of the sectors that hold 95 %."""
+_TRACKED_RADII = 0.8, 0.6  # metres on the ground, of the arrows of body and head
+_HEAD_BELOW = 0.08  # height of the head's middle below the top of a box, in its heights
+_INTERVAL = 1.96  # standard deviations to each side, of the sectors that hold 95 %
 _WIDEST = np.pi
 
 

@@ -22,8 +22,7 @@ GUIDE_MODEL = Model("position", steady(Parameters(MotionParameters(acceleration_
 """People who walk on: white noise of 0.01 m²/s³ is what takes rendered walkers off their course within one or
 two seconds. The package's own models expect people who turn and run, and soon say nothing of where one is."""
 
-_WIDEST = 1e4
-"""Pixels: a prediction that is less sure than that says nothing."""
+_WIDEST = 1e4  # pixels: a prediction that is less sure than that says nothing
 
 
 @dataclass(frozen=True)
@@ -57,8 +56,7 @@ class DoubtParameters:
     patience: float = 2.5
 
 
-_FEWEST = 8
-"""Frames from which a deviation is learned."""
+_FEWEST = 8  # frames from which a deviation is learned
 
 
 class Doubt:

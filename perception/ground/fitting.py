@@ -117,8 +117,7 @@ def box_heights(vector: FloatArray, feet: FloatArray, radius: float = RADIUS) ->
     return np.where(seen & (found > 0.0), found, np.nan)
 
 
-_TAILS = 3.0
-"""Degrees of freedom of Student's distribution."""
+_TAILS = 3.0  # degrees of freedom of Student's distribution
 _STEP = 1e-5
 _LONGEST = 0.3
 _WORST = 3.0

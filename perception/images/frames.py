@@ -52,10 +52,8 @@ _PICTURES: tuple[tuple[int, bytes], ...] = (
     (0, b"MM\x00*"),
     *((0, b"P%d" % kind) for kind in range(4, 8)),  # PBM, PGM, PPM, PAM
 )
-_RAW = b"YUV4MPEG2 "
-"""Raw pixels after a line of text: they may look like text themselves."""
-_CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")
-"""Bytes that no text has."""
+_RAW = b"YUV4MPEG2 "  # raw pixels after a line of text: they may look like text themselves
+_CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")  # bytes that no text has
 _PACKETS = (188, 192, 204)
 """Bytes of a packet of an MPEG transport stream, which begins with 0x47; the first may be cut."""
 _HEAD = 4 * 204
@@ -124,8 +122,7 @@ def is_cut_off(path: Path) -> bool:
 
 
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
-_MOST_BAD = 50
-"""Frames in a row that cannot be decoded, after which a video has ended early."""
+_MOST_BAD = 50  # frames in a row that cannot be decoded, after which a video has ended early
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,8 +138,7 @@ def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
 
 _HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065
 """Of a head, and of its middle below the top, in heights of the person's box."""
-_LEAST = 0.2
-"""Confidence from which on a point of the face says where the head is."""
+_LEAST = 0.2  # confidence from which on a point of the face says where the head is
 
 
 def said_by_keypoints(

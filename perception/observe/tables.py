@@ -33,10 +33,8 @@ from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
 from perception.pose.head_detection import HeadCandidates, HeadPath, select_along_track, select_so_far
 
-_AT_ONCE = 512
-"""Rows that are made together."""
-_LOOKS = 8192
-"""People by whom it is found out what varies."""
+_AT_ONCE = 512  # rows that are made together
+_LOOKS = 8192  # people by whom it is found out what varies
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +173,7 @@ def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
     return Projection.fitted(np.array(looks, np.uint8).reshape(-1, LENGTH))
 
 
-_ROWS_AT_ONCE = 64
-"""Rows of a track that are made together."""
+_ROWS_AT_ONCE = 64  # rows of a track that are made together
 
 
 @dataclass(eq=False)

@@ -88,8 +88,7 @@ def _best(codes: Any, signed: Any) -> Any:
 Weak = Literal["differential", "fisher"]
 
 _PAIRS = np.array([(a, b) for a in range(BINS) for b in range(a + 1, BINS)])
-_RENEWED = 25
-"""Rounds after which the Fisher discriminants are learned anew with the weights of then."""
+_RENEWED = 25  # rounds after which the Fisher discriminants are learned anew with the weights of then
 
 
 class BoostedBlocks:

@@ -392,12 +392,10 @@ PARTS = ((0, 11), (11, 22), (22, 33), (33, 57))
 """Rows of the head, the chest, the waist, the legs. Below are the ground and the shadow."""
 LEVELS = (6, 5, 5)
 """Bins of L*, a* and b*."""
-_TEXTURED = ((1, 4), (4, 7))
-"""Eighths of the height whose gradients count: trunk and legs."""
+_TEXTURED = ((1, 4), (4, 7))  # eighths of the height whose gradients count: trunk and legs
 _CHROMA = 15.0
 """The outermost bins of a* and b* are centred on ± this; streets and clothes have little colour."""
-_AXIS = 0.18
-"""1-σ of the weight of columns, in widths: the border is background."""
+_AXIS = 0.18  # 1-σ of the weight of columns, in widths: the border is background
 
 _COLOURS = len(PARTS) * int(np.prod(LEVELS))
 LENGTH = _COLOURS + len(_TEXTURED) * BINS

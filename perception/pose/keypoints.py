@@ -114,8 +114,7 @@ FLOOR = 0.05
 
 _FACE = 5
 _SURE = 0.95
-_UNSEEN = 0.05
-"""Confidence up to which a point is not there."""
+_UNSEEN = 0.05  # confidence up to which a point is not there
 _ORDER = np.array(USED)
 
 
@@ -247,8 +246,7 @@ def _layers(name: str, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Laye
 
 
 _EXPECTED = "keypoints of COCO (a list with image_id, keypoints), OpenPose (people) or MMPose (instances)"
-_LARGEST = 1e6
-"""Pixels beyond which a point is nowhere."""
+_LARGEST = 1e6  # pixels beyond which a point is nowhere
 
 
 @dataclass(frozen=True, eq=False)
