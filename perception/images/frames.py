@@ -1,12 +1,7 @@
-"""What a file given as a video is, by its first bytes.
+"""Frames of a video or of a folder of images, in their order, with those that cannot be decoded.
 
-FFmpeg, with which OpenCV decodes, takes far more than videos: it draws text as a terminal does, shows any
-bytes as text-mode art, and opens the files and addresses that a playlist names. So only files that begin as
-videos do are given to it.
-
-Frames of a video or of a folder of images, one after the other, with those that cannot be decoded.
-
-Frames that somebody waits for: how far their decoding came is told.
+FFmpeg, with which OpenCV decodes, takes far more than videos: it draws text as a terminal does, and opens the
+files and addresses that a playlist names. So only files that begin as videos do are given to it.
 """
 
 from __future__ import annotations
