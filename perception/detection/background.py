@@ -1,4 +1,4 @@
-"""What a camera that stands still sees behind the people, and what is before it."""
+"""Background of a camera that stands still, and the foreground before it."""
 
 from __future__ import annotations
 
@@ -108,16 +108,13 @@ class Backgrounds:
             if frame.number not in wanted or frame.image is None:
                 continue
             if part_of[frame.number] != now:
-                _add(parts, now, images)
+                if len(images) >= _FEWEST:
+                    parts[now] = Background.of(images)
                 now, images = part_of[frame.number], []
             images.append(reduced(frame.image))
-        _add(parts, now, images)
+        if len(images) >= _FEWEST:
+            parts[now] = Background.of(images)
         return cls(part_of, parts)
-
-
-def _add(parts: dict[int, Background], number: int, images: Sequence[Image]) -> None:
-    if len(images) >= _FEWEST:
-        parts[number] = Background.of(images)
 
 
 def _parts(frames: int, parts: int) -> NDArray[np.int64]:

@@ -1,9 +1,4 @@
-"""How large a person is at each place of an image whose ground plane is known.
-
-The parts of an image in which people have about one height, brought to that of the detector's window.
-
-Where people may be in a frame of a camera whose ground plane is known.
-"""
+"""Candidates of people in a camera whose ground plane is known: only of a person's height at each place."""
 
 from __future__ import annotations
 
@@ -244,7 +239,7 @@ _MOST_FOREGROUND = 0.5  # share of the frame; where it is more, the camera moved
 
 @dataclass(frozen=True)
 class SearchParameters:
-    """How to look for people on the ground.
+    """Parameters of the search for people on the ground.
 
     Attributes
     ----------

@@ -1,7 +1,4 @@
-"""Gradient histograms of an image as a grid of blocks, and linear filters over windows of it.
-
-People in single frames: OpenCV's HOG + SVM detector at all scales.
-"""
+"""OpenCV's HOG + SVM people detector at all scales, as linear filters on grids of gradient blocks."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""How often a detection is right: judged by tracks that have not seen its frame.
+"""Detections of a camera over the ground, with probabilities that the recording itself teaches.
 
-What a recording teaches of its own people: who surely walks there, against all else that is seen.
-
-Detections of a camera whose ground plane is known, each with the probability that it is a person.
+People who surely walk are told from all else that is seen; how often that is right, tracks judge that have
+not seen the frame.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ _ORDER = 1e-3  # slope beyond the ends: what is likelier stays likelier
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """How often it is a person at some log odds that a model says: isotonic, and linear in between.
+    """Calibration of a model's log odds of a person: isotonic, and linear in between.
 
     Attributes
     ----------
@@ -90,7 +89,7 @@ def judged_by_other_frames(
     least_boxes: int,
     least_way: float,
 ) -> FloatArray:
-    """Whether detections are of people (n,): 1, 0, or NaN where that is not known.
+    """Return whether detections (n,) are of people: 1, 0, or NaN where that is not known.
 
     A track is smoothed without the frame, so that it does not follow the detection that it judges: a
     detection that lies off is none of a person.
@@ -120,13 +119,10 @@ def judged_by_other_frames(
     return right
 
 
-_Places = dict[int, list[tuple[FloatArray, bool]]]
-"""By frame: where each track is, and whether it is surely a person's and seen before and after."""
-
-
-def _places(tracks: TrackSet, least_boxes: int, least_way: float) -> _Places:
+def _places(tracks: TrackSet, least_boxes: int, least_way: float) -> dict[int, list[tuple[FloatArray, bool]]]:
+    """By frame: where each track is, and whether it is surely a person's and seen before and after."""
     frames = np.unique(np.concatenate([track.frame for track in tracks]))
-    found: _Places = {}
+    found: dict[int, list[tuple[FloatArray, bool]]] = {}
     for part in range(_PARTS):
         left_out = frames[part::_PARTS]
         rest, seen = _without(tracks, left_out)
@@ -274,7 +270,15 @@ def taught(
     found = found[score[found] >= parameters.least_score]
     if not len(found):
         return None
-    tracks = _associated(numbers[found], place[found], expit(score[found]), fps)
+    table: dict[str, Any] = {
+        "frame": numbers[found],
+        "t": numbers[found] / fps,
+        "x": place[found, 0],
+        "y": place[found, 1],
+        "score": expit(score[found]),
+        "track_id": np.full(len(found), -1),
+    }
+    tracks = associate(table)
     label, person = _labels(numbers, place, score, smooth(tracks, "position"), parameters)
     people = np.unique(person[person >= 0])
     if len(people) < parameters.least_people or not (label == 0).any():
@@ -315,10 +319,7 @@ def taught(
 def _met(
     frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera, search: SearchParameters
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Which candidates are left as they will be, the best of their surroundings, and at what places (n, 2).
-
-    ``linear`` is what the taught model says of all of them, frame by frame.
-    """
+    """Candidates that are the best of their surroundings by both scores, and their places (n, 2)."""
     kept, places, start = [], [], 0
     for k in sorted(frames):
         stop = start + len(frames[k])
@@ -375,18 +376,6 @@ def _labels(
                 best = of[near[np.argmax(score[of[near]] - 2.0 * away[near, column])]]
                 label[best], person[best] = 1.0, track
     return label, person
-
-
-def _associated(frame: NDArray[np.int64], place: FloatArray, score: FloatArray, fps: float) -> TrackSet:
-    table: dict[str, Any] = {
-        "frame": frame,
-        "t": frame / fps,
-        "x": place[:, 0],
-        "y": place[:, 1],
-        "score": score,
-        "track_id": np.full(len(frame), -1),
-    }
-    return associate(table)
 
 
 def _linear(

@@ -1,9 +1,4 @@
-"""People as they were observed, drawn: boxes, ids, and where bodies and heads point.
-
-Estimated people, drawn into their frames: boxes, identities, paths, and where bodies and heads point.
-
-What a tracker says of a frame, drawn: particles, box, pan, tilt and cues.
-"""
+"""People drawn into their frames: as observed, as estimated, and as a tracker follows one."""
 
 from __future__ import annotations
 
@@ -88,9 +83,7 @@ def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera
     """
     picture, factor = marks.enlarged_image(image), marks.enlargement(image)
     width = marks.line_width(picture)
-    people = sorted(
-        people, key=lambda person: float(person.box[1] + person.box[3])
-    )  # who is near is in front
+    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # near is in front
     for person in people:  # fans first, so that they hide no box
         on_ground, at_head = _planes(person, camera, factor)
         marks.fan(picture, on_ground, person.body, _BODY, marks.person_colour(person.track_id))

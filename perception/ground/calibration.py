@@ -1,7 +1,4 @@
-"""Which boxes tell about the ground: whole ones, grouped by people, no more than are needed.
-
-A camera without a calibration: the view that the boxes of people tell, or that they do not tell it.
-"""
+"""A camera's view of the ground by the boxes of people, or a refusal where they do not tell it."""
 
 from __future__ import annotations
 

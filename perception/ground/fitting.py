@@ -1,11 +1,8 @@
-"""How a camera over the ground sees people: how high their boxes are, by where their lower edges are.
-
-A robust fit of a view to the boxes of people, with its uncertainty.
+"""A robust fit of a camera's view to the heights of people's boxes, with its uncertainty.
 
 The logarithm of each box's height, less the one that the view gives a person of mean height at that place, is
 the person's own deviation (one number for all boxes of a person) plus an error of the box with the tails of
-Student's distribution. The people's deviations are integrated out: how somebody's box grows on the way
-towards the camera tells more than how high strangers are. Who is no person of usual height (false
+Student's distribution. The people's deviations are integrated out. Who is no person of usual height (false
 detections, children) may have any deviation.
 """
 

@@ -56,7 +56,7 @@ _VIDEOS = "a video (MP4, MOV, AVI, Matroska, WebM, MPEG, ...) or a folder of ima
 
 
 def check_video(path: Path) -> bool:
-    """Refuse a file that does not begin as a video or a picture does; whether it may be a single picture.
+    """Return whether a file may be a single picture; refuse one that begins neither as that nor as a video.
 
     Raises
     ------
@@ -77,11 +77,6 @@ def check_video(path: Path) -> bool:
     else:
         found = "something else"
     raise InputError(found, _VIDEOS, path=path)
-
-
-def a_picture(path: Path) -> InputError:
-    """The error for a single picture in place of a video."""
-    return InputError("a single picture", "a video, or the folder that the picture is in", path=path)
 
 
 def _has(head: bytes, signatures: tuple[tuple[int, bytes], ...]) -> bool:
@@ -166,9 +161,12 @@ class FrameSource:
         try:
             fps, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
             if not video.isOpened() or not video.read()[0]:
-                raise InputError("no video that can be decoded", _expected(path), path=path)
+                whole = "a whole video (an MP4 that was cut off has lost its index)"
+                kind = whole if is_cut_off(path) else "a video"
+                raise InputError("no video that can be decoded", f"{kind} or a folder of images", path=path)
             if may_be_picture and not video.read()[0]:
-                raise a_picture(path)
+                expected = "a video, or the folder that the picture is in"
+                raise InputError("a single picture", expected, path=path)
         finally:
             video.release()
         return cls(path, max(count, 1), float(fps) if np.isfinite(fps) and 0.1 < fps < 1000 else None)
@@ -220,12 +218,6 @@ class FrameSource:
         return _from_video(self.path, self.count, wanted)
 
 
-def _expected(path: Path) -> str:
-    """In place of a file that cannot be decoded."""
-    whole = "a whole video (an MP4 that was cut off has lost its index)" if is_cut_off(path) else "a video"
-    return f"{whole} or a folder of images"
-
-
 def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
     """The same frames.
 
@@ -247,13 +239,7 @@ def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
 
 
 def _images(folder: Path) -> list[tuple[int, Path]]:
-    """Images with their frame numbers, in their order: the names, where they are numbers, or 0, 1, 2 …
-
-    Raises
-    ------
-    InputError
-        If two names are the same number, or only some are numbers.
-    """
+    """Images by frame number: their names, all of which or none are different numbers, or 0, 1, 2 …"""
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
     numbered = [path for path in paths if path.stem.isascii() and path.stem.isdigit()]
     if not numbered:

@@ -9,7 +9,14 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import Track, TrackSet, to_columns
-from perception.detection.boxes import Detections, Detector, PersonBox, boxes_of, with_keypoints
+from perception.detection.boxes import (
+    Detections,
+    Detector,
+    PersonBox,
+    boxes_by_frame,
+    boxes_of,
+    with_keypoints,
+)
 from perception.detection.hog import PeopleDetector
 from perception.detection.rescoring import GroundDetector
 from perception.images.frames import Frame
@@ -97,9 +104,7 @@ def observe_live(
 
 def given_boxes(boxes: Iterable[PersonBox]) -> Finder:
     """Boxes that are known."""
-    by_frame: dict[int, list[PersonBox]] = {}
-    for item in boxes:
-        by_frame.setdefault(item.frame, []).append(item)
+    by_frame = boxes_by_frame(boxes)
     return lambda frame, image: by_frame.get(frame, [])
 
 

@@ -1,9 +1,4 @@
-"""Rows of detections, which stand alone, made some frames at a time.
-
-Tracks of observed people, made in two passes over the frames: few of them are in memory at a time.
-
-Estimates of the people in boxes: identities, then position, motion, body and head.
-"""
+"""Tables of observations and estimates, made of what was seen some frames at a time."""
 
 from __future__ import annotations
 
@@ -33,7 +28,7 @@ from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
 from perception.pose.head_detection import HeadCandidates, HeadPath, select_along_track, select_so_far
 
-_AT_ONCE = 512  # rows that are made together
+_AT_ONCE, _ROWS_AT_ONCE = 512, 64  # rows that are made together: of detections, and of a track
 _LOOKS = 8192  # people by whom it is found out what varies
 
 
@@ -171,9 +166,6 @@ def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
                     looks.append(item.looks)
                 at += 1
     return Projection.fitted(np.array(looks, np.uint8).reshape(-1, LENGTH))
-
-
-_ROWS_AT_ONCE = 64  # rows of a track that are made together
 
 
 @dataclass(eq=False)

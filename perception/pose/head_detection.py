@@ -1,7 +1,4 @@
-"""Where the head is in the box of a person (Chen et al. 2011, §2.2).
-
-Which candidate is the head in each frame of a track: temporal filtering of the places (Chen et al. 2011,
-§2.2).
+"""Head candidates in the box of a person, and their temporal filtering (Chen et al. 2011, §2.2).
 
 The paper asks for "a separate and simple temporal filtering on the head location candidates by enforcing a
 head location smoothness over time", and does not say which.

@@ -1,9 +1,4 @@
-"""COCO's 17 points of a person, and how other conventions are turned into them.
-
-Where body and head point, by the points of a pose network.
-
-Keypoints that others have found: JSON as COCO results, OpenPose and MMPose write it.
-"""
+"""Keypoints in COCO's order: other conventions, files of other tools, and where body and head point."""
 
 from __future__ import annotations
 

@@ -124,19 +124,12 @@ def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: 
     assert sorted(pd.read_csv(tmp_path / "out.csv")["frame"]) == [0, 1, 2, 4, 5]
 
 
-@pytest.mark.parametrize(
-    ("line", "told"),
-    [
-        ("2,-1,10,10,30,80,1,-1,-1,-1", "line 7, column id"),
-        ("2,7,10,10,30,80,1,-1,-1,-1", "line 7: found track 7 again in frame 2"),
-        ("2,9,-1e6,-1e6,3e6,3e6,1,-1,-1,-1", "line 7, column width"),
-    ],
-)
-def test_boxes_of_nobody_in_particular_are_one_line(clip: Path, tmp_path: Path, line: str, told: str) -> None:
-    (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + line + "\n")
+def test_boxes_that_cannot_be_used_are_one_line(clip: Path, tmp_path: Path) -> None:
+    line = "2,7,10,10,30,80,1,-1,-1,-1\n"
+    (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + line)
     done = run("observe", clip / "frames", "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
-    assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["boxes.txt"]
+    assert done.returncode == 2 and "line 7: found track 7 again in frame 2" in done.stderr
+    assert done.stderr.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["boxes.txt"]
 
 
 def nobodys(clip: Path, folder: Path) -> Path:
