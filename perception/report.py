@@ -237,13 +237,8 @@ def shown_by_frame(
 
 def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
     """The boxes of what `shown_by_frame` found."""
-    frame: list[int] = []
-    number: list[int] = []
-    box: list[FloatArray] = []
-    for one, of_frame in people.items():
-        frame += [one] * len(of_frame)
-        number += [person.track_id for person in of_frame]
-        box += [person.box for person in of_frame]
+    shown = [(frame, person.track_id, person.box) for frame, some in people.items() for person in some]
+    frame, number, box = zip(*shown, strict=True) if shown else ((), (), ())
     return PersonBoxes(
         np.array(frame, np.int64), np.array(number, np.int64), np.array(box, float).reshape(-1, 4)
     )

@@ -24,10 +24,10 @@ from graphtrack.tracks.track import TrackSet
 from perception.detection.background import Background
 from perception.detection.boxes import Detections
 from perception.detection.ground_search import (
+    APART,
     FEATURES,
     Candidates,
     GroundSearch,
-    SearchParameters,
     joined,
     strongest,
 )
@@ -248,7 +248,6 @@ def taught(
     camera: GroundCamera,
     fps: float,
     rng: np.random.Generator,
-    search: SearchParameters = SearchParameters(),
     parameters: TeachingParameters = TeachingParameters(),
 ) -> PersonProbability | None:
     """What tells this camera's people from its background; None where too few surely walk.
@@ -266,7 +265,7 @@ def taught(
         np.concatenate([getattr(frames[k], name) for k in order]) for name in ("foot", "height", "score")
     )
     place = camera.image_to_ground(foot)
-    found = _best_of_frames(numbers, foot, height, score, search)
+    found = _best_of_frames(numbers, foot, height, score)
     found = found[score[found] >= parameters.least_score]
     if not len(found):
         return None
@@ -296,7 +295,7 @@ def taught(
     # By models that have not seen the person, nor the place at about that time.
     said = np.vstack([frames[k].features.astype(np.float32) @ np.transpose(weights[:-1]) for k in order])
     linear = np.take_along_axis(said + biases[:-1], fold[:, None], axis=1)[:, 0]
-    best, places = _met(frames, linear, camera, search)
+    best, places = _met(frames, linear, camera)
     right = judged_by_other_frames(
         numbers[best],
         places,
@@ -307,9 +306,7 @@ def taught(
     )
     sure = np.isfinite(right)
     both = np.column_stack([score, linear])
-    of_known = _best_of_frames(
-        numbers[known], foot[known], height[known], score[known] + linear[known], search
-    )
+    of_known = _best_of_frames(numbers[known], foot[known], height[known], score[known] + linear[known])
     first, second, offset = _logistic(both[known[of_known]], truth[of_known])
     certainty = Certainty.fitted(both[best[sure]] @ [first, second] + offset, right[sure] == 1)
     weight, boxes = weights[-1].astype(np.float32), int(truth.sum())
@@ -317,31 +314,27 @@ def taught(
 
 
 def _met(
-    frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera, search: SearchParameters
+    frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Candidates that are the best of their surroundings by both scores, and their places (n, 2)."""
     kept, places, start = [], [], 0
     for k in sorted(frames):
         stop = start + len(frames[k])
         scored = frames[k].scored(np.asarray(expit(frames[k].score + linear[start:stop]), float))
-        kept.append(start + strongest(scored.foot, scored.height, scored.score, search.apart))
-        places.append(camera.image_to_ground(joined(scored, search.apart).foot))
+        kept.append(start + strongest(scored.foot, scored.height, scored.score, APART))
+        places.append(camera.image_to_ground(joined(scored).foot))
         start = stop
     return np.concatenate(kept), np.vstack(places)
 
 
 def _best_of_frames(
-    numbers: NDArray[np.int64],
-    foot: FloatArray,
-    height: FloatArray,
-    score: FloatArray,
-    search: SearchParameters,
+    numbers: NDArray[np.int64], foot: FloatArray, height: FloatArray, score: FloatArray
 ) -> NDArray[np.int64]:
     """Which are left in each frame when each drops the weaker ones about it."""
     kept = []
     for number in np.unique(numbers).tolist():
         rows = np.flatnonzero(numbers == number)
-        kept.append(rows[strongest(foot[rows], height[rows], score[rows], search.apart)])
+        kept.append(rows[strongest(foot[rows], height[rows], score[rows], APART)])
     return np.concatenate(kept)
 
 
@@ -452,6 +445,6 @@ class GroundDetector:
     def chosen(self, candidates: Candidates) -> Detections:
         """The candidates of a frame that are more like people than like nobody."""
         scored = candidates.scored(self.probability.of(candidates))
-        best = joined(scored, self.search.parameters.apart)
+        best = joined(scored)
         kept = best.score >= self.probability.even
         return Detections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])

@@ -107,10 +107,9 @@ class GraphGuide:
     there is none), and before the next it predicts the middle of the target's box. While the target is
     hidden the prediction goes on with the last velocity and becomes less and less sure.
 
-    A tracker clings to what it still sees of a target that something begins to hide, and then to what is
-    most like it. So an estimate is not taken in when it is much less sure than those before it (`Doubt`);
-    and when the target is lost, or doubted, the graph forgets what it was told since the target was a box's
-    width away, and predicts from what it knew then.
+    A tracker clings to what it still sees of a target that something begins to hide. So an estimate is not
+    taken in when it is much less sure than those before it (`Doubt`); and when the target is lost, or
+    doubted, the graph forgets what was observed since the target was a box's width away.
 
     Parameters
     ----------

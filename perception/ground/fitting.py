@@ -160,11 +160,6 @@ class HeightData:
     """Of the image, in pixels; the longer side."""
 
 
-def prior_of(width: float) -> tuple[FloatArray, FloatArray]:
-    """Mean and 1-σ (4,) of what is known of any camera whose images are so wide."""
-    return np.array([np.log(1.1 * width), np.deg2rad(20.0), 0.0, np.log(3.0)]), _SPREAD.copy()
-
-
 def fitted(data: HeightData) -> Fit:
     """The best view from several beginnings."""
     rough = [_climbed(data, start, steps=12) for start in _starts(data)]
@@ -202,7 +197,7 @@ def _residuals(data: HeightData, vector: FloatArray, radius: float = RADIUS) -> 
 
 def _climbed(data: HeightData, start: FloatArray, steps: int) -> Fit:
     """Gauss–Newton steps with weights that are taken anew at each (iteratively reweighted least squares)."""
-    mean, spread = prior_of(data.width)
+    mean, spread = np.array([np.log(1.1 * data.width), np.deg2rad(20.0), 0.0, np.log(3.0)]), _SPREAD
     known = np.diag(spread**-2.0)
     vector = start.copy()
     residual = _residuals(data, vector)

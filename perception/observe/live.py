@@ -70,11 +70,8 @@ class LiveObserver:
         seen = observe_frame(image, frame, boxes, self.models, refuse)
         if self.camera is None and seen:
             self.camera = scaled_camera({frame: SeenFrame(seen, [])}, causal=True)
-        return [
-            row
-            for item in sorted(seen, key=lambda item: item.track_id)
-            if (row := self._row(item, refuse)) is not None
-        ]
+        found = [self._row(item, refuse) for item in sorted(seen, key=lambda item: item.track_id)]
+        return [row for row in found if row is not None]
 
     def _row(self, item: SeenPerson, refuse: Callable[[str], object]) -> dict[str, Any] | None:
         assert self.camera is not None

@@ -384,14 +384,6 @@ def channels_of(
     }
 
 
-def by_track(seen: Iterable[SeenPerson]) -> dict[int, list[SeenPerson]]:
-    """What was seen of each person, by id and then by frame."""
-    groups: dict[int, list[SeenPerson]] = {}
-    for item in sorted(seen, key=lambda item: (item.track_id, item.frame)):
-        groups.setdefault(item.track_id, []).append(item)
-    return groups
-
-
 def in_heights(item: SeenPerson) -> HeadCandidates:
     """The head's candidates relative to the person's height: who comes nearer does not jump."""
     return HeadCandidates(item.heads.boxes / item.height, item.heads.scores)

@@ -241,7 +241,10 @@ def to_tracks(
         items, start = pending[track_id], done[track_id]
         if items:
             chosen = heads[track_id][start : start + len(items)]
-            parts[track_id].append(_fields(items, chosen, head_classes, camera, fps, projection))
+            known = channels_of(items, chosen, head_classes, camera, fps, projection=projection)
+            known |= known.pop("inputs")
+            known["score"] = np.array([item.score for item in items], float)  # NaN where not known
+            parts[track_id].append(known)
             pending[track_id], done[track_id] = [], start + len(items)
 
     for item in _on_ground(frames, camera):
@@ -259,20 +262,6 @@ def to_tracks(
 def _on_ground(frames: Mapping[int, SeenFrame], camera: GroundCamera) -> Iterator[SeenPerson]:
     for number in sorted(frames):
         yield from (item for item in frames[number].people if is_on_ground(item, camera))
-
-
-def _fields(
-    items: list[SeenPerson],
-    heads: NDArray[np.int64],
-    head_classes: PoseClasses,
-    camera: GroundCamera,
-    fps: float,
-    projection: Projection,
-) -> dict[str, Any]:
-    """Those of a piece of a track, with what is not known as NaN or left out."""
-    known = channels_of(items, heads, head_classes, camera, fps, projection=projection)
-    inputs = known.pop("inputs")
-    return known | inputs | {"score": np.array([item.score for item in items], float)}
 
 
 def _joined(track_id: int, parts: list[dict[str, Any]]) -> Track:

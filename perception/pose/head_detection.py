@@ -200,8 +200,7 @@ class HeadLocaliser(Stored):
 
 def _places(windows: FloatArray, width: int) -> FloatArray:
     """Centres over the size of a crop of 128 rows, and logarithms of sizes, (n, 4) of windows (n, 4)."""
-    size = (width, _HEIGHT)
-    centre = (windows[:, :2] + windows[:, 2:] / 2.0) / size
+    centre = (windows[:, :2] + windows[:, 2:] / 2.0) / (width, _HEIGHT)
     return np.hstack([centre, np.log(windows[:, 2:] / _HEIGHT)])
 
 

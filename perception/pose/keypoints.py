@@ -289,21 +289,15 @@ def read_keypoints(
 
 
 def _checked(path: Path, people: Iterable[PersonPoints]) -> list[PersonPoints]:
-    found = _with_confidences(sorted(people, key=lambda person: person.frame))
+    found = sorted(people, key=lambda person: person.frame)
     if not found:
         raise InputError("nobody", "at least one person's keypoints", path=path)
+    # Annotations have visibilities 0, 1 (hidden) and 2 (seen) in place of confidences.
+    every = np.array([person.points[:, 2] for person in found])
+    whole = 2.0 if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any() else 1.0
+    for person in found:
+        person.points[:, 2] = np.clip(person.points[:, 2] / whole, 0.0, 1.0)
     return found
-
-
-def _with_confidences(people: list[PersonPoints]) -> list[PersonPoints]:
-    """The same with visibilities 0, 1 (hidden) and 2 (seen), as annotations have them, as confidences."""
-    every = np.array([person.points[:, 2] for person in people]).ravel()
-    if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any():
-        for person in people:
-            person.points[:, 2] /= 2.0
-    for person in people:
-        np.clip(person.points[:, 2], 0.0, 1.0, out=person.points[:, 2])
-    return people
 
 
 def _loaded(path: Path) -> Any:
