@@ -1,9 +1,4 @@
-"""The folder of a report: what is in it, and which of its stages are done.
-
-Where estimated people are in the pictures.
-
-What a report shows: the video, the view from above, and the page.
-"""
+"""The folder of a report: its stages, and the video, the view from above and the page in it."""
 
 from __future__ import annotations
 
@@ -12,7 +7,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -34,7 +29,7 @@ from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
 from perception.drawing.people import ShownPerson, draw_tracked
 from perception.images.frames import Frame
-from perception.images.pixels import Image, pictures
+from perception.images.pixels import pictures
 from perception.observe.tables import BOX
 
 STAGES = "stages.json"
@@ -152,12 +147,7 @@ def key_of(*asked: object) -> str:
 
 
 class ShownPeople(Mapping[int, list[ShownPerson]]):
-    """What there is to draw in each frame, made when it is asked for: of an hour, only columns are kept.
-
-    Parameters
-    ----------
-    tracks : of everybody
-    """
+    """People to draw in each frame, made when they are asked for: of an hour, only columns are kept."""
 
     def __init__(self, tracks: Sequence[_Shown]) -> None:
         self._tracks = tracks
@@ -193,22 +183,14 @@ class ShownPeople(Mapping[int, list[ShownPerson]]):
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """Where somebody is in the picture.
-
-    Attributes
-    ----------
-    place, seen : (n, 4) boxes of the rows of the track, and whether they were seen (n,)
-    angles : (n, 4) of body and head, each with its standard deviation
-    pixel : (n, 2) of the feet
-    first : (n,) row at which the path begins that is drawn at each
-    """
+    """A track of n rows in the picture."""
 
     track: Track
-    place: FloatArray
+    place: FloatArray  # (n, 4) boxes
     seen: NDArray[np.bool_]
-    angles: FloatArray
-    pixel: FloatArray
-    first: NDArray[np.int64]
+    angles: FloatArray  # (n, 4) of body and head, each with its standard deviation
+    pixel: FloatArray  # (n, 2) of the feet
+    first: NDArray[np.int64]  # (n,) row at which the path begins that is drawn at each
 
     def person(self, row: int) -> ShownPerson:
         """The person in a row."""
@@ -255,31 +237,23 @@ def shown_by_frame(
 
 def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
     """The boxes of what `shown_by_frame` found."""
-    frame: list[int] = []
-    number: list[int] = []
-    box: list[FloatArray] = []
-    for one, of_frame in people.items():
-        frame += [one] * len(of_frame)
-        number += [person.track_id for person in of_frame]
-        box += [person.box for person in of_frame]
+    shown = [(frame, person.track_id, person.box) for frame, some in people.items() for person in some]
+    frame, number, box = zip(*shown, strict=True) if shown else ((), (), ())
     return PersonBoxes(
         np.array(frame, np.int64), np.array(number, np.int64), np.array(box, float).reshape(-1, 4)
     )
 
 
-def _angle(track: Track, name: str) -> tuple[FloatArray, FloatArray]:
+def _angle(track: Track, name: Literal["body", "head"]) -> tuple[FloatArray, FloatArray]:
     unknown = np.full(len(track), np.nan)
-    angle, std = getattr(track, name), track.std("body" if name == "body" else "head")
+    angle, std = getattr(track, name), track.std(name)
     return unknown if angle is None else angle, unknown if std is None else std
 
 
 def _boxes_of(
     track: Track, observation: Track, boxes: Sequence[PersonBox], camera: GroundCamera
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Boxes (n, 4) of the rows of an estimate, and whether they were seen (n,).
-
-    Between two that were seen there are those of the estimated feet, of sizes in between.
-    """
+    """Boxes (n, 4) of an estimate, interpolated about its feet where they were not seen; which were (n,)."""
     number = observation.inputs[BOX].reshape(-1)
     known = np.flatnonzero(np.isfinite(number))
     at = {int(observation.frame[k]): boxes[int(number[k])].box for k in known.tolist()}
@@ -382,15 +356,10 @@ def _photos(video: Path) -> list[tuple[int, int, bytes]]:
             if k in wanted:
                 good, image = reader.retrieve()
                 if good:
-                    found.append((k, count, _as_jpeg(np.asarray(image, np.uint8))))
+                    factor = min(1.0, _PHOTO_WIDTH / image.shape[1])
+                    small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+                    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+                    found.append((k, count, np.asarray(data, np.uint8).tobytes()))
     finally:
         reader.release()
     return found
-
-
-def _as_jpeg(image: Image) -> bytes:
-    factor = min(1.0, _PHOTO_WIDTH / image.shape[1])
-    small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    encoded: NDArray[np.uint8] = np.asarray(data, np.uint8)
-    return encoded.tobytes()

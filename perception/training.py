@@ -1,11 +1,4 @@
-"""The keypoint model, trained on skeletons before random cameras.
-
-The exemplars of the mixed-state tracker, learned from rendered heads and people.
-
-Labels of a user's own images: a CSV with a row for each file.
-
-The models of the package, trained on rendered people and judged on others.
-"""
+"""Training of the package's models on rendered people, and of a user's own on labelled images."""
 
 from __future__ import annotations
 
@@ -37,7 +30,6 @@ from perception.pose.keypoints import BODY, HEAD, KeypointPose, Layers, features
 from perception.pose.templates import Templates
 from perception.storage import ModelCard
 from perception.synthetic import (
-    HeadSet,
     HeadVariation,
     PedestrianSet,
     PedestrianVariation,
@@ -143,11 +135,9 @@ _HEADS = HeadVariation(size=(16, 40), offset=0.02, scale=0.03)
 _SCENES = PedestrianVariation(
     size=(150, 280), head_turn=1.2, tilt=0.25, occluded=0.0, cluttered=0.6, margin=1.5, offset=0.02
 )
-_BOXES = 40
-"""Boxes looked at in each scene: the head's, as many beside it as anywhere."""
+_BOXES = 40  # boxes looked at in each scene: the head's, as many beside it as anywhere
 _OFFSET, _SCALE = 0.25, 0.2
-_BESIDE = 0.3
-"""A box that is off by more than this share of the head's size is no head."""
+_BESIDE = 0.3  # A box that is off by more than this share of the head's size is no head
 _SEARCH = 120
 _EXEMPLAR_FAILS = "heads below 16 pixels, views from above, boxes that start off by a third of the head"
 
@@ -329,10 +319,7 @@ def _by_filter(
 
 
 def _calibration(heads: FloatArray, others: FloatArray) -> tuple[float, float]:
-    """Slope and intercept that make a score the log likelihood ratio, by logistic regression.
-
-    Both kinds weigh the same, whatever their numbers.
-    """
+    """Slope and intercept that make a score the log likelihood ratio; both kinds weigh the same."""
 
     def loss(p: FloatArray) -> float:
         wrong = np.logaddexp(0.0, -(p[0] * heads + p[1])).mean()
@@ -488,12 +475,18 @@ def train_on_rendered(
     rng, other = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     if name == HeadLocaliser.kind:
         people, judged = make_pedestrians(count, rng, advance=advance), make_pedestrians(test_images, other)
-        return _localiser(people, judged, _head_localiser(seed, as_published))
+        localiser = _head_localiser(seed, as_published).fit(people.images, people.head_box)
+        _complete_card(localiser, _PEOPLE, localisation_figures(localiser, judged))
+        return localiser
     if name == BodyPose.kind:
         people = make_pedestrians(count - count // 3, rng, advance=advance)
         people += make_pedestrians(count // 3, rng, FAR, advance=advance)
-        body = _untrained(name, seed, as_published)
-        return _body_pose(people, make_pedestrians(test_images, other), body)
+        judged, body = make_pedestrians(test_images, other), _untrained(name, seed, as_published)
+        body.fit(people.images, body.classes.index(people.body))
+        near = make_pedestrians(_CALIBRATION_IMAGES // 2, np.random.default_rng([seed, 2]))
+        body.calibrate(near.images, near.body)
+        _complete_card(body, _PEOPLE + _FAR_TOO, evaluate(body, judged.images, judged.body).figures())
+        return body
     if name == KeypointPose.kind:
         return train_keypoints(count, test_skeletons=20 * test_images, seed=seed, advance=advance)
     if name not in CLASSIFIERS:
@@ -508,7 +501,12 @@ def train_on_rendered(
     pan, tilt = draw_poses(count - found, rng, _EXACT, _HEAD_POSE[name]().classes)
     heads = make_heads(count - found, rng, _EXACT, pan=pan, tilt=tilt, advance=advance)
     heads += make_heads(found, rng, FOUND, advance=advance)
-    model = _head_pose(name, heads, seed, as_published)
+    skin = None
+    if name == Templates.kind:
+        seen, masks = heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES]
+        skin = SkinColours.fit(seen, masks, as_published=as_published)
+    model = _untrained(name, seed, as_published, skin)
+    model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
     calibrate_for_use(model, seed)
     figures = head_pose_figures(model, test_images, other)
     _complete_card(model, _HEAD_IMAGES + (_FOUND_TOO if found else ""), figures)
@@ -525,15 +523,6 @@ def check_published(name: str, as_published: bool) -> None:
     """
     if as_published and name not in AS_PUBLISHED:
         raise InputError(f"{name} as published", f"one of {', '.join(AS_PUBLISHED)}")
-
-
-def _head_pose(name: str, heads: HeadSet, seed: int, as_published: bool) -> FeatureClassifier:
-    skin = None
-    if name == Templates.kind:
-        seen, masks = heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES]
-        skin = SkinColours.fit(seen, masks, as_published=as_published)
-    model = _untrained(name, seed, as_published, skin)
-    return model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
 
 
 def _head_localiser(seed: int, as_published: bool) -> HeadLocaliser:
@@ -613,20 +602,6 @@ def train_on_files(
             model = Exemplars(seed=seed)  # of fewer images than are rendered
         model.fit(given.images, model.classes.index(*np.deg2rad(given.values).T))
     model.card = replace(model.card, trained_on=f"the images that {Path(labels).name} names")
-    return model
-
-
-def _body_pose(people: PedestrianSet, judged: PedestrianSet, model: FeatureClassifier) -> FeatureClassifier:
-    model.fit(people.images, model.classes.index(people.body))
-    near = make_pedestrians(_CALIBRATION_IMAGES // 2, np.random.default_rng([model.seed, 2]))
-    model.calibrate(near.images, near.body)
-    _complete_card(model, _PEOPLE + _FAR_TOO, evaluate(model, judged.images, judged.body).figures())
-    return model
-
-
-def _localiser(people: PedestrianSet, judged: PedestrianSet, model: HeadLocaliser) -> HeadLocaliser:
-    model.fit(people.images, people.head_box)
-    _complete_card(model, _PEOPLE, localisation_figures(model, judged))
     return model
 
 

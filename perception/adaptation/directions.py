@@ -1,18 +1,8 @@
-"""Where the head is in boxes that are off: all people of a recording aligned to common templates.
+"""Directions of bodies and heads by linear models that are learned and judged by people left out.
 
-A template is of the gradients of head and shoulders, as seen in one quarter of the directions of walking,
-whitened by what is beside heads (Hariharan, Malik & Ramanan 2012): its score is the log density ratio of a
-head here and a head elsewhere, for Gaussians of one covariance. People's heads are placed by templates of
-other people only, so that no one confirms their own mistakes.
-
-Directions of bodies and heads from aligned pictures, learned and judged by people left out.
-
-How much the pictures of one person along their way are worth together.
-
-Pictures of one person resemble each other, and mistakes are made again: who is taken for their back is so
-in frame after frame, by body and head. The graph multiplies what it is told frame by frame, as if each were
-news. Its share of outliers among class likelihoods says how little news each is; here it is found by people
-left out.
+Heads are placed by templates of the gradients of head and shoulders, one for each quarter of the directions
+of walking, whitened by what is beside heads (Hariharan, Malik & Ramanan 2012): the score is a log density
+ratio of Gaussians of one covariance.
 """
 
 from __future__ import annotations
@@ -38,31 +28,21 @@ from perception.pose.classifier import fit_temperature_and_share, reliability, w
 from perception.pose.features import BINS
 from perception.pose.head_detection import HeadCandidates
 
-_STEP = 2
-"""Pixels of a patch from one place to the next."""
-_APART = 2
-"""Steps between a template's cells."""
+_STEP = 2  # pixels of a patch from one place to the next
+_APART = 2  # steps between a template's cells
 _CELLS = 14
-_ABOVE, _BESIDE = 10, 14
-"""Steps from a template's first cell to the middle of the head, down and across."""
-_ACROSS, _DOWN = 11, 10
-"""Steps that a head is looked for from where it usually is."""
-_USUAL = np.array([0.0, 0.085])
-"""The middle of the head, in heights of the box from the middle of its top."""
-_MARGIN = 6
-"""Squares about the part that is looked at, for filters."""
-_BLUR, _BLUR_AROUND = 1.0, 5.0
-"""1-σ in squares."""
+_ABOVE, _BESIDE = 10, 14  # steps from a template's first cell to the middle of the head, down and across
+_ACROSS, _DOWN = 11, 10  # steps that a head is looked for from where it usually is
+_USUAL = np.array([0.0, 0.085])  # the middle of the head, in heights of the box from the middle of its top
+_MARGIN = 6  # squares about the part that is looked at, for filters
+_BLUR, _BLUR_AROUND = 1.0, 5.0  # 1-σ in squares
 _SQUARES = (2 * _DOWN + 1 + _APART * _CELLS, 2 * _ACROSS + 1 + _APART * _CELLS)
 """Rows and columns that templates see from all of the places."""
 _SHRINKAGE = 0.05
 _QUARTERS = 4
-_SHARED = 30.0
-"""Samples that the mean of all quarters counts as in that of each."""
-_BESIDE_EACH = 5
-"""Places beside each head, for the covariance."""
-_NOT_NEAR = 4.0
-"""Steps from the head from which on a place is beside it."""
+_SHARED = 30.0  # samples that the mean of all quarters counts as in that of each
+_BESIDE_EACH = 5  # places beside each head, for the covariance
+_NOT_NEAR = 4.0  # steps from the head from which on a place is beside it
 
 HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
 """Of the head, in heights of the box."""
@@ -70,8 +50,7 @@ HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
 _X, _Y = (
     part.ravel() for part in np.meshgrid(np.arange(-_ACROSS, _ACROSS + 1), np.arange(-_DOWN, _DOWN + 1))
 )
-_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])
-"""(n, 2) where a head is looked for."""
+_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) where a head is looked for
 
 
 def within_reach(head: FloatArray) -> NDArray[np.bool_]:
@@ -179,7 +158,7 @@ class HeadTemplates:
 
 @dataclass(frozen=True, eq=False)
 class HeadSamples:
-    """What templates are learned from: n heads and their mirror images, and what is beside all of them.
+    """Samples for templates: n heads and their mirror images, and what is beside all of them.
 
     Attributes
     ----------
@@ -237,19 +216,15 @@ class HeadSamples:
         apart = np.array(means, float)
         weight = cho_solve(self.factor, apart.T).T
         bias = -0.5 * np.einsum("kd,kd->k", weight, apart) - weight @ self.mean
-        return HeadTemplates(weight.astype(np.float32), bias, _usual_place(self.place[used]))
+        middle = np.median(self.place[used], axis=0)
+        spread = 1.48 * np.median(np.abs(self.place[used] - middle), axis=0)
+        place = np.stack([middle, np.clip(spread, 0.03, 0.06)])
+        return HeadTemplates(weight.astype(np.float32), bias, place)
 
 
-def _usual_place(head: FloatArray) -> FloatArray:
-    """Mean and spread (2, 2) of most heads (n, 2)."""
-    middle = np.median(head, axis=0)
-    spread = 1.48 * np.median(np.abs(head - middle), axis=0)
-    return np.stack([middle, np.clip(spread, 0.03, 0.06)])
-
-
-def head_of_crop(box: FloatArray, scale: float) -> FloatArray:
+def head_of_crop(box: FloatArray) -> FloatArray:
     """The middle (2,) of a head's box (4,) in pixels of an upright cut of a patch, which `crop_of` made."""
-    left, top, width, height = box / scale
+    left, top, width, height = box
     return of_patch(np.array([left + width / 2.0 + _CROP[0], top + height / 2.0 + _CROP[1]]))
 
 
@@ -269,17 +244,13 @@ CLASSES = PoseClasses.circle(8)
 _FOLDS = 5
 _CHOICES = ((1.0, 0.0), (3.0, 0.0))
 """Shrinkages, and what rendered people count in all, in those who walk; people left out choose."""
-_CHOICES_WITH_RENDERED = (*_CHOICES, (10.0, 1.0), (10.0, 3.0))
-"""The same where people are rendered."""
-_NEVER = 100.0
-"""Log density by which a direction that nobody walked in is behind the others."""
-_LEAST_PEOPLE = 2
-"""Who must have walked in a direction, or its mirror image, for it to count as seen."""
+_CHOICES_WITH_RENDERED = ((10.0, 1.0), (10.0, 3.0))  # further ones where people are rendered
+_NEVER = 100.0  # log density by which a direction that nobody walked in is behind the others
+_LEAST_PEOPLE = 2  # who must have walked in a direction, or its mirror image, for it to count as seen
 _MIRROR = (-np.arange(len(CLASSES))) % len(CLASSES)
 _COLOURS: Window = (-0.1, -0.09, 0.2, 0.18)
 _COLOUR_SIDE = 8
-_CELL = 8
-"""Pixels of a cell of gradients."""
+_CELL = 8  # pixels of a cell of gradients
 
 
 @dataclass(frozen=True)
@@ -433,8 +404,11 @@ def taught(
         likelier
     """
     label = CLASSES.index(angle)
-    more = None if rendered is None else _sums_of_rendered(*rendered, sign)
-    tried = _CHOICES if rendered is None else _CHOICES_WITH_RENDERED
+    more, tried = None, list(_CHOICES)
+    if rendered is not None:
+        others, of_others = rendered
+        more = Sums.of(others, sign, CLASSES.index(of_others), np.arange(len(others)))
+        tried = [*_CHOICES, *_CHOICES_WITH_RENDERED]
     parts = np.unique(fold).tolist()
     sums = [Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
     everybody = reduce(Sums.__add__, sums)
@@ -453,11 +427,6 @@ def taught(
     shrinkage, share = tried[best]
     weight, bias = everybody.helped(more, share).discriminant(sign, shrinkage)
     return Taught(weight, bias, temperature, beside, seen[best]), found[best]
-
-
-def _sums_of_rendered(rendered: NDArray[np.float32], angle: FloatArray, sign: NDArray[np.float32]) -> Sums:
-    """Those of rendered people (m, d), each of whom is somebody else."""
-    return Sums.of(rendered, sign, CLASSES.index(angle), np.arange(len(angle)))
 
 
 def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -585,8 +554,7 @@ def _parts(sign: NDArray[np.float32]) -> tuple[slice, slice]:
 OUTLIERS = "class_outlier_probability"
 """What the card of a camera's models calls it."""
 _SHARES = np.linspace(0.05, 0.98, 94)
-_EQUAL = 0.01
-"""Log likelihood a person by which no share is better than another."""
+_EQUAL = 0.01  # log likelihood a person by which no share is better than another
 
 
 def class_outlier_probability(

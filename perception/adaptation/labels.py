@@ -1,8 +1,6 @@
-"""A person with what is around the box, always in the same size.
+"""Labels for a camera's own models: who surely walks and where to, and the pictures of these people.
 
-What is taken from the frames of a recording: people's looks, and pictures of those who walk.
-
-Who surely walks, and where to: people who walk face where they go.
+People who walk face where they go.
 """
 
 from __future__ import annotations
@@ -96,8 +94,7 @@ def cut(patch: Image, head: FloatArray, window: Window, size: tuple[int, int]) -
     return np.asarray(found, np.uint8)
 
 
-_CENTRAL = 0.25
-"""Share of the image, on each side, in which no camera has its principal point."""
+_CENTRAL = 0.25  # share of the image, on each side, in which no camera has its principal point
 
 
 def looks_of(
@@ -182,7 +179,7 @@ def check_camera(camera: GroundCamera, size: tuple[int, int]) -> None:
         )
 
 
-_ROW = "input_row"
+_ROW = "row"
 
 
 @dataclass(frozen=True)
@@ -231,14 +228,16 @@ class WalkingLabels:
 
     def taken(self, places: NDArray[np.int64]) -> WalkingLabels:
         """The labels at some places."""
-        return WalkingLabels(
-            self.box[places],
-            self.person[places],
-            self.angle[places],
-            self.std[places],
-            self.tracks,
-            self.count[places],
-        )
+        parts = {name: getattr(self, name)[places] for name in ("box", "person", "angle", "std", "count")}
+        return WalkingLabels(**parts, tracks=self.tracks)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Sequence[NDArray[Any]]], tracks: int) -> WalkingLabels:
+        """Labels of pieces with (box, person, angle, std) each, where every box stands for itself."""
+        columns = zip(*parts, strict=True) if parts else [[np.zeros(0)]] * 4
+        box, person, angle, std = (np.concatenate(column) for column in columns)
+        ones = np.ones(len(box))
+        return cls(box.astype(np.int64), person.astype(np.int64), angle, std, tracks, ones)
 
 
 def walking_labels(
@@ -262,16 +261,15 @@ def walking_labels(
     pixel = feet_of(boxes, view)
     position = camera.image_to_ground(pixel)
     usable = np.flatnonzero(np.isfinite(position).all(axis=1))
-    none: NDArray[np.int64] = np.zeros(0, np.int64)
     if not len(usable):
-        return WalkingLabels(none, none, np.zeros(0), np.zeros(0), 0, np.zeros(0))
+        return WalkingLabels.joined([], 0)
     frame = np.array([item.frame for item in boxes])[usable]
     table: dict[str, Any] = {
         "frame": frame,
         "t": frame / fps,
         "x": position[usable, 0],
         "y": position[usable, 1],
-        _ROW: usable.astype(float),
+        f"input_{_ROW}": usable.astype(float),
     }
     if boxes[0].identified:
         tracks = TrackSet.from_table({**table, "track_id": np.array([b.track_id for b in boxes])[usable]})
@@ -290,7 +288,7 @@ def walking_labels(
 
 
 def _of_walkers(tracks: TrackSet, camera: GroundCamera, parameters: LabelParameters) -> WalkingLabels:
-    box, person, angle, std = [], [], [], []
+    found: list[tuple[NDArray[Any], ...]] = []
     long = tracks.with_tracks(track for track in tracks if len(track) >= parameters.least_boxes)
     for seen, track in zip(long, smooth(long, "position") if len(long) else (), strict=True):
         assert track.velocity is not None and track.covariance is not None
@@ -299,26 +297,14 @@ def _of_walkers(tracks: TrackSet, camera: GroundCamera, parameters: LabelParamet
         variance = np.einsum("ni,nij,nj->n", aside, track.covariance[:, 2:4, 2:4], aside)
         deviation = np.sqrt(variance) / speed
         sure = (speed > parameters.least_speed) & (deviation < parameters.largest_std)
-        rows = seen.inputs[_ROW.removeprefix("input_")].reshape(-1)
+        rows = seen.inputs[_ROW].reshape(-1)
         sure &= np.isfinite(rows)
         sure &= _leads_away(sure, track.position, parameters.least_way)
         if int(np.isfinite(rows).sum()) < parameters.least_boxes:
             continue
-        box.append(rows[sure].astype(np.int64))
-        person.append(np.full(int(sure.sum()), track.track_id))
-        angle.append(camera.image_angle(direction(track.velocity), track.position)[sure])
-        std.append(deviation[sure])
-    if not box:
-        none: NDArray[np.int64] = np.zeros(0, np.int64)
-        return WalkingLabels(none, none, np.zeros(0), np.zeros(0), len(tracks), np.zeros(0))
-    return WalkingLabels(
-        np.concatenate(box),
-        np.concatenate(person),
-        np.concatenate(angle),
-        np.concatenate(std),
-        len(tracks),
-        np.ones(sum(map(len, box))),
-    )
+        angle = camera.image_angle(direction(track.velocity), track.position)
+        found.append((rows[sure], np.full(int(sure.sum()), track.track_id), angle[sure], deviation[sure]))
+    return WalkingLabels.joined(found, len(tracks))
 
 
 def _leads_away(sure: NDArray[np.bool_], position: FloatArray, least_way: float) -> NDArray[np.bool_]:

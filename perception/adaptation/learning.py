@@ -1,12 +1,7 @@
-"""Rendered people where a camera saw people walk, who count as a few more where few walk.
+"""From recordings and the boxes of their people to the models of their camera.
 
-Real people teach better than rendered ones, and many need no help; of few, nothing tells apart what is
-common to people from what these have on. The others are as large as people at these places, seen from as
-high, and before what the camera sees there. How much they count is chosen by people left out.
-
-From pictures of people who walk to the models of their camera.
-
-From recordings and the boxes of their people to the models of their camera.
+Where few people walk, rendered ones help: as large as people at these places, seen from as high, and before
+what the camera sees there. People left out choose how much they count.
 """
 
 from __future__ import annotations
@@ -69,16 +64,12 @@ if TYPE_CHECKING:
 
 
 _COUNT = 900
-_PLACES = 60
-"""Of a recording, in which people are rendered."""
-_FRAMES = 20
-"""Of which the median is what a place looks like without people."""
-_STEEPEST = 1.2
-"""Radians; from straight above nobody is upright."""
+_PLACES = 60  # of a recording, in which people are rendered
+_FRAMES = 20  # of which the median is what a place looks like without people
+_STEEPEST = 1.2  # radians; from straight above nobody is upright
 _UNKNOWN = (0.0, 0.45), 10.0
 """Elevation, from and to, and distance in metres where the camera's are not known."""
-_MIDDLE = 0.9
-"""Metres above the ground of a person's middle."""
+_MIDDLE = 0.9  # metres above the ground of a person's middle
 
 
 class Scenery:
@@ -97,9 +88,9 @@ class Scenery:
         view: LeaningView | None,
         camera: GroundCamera,
     ) -> None:
-        self._walkers = [walkers[k] for k in _evenly(len(walkers), _PLACES)]
+        self._walkers = [walkers[k] for k in _evenly(len(walkers), _PLACES).tolist()]
         numbers = sorted({item.frame for item in people})
-        self.frames = frozenset(numbers[k] for k in _evenly(len(numbers), _FRAMES))
+        self.frames = frozenset(numbers[k] for k in _evenly(len(numbers), _FRAMES).tolist())
         """Numbers of the frames that are looked at."""
         self._view, self._camera = view, camera
         self._seen: list[list[Image]] = [[] for _ in self._walkers]
@@ -134,8 +125,9 @@ class Scenery:
         return found
 
 
-def _evenly(n: int, most: int) -> list[int]:
-    return [int(k) for k in np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))]
+def _evenly(n: int, most: int) -> NDArray[np.int64]:
+    """At most ``most`` of the places 0 … n − 1."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
 
 
 def _seen_from(camera: GroundCamera, foot: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
@@ -170,12 +162,9 @@ def rendered_people(places: Sequence[Place], rng: np.random.Generator, count: in
     return RenderedPeople(patches, np.array(heads), angle)
 
 
-_SMOOTHNESS = 12.0
-"""Log ratio that a step of one head height along a track costs."""
-_TEMPLATE_HEADS = 500
-"""Rendered heads of which templates are learned."""
-_FOUND = 0.01
-"""1-σ in heights of the box of where heads are found, which rendered people's heads have too."""
+_SMOOTHNESS = 12.0  # log ratio that a step of one head height along a track costs
+_TEMPLATE_HEADS = 500  # rendered heads of which templates are learned
+_FOUND = 0.01  # 1-σ in heights of the box of where heads are found, which rendered people's heads have too
 
 
 @dataclass(frozen=True)
@@ -244,7 +233,7 @@ def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingL
     kept, count = [], []
     for one in people.tolist():
         rows = np.flatnonzero(labels.person == one)
-        taken = rows[np.unique(np.linspace(0, len(rows) - 1, min(each, len(rows))).astype(int))]
+        taken = rows[_evenly(len(rows), each)]
         kept.append(taken)
         count.append(np.full(len(taken), labels.count[rows].sum() / len(taken)))
     return replace(labels.taken(np.concatenate(kept)), count=np.concatenate(count))
@@ -277,19 +266,24 @@ def learn(
     few = len(np.unique(labels.person)) < parameters.many_people
     rendered = rendered_people(places, rng) if len(places) and few else None
     fold = folds_of(labels.person, rng)
-    some = _some(len(patches), parameters.first_heads)
-    first = np.array([_found(patches[k], package.head_localiser) for k in some.tolist()])
-    figures = _of_package([patches[k] for k in some.tolist()], first, angle[some], package)
+    some = _evenly(len(patches), parameters.first_heads)
+    given_some = [patches[k] for k in some.tolist()]
+    located = [package.head_localiser.locate(crop_of(patch)) for patch in given_some]
+    first = np.array([head_of_crop(found.boxes[0]) for found in located])
+    figures = _of_package(given_some, first, angle[some], package)
     place = np.median(first, axis=0)
     advance(1)
-    as_given = None if rendered is None else np.tile(place, (len(rendered.angle), 1))
-    given = _attempt(
-        patches, np.tile(place, (len(patches), 1)), labels, fold, _of_rendered(rendered, as_given)
-    )
+    as_given: _Rendered = (None, None)
+    if rendered is not None:
+        as_given = _of_rendered(rendered, np.tile(place, (len(rendered.angle), 1)))
+    given = _attempt(patches, np.tile(place, (len(patches), 1)), labels, fold, as_given)
     figures |= _figures(given, labels, "_boxes_as_given")
     best, templates, known = given, None, first
-    of_rendered = _of_rendered(rendered, _nearly(rendered, rng))
+    of_rendered: _Rendered = (None, None)
     if rendered is not None:
+        # Their heads are known as well as heads are found.
+        nearly = rendered.head + rng.normal(0.0, _FOUND, rendered.head.shape)
+        of_rendered = _of_rendered(rendered, nearly)
         by_rendered = _templates_of(rendered, rng)
         heads = _along_tracks(patches, labels, by_rendered, np.unique(labels.person))
         tried = _attempt(patches, heads, labels, fold, of_rendered)
@@ -297,7 +291,7 @@ def learn(
             best, templates, known = tried, by_rendered, heads[some]
     advance(1)
     for _ in range(parameters.rounds):
-        samples = HeadSamples.of([patches[k] for k in some.tolist()], known, angle[some], rng)
+        samples = HeadSamples.of(given_some, known, angle[some], rng)
         heads = _placed(patches, samples, fold[some], labels, fold)
         tried = _attempt(patches, heads, labels, fold, of_rendered)
         if tried.loss(angle) < best.loss(angle):
@@ -312,15 +306,6 @@ def learn(
 def stages(parameters: AdaptationParameters) -> int:
     """How often `learn` tells that it advances."""
     return 2 + parameters.rounds
-
-
-def _some(n: int, most: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
-
-
-def _found(patch: Image, localiser: HeadLocaliser) -> FloatArray:
-    picture = crop_of(patch)
-    return head_of_crop(localiser.locate(picture).boxes[0], 1.0)
 
 
 def _placed(
@@ -364,15 +349,8 @@ def _templates_of(rendered: RenderedPeople, rng: np.random.Generator) -> HeadTem
 _Rendered = Sequence[tuple[NDArray[np.float32], FloatArray] | None]
 
 
-def _nearly(rendered: RenderedPeople | None, rng: np.random.Generator) -> FloatArray | None:
-    """The heads (n, 2) of rendered people, as well as heads are found."""
-    return None if rendered is None else rendered.head + rng.normal(0.0, _FOUND, rendered.head.shape)
-
-
-def _of_rendered(rendered: RenderedPeople | None, heads: FloatArray | None) -> _Rendered:
-    """What body and head of rendered people look like whose heads (n, 2) are known, and where they point."""
-    if rendered is None or heads is None:
-        return None, None
+def _of_rendered(rendered: RenderedPeople, heads: FloatArray) -> _Rendered:
+    """Features of body and head of rendered people with heads (n, 2), and where they point."""
     return [(view.all_features(rendered.patches, heads), rendered.angle) for view in (BODY, HEAD)]
 
 
@@ -449,13 +427,9 @@ def _card(
         (best.body.seen & ~walked, "only rendered people showed what that looks like"),
     ):
         if without.any():
-            fails += f"; nobody walked at {', '.join(_views(without))} to the camera: {of_those}"
+            views = ", ".join(f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[without].tolist())
+            fails += f"; nobody walked at {views} to the camera: {of_those}"
     return ModelCard(CameraModels.kind, said, fails, len(labels), parameters, figures)
-
-
-def _views(some: NDArray[np.bool_]) -> list[str]:
-    """Some of the directions (8,), to print."""
-    return [f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[some].tolist()]
 
 
 @dataclass(frozen=True, eq=False)

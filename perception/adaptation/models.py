@@ -29,8 +29,7 @@ from perception.images.pixels import Image
 from perception.pose.head_detection import HeadCandidates
 from perception.storage import ModelCard, Stored
 
-_SCALE = 6.0
-"""Log ratio of a candidate that counts as a score of 1 along a track."""
+_SCALE = 6.0  # log ratio of a candidate that counts as a score of 1 along a track
 
 
 @dataclass(eq=False)
@@ -79,21 +78,17 @@ class CameraModels(Stored):
         InputError
             If the frame is not as large as those that the camera learned from.
         """
-        self.check_size(image)
-        pictures = [
-            upright_picture(image, box, how)
-            for box, how in zip(boxes, standing or [None] * len(boxes), strict=True)
-        ]
-        return self.look_at([patch_of(*one) for one in pictures], [box for _, box in pictures])
-
-    def check_size(self, image: Image) -> None:
-        """Refuse frames of another size; the error is an `InputError`."""
         size = (image.shape[1], image.shape[0])
         if size != self.size:
             raise InputError(
                 f"a frame of {size[0]} × {size[1]} pixels",
                 f"{self.size[0]} × {self.size[1]}, as of the camera that --models is of",
             )
+        pictures = [
+            upright_picture(image, box, how)
+            for box, how in zip(boxes, standing or [None] * len(boxes), strict=True)
+        ]
+        return self.look_at([patch_of(*one) for one in pictures], [box for _, box in pictures])
 
     def look_at(
         self, patches: Sequence[Image], boxes: Sequence[tuple[float, float, float, float]]

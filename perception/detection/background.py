@@ -1,4 +1,4 @@
-"""What a camera that stands still sees behind the people, and what is before it."""
+"""Background of a camera that stands still, and the foreground before it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,13 @@ from numpy.typing import NDArray
 from perception.images.frames import Frame
 from perception.images.pixels import Image
 
-_COLUMNS = 960
-"""To which frames are reduced."""
-_NOISE = 4.0
-"""Least standard deviation of a pixel, in grey levels."""
+_COLUMNS = 960  # to which frames are reduced
+_NOISE = 4.0  # least standard deviation of a pixel, in grey levels
 _UNSURE, _SURE = 2.0, 8.0
 """Standard deviations up to which a difference says nothing, and from which it is surely foreground."""
 _ROWS_AT_ONCE = 32
 _SAMPLES, _FEWEST = 40, 10
-_LONGEST, _SHORTEST = 600.0, 10.0
-"""Seconds of a part of the recording with one background."""
+_LONGEST, _SHORTEST = 600.0, 10.0  # seconds of a part of the recording with one background
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,16 +108,13 @@ class Backgrounds:
             if frame.number not in wanted or frame.image is None:
                 continue
             if part_of[frame.number] != now:
-                _add(parts, now, images)
+                if len(images) >= _FEWEST:
+                    parts[now] = Background.of(images)
                 now, images = part_of[frame.number], []
             images.append(reduced(frame.image))
-        _add(parts, now, images)
+        if len(images) >= _FEWEST:
+            parts[now] = Background.of(images)
         return cls(part_of, parts)
-
-
-def _add(parts: dict[int, Background], number: int, images: Sequence[Image]) -> None:
-    if len(images) >= _FEWEST:
-        parts[number] = Background.of(images)
 
 
 def _parts(frames: int, parts: int) -> NDArray[np.int64]:

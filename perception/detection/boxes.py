@@ -1,9 +1,4 @@
-"""Boxes of people: MOT text (frame, id, left, top, width, height, confidence), and CAVIAR's XML.
-
-People's keypoints beside their boxes: which are whose, and boxes where none are given.
-
-What other libraries find, as boxes: their objects are taken as they are, and nothing is imported.
-"""
+"""Boxes of people, with their keypoints: from files, from keypoints, and from objects of other libraries."""
 
 from __future__ import annotations
 
@@ -113,6 +108,14 @@ def write_boxes(boxes: Iterable[PersonBox], path: str | Path) -> None:
             stream.write(f"{item.frame},{number},{cells},-1,-1,-1\n")
 
 
+def boxes_by_frame(boxes: Iterable[PersonBox]) -> dict[int, list[PersonBox]]:
+    """Group boxes by the numbers of their frames."""
+    groups: dict[int, list[PersonBox]] = {}
+    for item in boxes:
+        groups.setdefault(item.frame, []).append(item)
+    return groups
+
+
 def foot_point(box: tuple[float, float, float, float]) -> np.ndarray:
     """The middle (2,) of a box's lower edge, in pixels."""
     left, top, width, height = box
@@ -166,8 +169,7 @@ _LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1
 _SURE = 0.3
 _ABOVE, _BELOW, _BESIDE = 0.09, 0.04, 0.06
 """How far a person reaches beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
-_TRUNKS = 1.86
-"""From hips to soles, in lengths from shoulders to hips."""
+_TRUNKS = 1.86  # from hips to soles, in lengths from shoulders to hips
 
 
 def found_by_frame(people: Iterable[PersonPoints]) -> dict[int, Detections]:
@@ -314,8 +316,7 @@ def from_supervision(
         places = array_of(keypoints, "xy", "a supervision.KeyPoints")
         said = array_of(keypoints, "keypoint_confidence")
         sure = said if said is not None else array_of(keypoints, "confidence")
-        points = _joined(places, None if sure is None or sure.ndim != 2 else sure)
-        _check_number(points, found.among)
+        points = _joined(places, None if sure is None or sure.ndim != 2 else sure, found.among)
     return _boxes(found, points, frame, first)
 
 
@@ -339,18 +340,13 @@ def from_ultralytics(
     points = None
     keypoints = getattr(results, "keypoints", None)
     if keypoints is not None and getattr(keypoints, "xy", None) is not None:
-        points = _joined(array_of(keypoints, "xy", "keypoints with xy"), array_of(keypoints, "conf"))
-        _check_number(points, found.among)
+        places = array_of(keypoints, "xy", "keypoints with xy")
+        points = _joined(places, array_of(keypoints, "conf"), found.among)
     return _boxes(found, points, frame, first)
 
 
-def _check_number(points: FloatArray, boxes: int) -> None:
-    if len(points) != boxes:
-        raise InputError(f"{len(points)} keypoints of {boxes} boxes", "as many as boxes")
-
-
-def _joined(places: FloatArray, sure: FloatArray | None) -> FloatArray:
-    """COCO's points (n, 17, 3) out of places (n, k, 2) and confidences (n, k); without any, all are sure."""
+def _joined(places: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArray:
+    """COCO's points (n, 17, 3) out of places (n, k, 2) and confidences (n, k) of so many boxes."""
     if places.ndim != 3 or places.shape[2] != 2:
         raise InputError(f"keypoints of shape {places.shape}", "(n, k, 2)")
     if places.shape[1] not in BY_NUMBER:
@@ -359,6 +355,8 @@ def _joined(places: FloatArray, sure: FloatArray | None) -> FloatArray:
         sure = (places != 0.0).any(axis=2).astype(float)  # who is nowhere is at 0, 0
     if sure.shape != places.shape[:2]:
         raise InputError(f"confidences of shape {sure.shape}", f"{places.shape[:2]}")
+    if len(places) != boxes:
+        raise InputError(f"{len(places)} keypoints of {boxes} boxes", "as many as boxes")
     return in_coco_order(np.concatenate([places, sure[..., None]], axis=2), BY_NUMBER[places.shape[1]])
 
 

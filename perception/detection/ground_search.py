@@ -1,9 +1,4 @@
-"""How large a person is at each place of an image whose ground plane is known.
-
-The parts of an image in which people have about one height, brought to that of the detector's window.
-
-Where people may be in a frame of a camera whose ground plane is known.
-"""
+"""Candidates of people in a camera whose ground plane is known: only of a person's height at each place."""
 
 from __future__ import annotations
 
@@ -103,10 +98,8 @@ def _square_matrix(to_image: FloatArray, size: tuple[int, int]) -> FloatArray:
     return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
 
 
-_STEP = 1.12
-"""Ratio of the heights of neighbouring bands."""
-_LEAST, _MOST = 28.0, 1200.0
-"""Heights of people in pixels who are looked for."""
+_STEP = 1.12  # ratio of the heights of neighbouring bands
+_LEAST, _MOST = 28.0, 1200.0  # heights of people in pixels who are looked for
 _LATTICE = 16
 
 
@@ -241,27 +234,15 @@ def _band(
 
 FEATURES = WINDOW[0] * WINDOW[1] * (ORIENTATIONS + 1)
 """Numbers that are kept of a candidate's window."""
-_MOST_FOREGROUND = 0.5
-"""Share of the frame; where it is more, the camera moved or the light was switched."""
+_MOST_FOREGROUND = 0.5  # share of the frame; where it is more, the camera moved or the light was switched
 
 
-@dataclass(frozen=True)
-class SearchParameters:
-    """How to look for people on the ground.
-
-    Attributes
-    ----------
-    most : candidates of a frame
-    close : metres to the side and upwards within which candidates are one
-    apart : the same, of detections
-    inside, outside : what a person and their surroundings are worth as foreground, in scores of the SVM
-    """
-
-    most: int = 120
-    close: tuple[float, float] = (0.15, 0.25)
-    apart: tuple[float, float] = (0.4, 0.6)
-    inside: float = 4.0
-    outside: float = 2.0
+APART = 0.4, 0.6
+"""Metres to the side and upwards within which detections are one."""
+_CLOSE = 0.15, 0.25  # the same, of candidates
+_MOST_CANDIDATES = 120  # of a frame
+_INSIDE, _OUTSIDE = 4.0, 2.0  # scores of the SVM that foreground in a person and around is worth
+_PERSON = 1.7  # metres of a person's height
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,20 +288,15 @@ class GroundSearch:
         If nobody would stand upright in the image, or be as high as 28 pixels.
     """
 
-    def __init__(
-        self,
-        camera: GroundCamera,
-        size: tuple[int, int],
-        parameters: SearchParameters = SearchParameters(),
-    ) -> None:
-        self.size, self.parameters = size, parameters
+    def __init__(self, camera: GroundCamera, size: tuple[int, int]) -> None:
+        self.size = size
         self._bands = bands = GroundBands.of(PersonSizes.of(camera, size), size)
         if not bands.bands:
             raise InputError(
                 f"images of {size[0]} × {size[1]} pixels in which nobody is upright and large enough",
                 "a calibration of this view, or --boxes",
             )
-        self._first = first_filter(parameters)
+        self._first = first_filter()
         counts = [len(windows) for windows in bands.windows]
         self._band = np.repeat(np.arange(len(counts)), counts)
         self._window = np.vstack(bands.windows)
@@ -350,9 +326,9 @@ class GroundSearch:
                 for grid, windows in zip(grids, self._bands.windows, strict=True)
             ]
         ).astype(float)
-        most = self.parameters.most
-        best = np.argsort(-score, kind="stable")[: 40 * most]
-        kept = best[strongest(self._foot[best], self._height[best], score[best], self.parameters.close, most)]
+        best = np.argsort(-score, kind="stable")[: 40 * _MOST_CANDIDATES]
+        foot, height = self._foot[best], self._height[best]
+        kept = best[strongest(foot, height, score[best], _CLOSE, _MOST_CANDIDATES)]
         features = [window_at(grids[self._band[k]], *self._window[k].tolist()) for k in kept.tolist()]
         return Candidates(
             self._foot[kept],
@@ -362,14 +338,14 @@ class GroundSearch:
         )
 
 
-def first_filter(parameters: SearchParameters = SearchParameters()) -> WindowFilter:
+def first_filter() -> WindowFilter:
     """OpenCV's people detector, and the foreground in the middle of the window against that around it."""
     svm = WindowFilter.of_opencv()
     across, down = WINDOW
     inside, outside = np.zeros((2, down, across, 1), np.float32)
     inside[2:-2, 2:-2] = 1.0
     outside[[0, -1]], outside[:, [0, -1]] = 1.0, 1.0
-    share = parameters.inside * inside / inside.sum() - parameters.outside * outside / outside.sum()
+    share = _INSIDE * inside / inside.sum() - _OUTSIDE * outside / outside.sum()
     return WindowFilter(np.concatenate([svm.weight, share], axis=2), svm.bias)
 
 
@@ -379,7 +355,6 @@ def strongest(
     score: FloatArray,
     apart: tuple[float, float],
     most: int | None = None,
-    person: float = 1.7,
 ) -> NDArray[np.int64]:
     """Which of n are left, best first, when each drops the weaker ones about it.
 
@@ -388,7 +363,6 @@ def strongest(
     foot, height, score : (n, 2), (n,) pixels and (n,)
     apart : metres to the side and upwards, half axes of an ellipse in the upright plane at the person
     most : that are left; None: all
-    person : metres that a height is
     """
     alive, kept = np.ones(len(score), bool), []
     for k in np.argsort(-score, kind="stable").tolist():
@@ -396,25 +370,23 @@ def strongest(
             kept.append(k)
             if len(kept) == most:
                 break
-            away = (foot - foot[k]) * (person / height[k]) / np.array(apart)
+            away = (foot - foot[k]) * (_PERSON / height[k]) / np.array(apart)
             alive &= np.einsum("nk,nk->n", away, away) >= 1.0
     return np.array(kept, np.int64)
 
 
-def joined(candidates: Candidates, apart: tuple[float, float], person: float = 1.7) -> Candidates:
+def joined(candidates: Candidates, apart: tuple[float, float] = APART) -> Candidates:
     """What is left of candidates whose scores are probabilities, each at the mean of those about it.
 
     The mean is weighed by the probabilities, so that places between the grid's come out.
     """
-    kept = strongest(candidates.foot, candidates.height, candidates.score, apart, person=person)
+    kept = strongest(candidates.foot, candidates.height, candidates.score, apart)
     foot, height = np.empty((len(kept), 2)), np.empty(len(kept))
     for i, k in enumerate(kept.tolist()):
-        away = (
-            (candidates.foot - candidates.foot[k]) * (2.0 * person / candidates.height[k]) / np.array(apart)
-        )
-        weight = np.where(np.einsum("nk,nk->n", away, away) < 1.0, candidates.score, 0.0) + 1e-9 * (
-            np.arange(len(candidates)) == k
-        )
+        scale = 2.0 * _PERSON / candidates.height[k] / np.array(apart)
+        away = (candidates.foot - candidates.foot[k]) * scale
+        weight = np.where(np.einsum("nk,nk->n", away, away) < 1.0, candidates.score, 0.0)
+        weight[k] += 1e-9
         foot[i] = weight @ candidates.foot / weight.sum()
         height[i] = np.exp(weight @ np.log(candidates.height) / weight.sum())
     return Candidates(foot, height, candidates.score[kept], candidates.features[kept])

@@ -1,7 +1,4 @@
-"""Gradient histograms of an image as a grid of blocks, and linear filters over windows of it.
-
-People in single frames: OpenCV's HOG + SVM detector at all scales.
-"""
+"""OpenCV's HOG + SVM people detector at all scales, as linear filters on grids of gradient blocks."""
 
 from __future__ import annotations
 
@@ -108,14 +105,10 @@ def foot_boxes(foot: FloatArray, height: FloatArray) -> FloatArray:
 
 
 _ROWS = 720
-_OVERLAP = 0.4
-"""Intersection over union above which the weaker of two boxes is dropped."""
-_STEP = 1.08
-"""Ratio of neighbouring scales."""
-_MARGIN = 16
-"""Pixels by which a window may reach beyond the image."""
-_SLOPE = 2.0
-"""Log odds of a score of one; those of zero are even."""
+_OVERLAP = 0.4  # intersection over union above which the weaker of two boxes is dropped
+_STEP = 1.08  # ratio of neighbouring scales
+_MARGIN = 16  # pixels by which a window may reach beyond the image
+_SLOPE = 2.0  # log odds of a score of one; those of zero are even
 
 
 class PeopleDetector:

@@ -1,8 +1,7 @@
-"""How often a detection is right: judged by tracks that have not seen its frame.
+"""Detections of a camera over the ground, with probabilities that the recording itself teaches.
 
-What a recording teaches of its own people: who surely walks there, against all else that is seen.
-
-Detections of a camera whose ground plane is known, each with the probability that it is a person.
+People who surely walk are told from all else that is seen; how often that is right, tracks judge that have
+not seen the frame.
 """
 
 from __future__ import annotations
@@ -25,27 +24,24 @@ from graphtrack.tracks.track import TrackSet
 from perception.detection.background import Background
 from perception.detection.boxes import Detections
 from perception.detection.ground_search import (
+    APART,
     FEATURES,
     Candidates,
     GroundSearch,
-    SearchParameters,
     joined,
     strongest,
 )
 from perception.detection.hog import foot_boxes
 from perception.images.pixels import Image
 
-_PARTS = 3
-"""Every third frame is left out at a time."""
-_LEAST_SEEN = 3
-"""Detections in other frames, for a track to say where somebody is."""
-_ORDER = 1e-3
-"""Slope beyond the ends: what is likelier stays likelier."""
+_PARTS = 3  # every third frame is left out at a time
+_LEAST_SEEN = 3  # detections in other frames, for a track to say where somebody is
+_ORDER = 1e-3  # slope beyond the ends: what is likelier stays likelier
 
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """How often it is a person at some log odds that a model says: isotonic, and linear in between.
+    """Calibration of a model's log odds of a person: isotonic, and linear in between.
 
     Attributes
     ----------
@@ -93,7 +89,7 @@ def judged_by_other_frames(
     least_boxes: int,
     least_way: float,
 ) -> FloatArray:
-    """Whether detections are of people (n,): 1, 0, or NaN where that is not known.
+    """Return whether detections (n,) are of people: 1, 0, or NaN where that is not known.
 
     A track is smoothed without the frame, so that it does not follow the detection that it judges: a
     detection that lies off is none of a person.
@@ -123,13 +119,10 @@ def judged_by_other_frames(
     return right
 
 
-_Places = dict[int, list[tuple[FloatArray, bool]]]
-"""By frame: where each track is, and whether it is surely a person's and seen before and after."""
-
-
-def _places(tracks: TrackSet, least_boxes: int, least_way: float) -> _Places:
+def _places(tracks: TrackSet, least_boxes: int, least_way: float) -> dict[int, list[tuple[FloatArray, bool]]]:
+    """By frame: where each track is, and whether it is surely a person's and seen before and after."""
     frames = np.unique(np.concatenate([track.frame for track in tracks]))
-    found: _Places = {}
+    found: dict[int, list[tuple[FloatArray, bool]]] = {}
     for part in range(_PARTS):
         left_out = frames[part::_PARTS]
         rest, seen = _without(tracks, left_out)
@@ -255,7 +248,6 @@ def taught(
     camera: GroundCamera,
     fps: float,
     rng: np.random.Generator,
-    search: SearchParameters = SearchParameters(),
     parameters: TeachingParameters = TeachingParameters(),
 ) -> PersonProbability | None:
     """What tells this camera's people from its background; None where too few surely walk.
@@ -273,11 +265,19 @@ def taught(
         np.concatenate([getattr(frames[k], name) for k in order]) for name in ("foot", "height", "score")
     )
     place = camera.image_to_ground(foot)
-    found = _best_of_frames(numbers, foot, height, score, search)
+    found = _best_of_frames(numbers, foot, height, score)
     found = found[score[found] >= parameters.least_score]
     if not len(found):
         return None
-    tracks = _associated(numbers[found], place[found], expit(score[found]), fps)
+    table: dict[str, Any] = {
+        "frame": numbers[found],
+        "t": numbers[found] / fps,
+        "x": place[found, 0],
+        "y": place[found, 1],
+        "score": expit(score[found]),
+        "track_id": np.full(len(found), -1),
+    }
+    tracks = associate(table)
     label, person = _labels(numbers, place, score, smooth(tracks, "position"), parameters)
     people = np.unique(person[person >= 0])
     if len(people) < parameters.least_people or not (label == 0).any():
@@ -295,7 +295,7 @@ def taught(
     # By models that have not seen the person, nor the place at about that time.
     said = np.vstack([frames[k].features.astype(np.float32) @ np.transpose(weights[:-1]) for k in order])
     linear = np.take_along_axis(said + biases[:-1], fold[:, None], axis=1)[:, 0]
-    best, places = _met(frames, linear, camera, search)
+    best, places = _met(frames, linear, camera)
     right = judged_by_other_frames(
         numbers[best],
         places,
@@ -306,9 +306,7 @@ def taught(
     )
     sure = np.isfinite(right)
     both = np.column_stack([score, linear])
-    of_known = _best_of_frames(
-        numbers[known], foot[known], height[known], score[known] + linear[known], search
-    )
+    of_known = _best_of_frames(numbers[known], foot[known], height[known], score[known] + linear[known])
     first, second, offset = _logistic(both[known[of_known]], truth[of_known])
     certainty = Certainty.fitted(both[best[sure]] @ [first, second] + offset, right[sure] == 1)
     weight, boxes = weights[-1].astype(np.float32), int(truth.sum())
@@ -316,34 +314,27 @@ def taught(
 
 
 def _met(
-    frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera, search: SearchParameters
+    frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Which candidates are left as they will be, the best of their surroundings, and at what places (n, 2).
-
-    ``linear`` is what the taught model says of all of them, frame by frame.
-    """
+    """Candidates that are the best of their surroundings by both scores, and their places (n, 2)."""
     kept, places, start = [], [], 0
     for k in sorted(frames):
         stop = start + len(frames[k])
         scored = frames[k].scored(np.asarray(expit(frames[k].score + linear[start:stop]), float))
-        kept.append(start + strongest(scored.foot, scored.height, scored.score, search.apart))
-        places.append(camera.image_to_ground(joined(scored, search.apart).foot))
+        kept.append(start + strongest(scored.foot, scored.height, scored.score, APART))
+        places.append(camera.image_to_ground(joined(scored).foot))
         start = stop
     return np.concatenate(kept), np.vstack(places)
 
 
 def _best_of_frames(
-    numbers: NDArray[np.int64],
-    foot: FloatArray,
-    height: FloatArray,
-    score: FloatArray,
-    search: SearchParameters,
+    numbers: NDArray[np.int64], foot: FloatArray, height: FloatArray, score: FloatArray
 ) -> NDArray[np.int64]:
     """Which are left in each frame when each drops the weaker ones about it."""
     kept = []
     for number in np.unique(numbers).tolist():
         rows = np.flatnonzero(numbers == number)
-        kept.append(rows[strongest(foot[rows], height[rows], score[rows], search.apart)])
+        kept.append(rows[strongest(foot[rows], height[rows], score[rows], APART)])
     return np.concatenate(kept)
 
 
@@ -378,18 +369,6 @@ def _labels(
                 best = of[near[np.argmax(score[of[near]] - 2.0 * away[near, column])]]
                 label[best], person[best] = 1.0, track
     return label, person
-
-
-def _associated(frame: NDArray[np.int64], place: FloatArray, score: FloatArray, fps: float) -> TrackSet:
-    table: dict[str, Any] = {
-        "frame": frame,
-        "t": frame / fps,
-        "x": place[:, 0],
-        "y": place[:, 1],
-        "score": score,
-        "track_id": np.full(len(frame), -1),
-    }
-    return associate(table)
 
 
 def _linear(
@@ -466,6 +445,6 @@ class GroundDetector:
     def chosen(self, candidates: Candidates) -> Detections:
         """The candidates of a frame that are more like people than like nobody."""
         scored = candidates.scored(self.probability.of(candidates))
-        best = joined(scored, self.search.parameters.apart)
+        best = joined(scored)
         kept = best.score >= self.probability.even
         return Detections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])

@@ -203,8 +203,7 @@ def _counted_keypoints(numbers: int, found: str, path: str) -> tuple[int, int]:
     return numbers // 3, 3
 
 
-_MOST = 1000
-"""Finds, best first, among which those of the same person are looked for."""
+_MOST = 1000  # finds, best first, among which those of the same person are looked for
 _SMALLEST, _LARGEST = 32, 8192
 
 

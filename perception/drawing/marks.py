@@ -1,8 +1,4 @@
-"""What pictures are drawn with: colours, text, arrows and fans of directions.
-
-One person's body and head, as single frames have them and as estimated (Chen et al. 2011, Fig. 5, 6, 8
-and 9).
-"""
+"""Marks in pictures: text, boxes, arrows, fans of directions; a person's cues (Chen et al. 2011, Fig. 5)."""
 
 from __future__ import annotations
 
@@ -34,14 +30,12 @@ _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 FRACTION = 4
 """Bits behind the point of the pixels that OpenCV draws."""
 _DASH = 6
-_FARTHEST = 2.0**20
-"""Pixels: farther away OpenCV's numbers do not reach."""
+_FARTHEST = 2.0**20  # pixels: farther away OpenCV's numbers do not reach
 _LIKELY = 0.95
 _STEP = np.deg2rad(3.0)
 _BETWEEN = np.deg2rad(0.7)
 _FAINTEST, _STRONGEST = 0.12, 0.6
-_REACH = 1.7
-"""Lengths of an arrow that a sector reaches."""
+_REACH = 1.7  # lengths of an arrow that a sector reaches
 
 
 def enlargement(image: Image) -> int:
@@ -75,17 +69,19 @@ def points(pixel: ArrayLike) -> NDArray[Any]:
     return np.asarray((inside * 2**FRACTION).round(), np.int32)
 
 
-def box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
-    """A box (left, top, width, height)."""
+def _corners(values: ArrayLike) -> FloatArray:
     left, top, w, h = np.asarray(values, float)
-    corners = points([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
-    cv2.polylines(picture, [corners], True, colour, width, cv2.LINE_AA, FRACTION)
+    return np.array([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
+
+
+def box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
+    """Draw a box (left, top, width, height)."""
+    cv2.polylines(picture, [points(_corners(values))], True, colour, width, cv2.LINE_AA, FRACTION)
 
 
 def dashed_box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
-    """A box (left, top, width, height) of dashes."""
-    left, top, w, h = np.asarray(values, float)
-    corners = np.array([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
+    """Draw a box (left, top, width, height) of dashes."""
+    corners = _corners(values)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         count = max(1, round(float(np.linalg.norm(end - start)) / (_DASH * width)))
         share = np.linspace(0.0, 1.0, count + 1)[:, None]
@@ -202,14 +198,12 @@ def identity(picture: Image, track_id: int, box: FloatArray, colour: Colour, wid
     text(picture, str(track_id), (max(left, 2), max(top - 4, 14)), colour, 0.3 + 0.25 * width)
 
 
-_RADIUS = 0.5
-"""Metres of the horizontal circles at feet and head (Chen et al. 2011, §4.2)."""
+_RADIUS = 0.5  # metres of the horizontal circles at feet and head (Chen et al. 2011, §4.2)
 _BODY: Colour = (60, 60, 235)
 _HEAD: Colour = (40, 220, 245)
 _BOX: Colour = (235, 160, 60)
 _TRUE: Colour = (120, 220, 90)
-_GROWN = 0.15
-"""Of the box's height, above and below, that is shown besides."""
+_GROWN = 0.15  # of the box's height, above and below, that is shown besides
 _ASPECT = 0.75
 
 
@@ -263,18 +257,14 @@ def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320)
     dashed_box(picture, np.concatenate([shown(cues.box[:2]), factor * cues.box[2:]]), _BOX, 1)
     box(picture, np.concatenate([shown(cues.head_box[:2]), factor * cues.head_box[2:]]), _BOX, 1)
     for k, (place, colour) in enumerate(zip(both, (_BODY, _HEAD), strict=True)):
-        _circle(picture, place, colour)
+        edge = place(unit(np.linspace(-np.pi, np.pi, 49)))
+        if np.isfinite(edge).all():
+            cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
         if cues.true is not None:
             _line(picture, place, float(cues.true[k]), (0.8, 1.25), _TRUE, 3)
         _line(picture, place, float(cues.seen[k]), (0.0, 1.0), colour, 1)
         arrow(picture, place, float(cues.estimated[k]), colour, 2)
     return picture
-
-
-def _circle(picture: Image, place: Place, colour: Colour) -> None:
-    edge = place(unit(np.linspace(-np.pi, np.pi, 49)))
-    if np.isfinite(edge).all():
-        cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, 4)
 
 
 def _line(
@@ -283,5 +273,5 @@ def _line(
     """A part of a radius, from one share of it to another."""
     ends = place(np.outer(reach, unit(angle)))
     if np.isfinite(ends).all():
-        cv2.polylines(picture, [points(ends)], False, DARK, width + 2, cv2.LINE_AA, 4)
-        cv2.polylines(picture, [points(ends)], False, colour, width, cv2.LINE_AA, 4)
+        for shade, wide in ((DARK, width + 2), (colour, width)):
+            cv2.polylines(picture, [points(ends)], False, shade, wide, cv2.LINE_AA, FRACTION)

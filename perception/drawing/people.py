@@ -1,9 +1,4 @@
-"""People as they were observed, drawn: boxes, ids, and where bodies and heads point.
-
-Estimated people, drawn into their frames: boxes, identities, paths, and where bodies and heads point.
-
-What a tracker says of a frame, drawn: particles, box, pan, tilt and cues.
-"""
+"""People drawn into their frames: as observed, as estimated, and as a tracker follows one."""
 
 from __future__ import annotations
 
@@ -25,8 +20,7 @@ from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
-_RADII = 0.8, 0.55
-"""Metres on the ground, of the arrows of body and head."""
+_RADII = 0.8, 0.55  # metres on the ground, of the arrows of body and head
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +83,7 @@ def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera
     """
     picture, factor = marks.enlarged_image(image), marks.enlargement(image)
     width = marks.line_width(picture)
-    people = sorted(
-        people, key=lambda person: float(person.box[1] + person.box[3])
-    )  # who is near is in front
+    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # near is in front
     for person in people:  # fans first, so that they hide no box
         on_ground, at_head = _planes(person, camera, factor)
         marks.fan(picture, on_ground, person.body, _BODY, marks.person_colour(person.track_id))
@@ -113,12 +105,9 @@ def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Pla
     return marks.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)
 
 
-_TRACKED_RADII = 0.8, 0.6
-"""Metres on the ground, of the arrows of body and head."""
-_HEAD_BELOW = 0.08
-"""Height of the head's middle below the top of a box, in its heights."""
-_INTERVAL = 1.96
-"""Standard deviations to each side, of the sectors that hold 95 %."""
+_TRACKED_RADII = 0.8, 0.6  # metres on the ground, of the arrows of body and head
+_HEAD_BELOW = 0.08  # height of the head's middle below the top of a box, in its heights
+_INTERVAL = 1.96  # standard deviations to each side, of the sectors that hold 95 %
 _WIDEST = np.pi
 
 

@@ -102,7 +102,7 @@ def _judged(
     truth: FloatArray | None,
 ) -> FloatArray:
     """Of each detection of a frame: what is said; and whether it is right, inside the image, and written."""
-    found = joined(candidates.scored(probability.of(candidates)), search.parameters.apart)
+    found = joined(candidates.scored(probability.of(candidates)))
     right = np.zeros(len(found))
     if truth is not None:
         away = np.linalg.norm(camera.image_to_ground(found.foot)[:, None] - truth, axis=2)

@@ -21,7 +21,6 @@ from perception.observe.pipeline import (
     Models,
     SeenPerson,
     by_frame,
-    by_track,
     channels_of,
     head_in_image,
     is_on_ground,
@@ -145,7 +144,8 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
             continue
         key, truth = track.track_id, clip.truth[track.track_id]
         heads = causal.heads[key]
-        items = [item for item in by_track(seen)[key] if is_on_ground(item, clip.camera)]
+        of_track = sorted((item for item in seen if item.track_id == key), key=lambda item: item.frame)
+        items = [item for item in of_track if is_on_ground(item, clip.camera)]
         found.append(
             ObservedPerson(
                 track,

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from perception.follow.guidance import GraphGuide
 
 
-_EVEN = 2.0
-"""Grey levels: an image whose pixels differ by less on average shows nothing."""
+_EVEN = 2.0  # grey levels: an image whose pixels differ by less on average shows nothing
 
 
 @dataclass(frozen=True, eq=False)

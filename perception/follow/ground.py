@@ -24,11 +24,9 @@ Of exact boxes of rendered people, to 3 m from the nadir of a fisheye 2.9 m abov
 0.10 m by the middle at 1.0 m; 0.28 m by the box's point that is nearest to the nadir, which is no foot where
 the person is below the camera or diagonal to it; and 0.96 m by the lower edge."""
 
-_LEVEL = 0.3
-"""Rendered walkers' heads leave their course by so much less down the image than across it."""
+_LEVEL = 0.3  # rendered walkers' heads leave their course by so much less down the image than across it
 _HEAD = PoseClasses.circle(HEAD_CLASSES)
-_ELSEWHERE = 1e-3
-"""Likelihood, over the greatest, of pans that classes of a part of the circle leave out."""
+_ELSEWHERE = 1e-3  # likelihood, over the greatest, of pans that classes of a part of the circle leave out
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ GUIDE_MODEL = Model("position", steady(Parameters(MotionParameters(acceleration_
 """People who walk on: white noise of 0.01 m²/s³ is what takes rendered walkers off their course within one or
 two seconds. The package's own models expect people who turn and run, and soon say nothing of where one is."""
 
-_WIDEST = 1e4
-"""Pixels: a prediction that is less sure than that says nothing."""
+_WIDEST = 1e4  # pixels: a prediction that is less sure than that says nothing
 
 
 @dataclass(frozen=True)
@@ -57,8 +56,7 @@ class DoubtParameters:
     patience: float = 2.5
 
 
-_FEWEST = 8
-"""Frames from which a deviation is learned."""
+_FEWEST = 8  # frames from which a deviation is learned
 
 
 class Doubt:
@@ -109,10 +107,9 @@ class GraphGuide:
     there is none), and before the next it predicts the middle of the target's box. While the target is
     hidden the prediction goes on with the last velocity and becomes less and less sure.
 
-    A tracker clings to what it still sees of a target that something begins to hide, and then to what is
-    most like it. So an estimate is not taken in when it is much less sure than those before it (`Doubt`);
-    and when the target is lost, or doubted, the graph forgets what it was told since the target was a box's
-    width away, and predicts from what it knew then.
+    A tracker clings to what it still sees of a target that something begins to hide. So an estimate is not
+    taken in when it is much less sure than those before it (`Doubt`); and when the target is lost, or
+    doubted, the graph forgets what was observed since the target was a box's width away.
 
     Parameters
     ----------

@@ -1,7 +1,4 @@
-"""Which boxes tell about the ground: whole ones, grouped by people, no more than are needed.
-
-A camera without a calibration: the view that the boxes of people tell, or that they do not tell it.
-"""
+"""A camera's view of the ground by the boxes of people, or a refusal where they do not tell it."""
 
 from __future__ import annotations
 
@@ -274,12 +271,7 @@ def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters
             "the heights of boxes do not tell the ground",
             "a camera that looks down by less than 60°, or a calibration",
         )
-    beyond = (
-        focal > parameters.largest_focal,
-        tilt > parameters.largest_tilt,
-        distance_std > parameters.largest_distance,
-    )
-    if any(beyond):
+    if _share(fit, distance_std, parameters) > 1.0:
         raise ViewUnknown(
             f"boxes that do not tell the ground: focal length ± {100 * focal:.0f} %, tilt ± "
             f"{np.degrees(tilt):.0f}°, distances ± {100 * distance_std:.0f} %",
@@ -287,17 +279,18 @@ def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters
         )
 
 
+def _share(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> float:
+    """The largest uncertainty as a share of what is of any use."""
+    focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
+    p = parameters
+    return max(focal / p.largest_focal, tilt / p.largest_tilt, distance_std / p.largest_distance)
+
+
 def _notes(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> tuple[str, ...]:
     notes = [
         f"scale: people's boxes are taken to be {parameters.person_height:g} m high on average",
         "the lens is taken to be without distortion, its axis to pass through the middle of the image",
     ]
-    focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
-    share = max(
-        focal / parameters.largest_focal,
-        tilt / parameters.largest_tilt,
-        distance_std / parameters.largest_distance,
-    )
-    if share > parameters.wide:
+    if _share(fit, distance_std, parameters) > parameters.wide:
         notes.append("this view tells little: more people, nearer and farther ones, would tell more")
     return tuple(notes)

@@ -1,11 +1,8 @@
-"""How a camera over the ground sees people: how high their boxes are, by where their lower edges are.
-
-A robust fit of a view to the boxes of people, with its uncertainty.
+"""A robust fit of a camera's view to the heights of people's boxes, with its uncertainty.
 
 The logarithm of each box's height, less the one that the view gives a person of mean height at that place, is
 the person's own deviation (one number for all boxes of a person) plus an error of the box with the tails of
-Student's distribution. The people's deviations are integrated out: how somebody's box grows on the way
-towards the camera tells more than how high strangers are. Who is no person of usual height (false
+Student's distribution. The people's deviations are integrated out. Who is no person of usual height (false
 detections, children) may have any deviation.
 """
 
@@ -117,8 +114,7 @@ def box_heights(vector: FloatArray, feet: FloatArray, radius: float = RADIUS) ->
     return np.where(seen & (found > 0.0), found, np.nan)
 
 
-_TAILS = 3.0
-"""Degrees of freedom of Student's distribution."""
+_TAILS = 3.0  # degrees of freedom of Student's distribution
 _STEP = 1e-5
 _LONGEST = 0.3
 _WORST = 3.0
@@ -164,11 +160,6 @@ class HeightData:
     """Of the image, in pixels; the longer side."""
 
 
-def prior_of(width: float) -> tuple[FloatArray, FloatArray]:
-    """Mean and 1-σ (4,) of what is known of any camera whose images are so wide."""
-    return np.array([np.log(1.1 * width), np.deg2rad(20.0), 0.0, np.log(3.0)]), _SPREAD.copy()
-
-
 def fitted(data: HeightData) -> Fit:
     """The best view from several beginnings."""
     rough = [_climbed(data, start, steps=12) for start in _starts(data)]
@@ -206,7 +197,7 @@ def _residuals(data: HeightData, vector: FloatArray, radius: float = RADIUS) -> 
 
 def _climbed(data: HeightData, start: FloatArray, steps: int) -> Fit:
     """Gauss–Newton steps with weights that are taken anew at each (iteratively reweighted least squares)."""
-    mean, spread = prior_of(data.width)
+    mean, spread = np.array([np.log(1.1 * data.width), np.deg2rad(20.0), 0.0, np.log(3.0)]), _SPREAD
     known = np.diag(spread**-2.0)
     vector = start.copy()
     residual = _residuals(data, vector)

@@ -19,10 +19,8 @@ from perception.detection.boxes import PersonBox, foot_point
 from perception.detection.ground_search import LEAN, PersonSizes
 from perception.images.pixels import Image
 
-_PERSON = 1.75
-"""Metres from the ground to above the head."""
-_WIDTH = 0.41
-"""Of an upright box, in its heights."""
+_PERSON = 1.75  # metres from the ground to above the head
+_WIDTH = 0.41  # of an upright box, in its heights
 _SHORTEST = 0.6
 """Length of a person in the picture, in what 1.75 m of the ground measure there: from above, people are not
 short but wide."""
@@ -30,8 +28,7 @@ _TOWARDS_FEET = 0.8
 """Where the feet are between the middle of a leaning person's box (0) and its edge (1): as measured by the
 reader of CAVIAR's lobby, `graphtrack.io.formats.caviar`."""
 _GRID = 12
-_MARGIN = 0.5
-"""About an upright box, in its heights, that a turned picture has."""
+_MARGIN = 0.5  # about an upright box, in its heights, that a turned picture has
 
 Box = tuple[float, float, float, float]
 

@@ -1,12 +1,7 @@
-"""What a file given as a video is, by its first bytes.
+"""Frames of a video or of a folder of images, in their order, with those that cannot be decoded.
 
-FFmpeg, with which OpenCV decodes, takes far more than videos: it draws text as a terminal does, shows any
-bytes as text-mode art, and opens the files and addresses that a playlist names. So only files that begin as
-videos do are given to it.
-
-Frames of a video or of a folder of images, one after the other, with those that cannot be decoded.
-
-Frames that somebody waits for: how far their decoding came is told.
+FFmpeg, with which OpenCV decodes, takes far more than videos: it draws text as a terminal does, and opens the
+files and addresses that a playlist names. So only files that begin as videos do are given to it.
 """
 
 from __future__ import annotations
@@ -52,10 +47,8 @@ _PICTURES: tuple[tuple[int, bytes], ...] = (
     (0, b"MM\x00*"),
     *((0, b"P%d" % kind) for kind in range(4, 8)),  # PBM, PGM, PPM, PAM
 )
-_RAW = b"YUV4MPEG2 "
-"""Raw pixels after a line of text: they may look like text themselves."""
-_CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")
-"""Bytes that no text has."""
+_RAW = b"YUV4MPEG2 "  # raw pixels after a line of text: they may look like text themselves
+_CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")  # bytes that no text has
 _PACKETS = (188, 192, 204)
 """Bytes of a packet of an MPEG transport stream, which begins with 0x47; the first may be cut."""
 _HEAD = 4 * 204
@@ -63,7 +56,7 @@ _VIDEOS = "a video (MP4, MOV, AVI, Matroska, WebM, MPEG, ...) or a folder of ima
 
 
 def check_video(path: Path) -> bool:
-    """Refuse a file that does not begin as a video or a picture does; whether it may be a single picture.
+    """Return whether a file may be a single picture; refuse one that begins neither as that nor as a video.
 
     Raises
     ------
@@ -84,11 +77,6 @@ def check_video(path: Path) -> bool:
     else:
         found = "something else"
     raise InputError(found, _VIDEOS, path=path)
-
-
-def a_picture(path: Path) -> InputError:
-    """The error for a single picture in place of a video."""
-    return InputError("a single picture", "a video, or the folder that the picture is in", path=path)
 
 
 def _has(head: bytes, signatures: tuple[tuple[int, bytes], ...]) -> bool:
@@ -124,8 +112,7 @@ def is_cut_off(path: Path) -> bool:
 
 
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
-_MOST_BAD = 50
-"""Frames in a row that cannot be decoded, after which a video has ended early."""
+_MOST_BAD = 50  # frames in a row that cannot be decoded, after which a video has ended early
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,9 +161,12 @@ class FrameSource:
         try:
             fps, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
             if not video.isOpened() or not video.read()[0]:
-                raise InputError("no video that can be decoded", _expected(path), path=path)
+                whole = "a whole video (an MP4 that was cut off has lost its index)"
+                kind = whole if is_cut_off(path) else "a video"
+                raise InputError("no video that can be decoded", f"{kind} or a folder of images", path=path)
             if may_be_picture and not video.read()[0]:
-                raise a_picture(path)
+                expected = "a video, or the folder that the picture is in"
+                raise InputError("a single picture", expected, path=path)
         finally:
             video.release()
         return cls(path, max(count, 1), float(fps) if np.isfinite(fps) and 0.1 < fps < 1000 else None)
@@ -228,12 +218,6 @@ class FrameSource:
         return _from_video(self.path, self.count, wanted)
 
 
-def _expected(path: Path) -> str:
-    """In place of a file that cannot be decoded."""
-    whole = "a whole video (an MP4 that was cut off has lost its index)" if is_cut_off(path) else "a video"
-    return f"{whole} or a folder of images"
-
-
 def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
     """The same frames.
 
@@ -255,13 +239,7 @@ def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
 
 
 def _images(folder: Path) -> list[tuple[int, Path]]:
-    """Images with their frame numbers, in their order: the names, where they are numbers, or 0, 1, 2 …
-
-    Raises
-    ------
-    InputError
-        If two names are the same number, or only some are numbers.
-    """
+    """Images by frame number: their names, all of which or none are different numbers, or 0, 1, 2 …"""
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
     numbered = [path for path in paths if path.stem.isascii() and path.stem.isdigit()]
     if not numbered:

@@ -1,7 +1,4 @@
-"""Images as they come, made into what features need.
-
-Where drawn pictures go: a video or a folder of images, whole or not at all.
-"""
+"""Images and boxes: checked, cut out, compared; and drawn pictures written as a video or a folder."""
 
 from __future__ import annotations
 
@@ -190,12 +187,7 @@ def pictures(path: Path, fps: float) -> Iterator[Write]:
 
 @contextmanager
 def _video(path: Path, fps: float, shown: Path) -> Iterator[Write]:
-    """A function that adds a picture; the video is opened with the size of the first.
-
-    Parameters
-    ----------
-    shown : the path that messages name
-    """
+    """Open a video with the size of the first picture; ``shown`` is the path that messages name."""
     writer: cv2.VideoWriter | None = None
     size: tuple[int, ...] = ()
     count = 0

@@ -1,4 +1,4 @@
-"""What is known of frames so far, in a file, so that a run that was broken off goes on where it was."""
+"""A journal of finished frames in a file, so that an interrupted run continues where it was."""
 
 from __future__ import annotations
 
@@ -82,10 +82,7 @@ class FrameJournal(Generic[T]):
         self._stream.flush()
 
     def _take(self, first: bytes) -> bool:
-        """Take over the frames after the line ``first``, if it is the file's.
-
-        A line that cannot be used, such as the one in which a run was broken off, ends them.
-        """
+        """Take over the frames after the file's line ``first``, up to one that cannot be used."""
         with self.path.open("rb") as stream:
             if stream.readline() != first:
                 return False

@@ -9,7 +9,14 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import Track, TrackSet, to_columns
-from perception.detection.boxes import Detections, Detector, PersonBox, boxes_of, with_keypoints
+from perception.detection.boxes import (
+    Detections,
+    Detector,
+    PersonBox,
+    boxes_by_frame,
+    boxes_of,
+    with_keypoints,
+)
 from perception.detection.hog import PeopleDetector
 from perception.detection.rescoring import GroundDetector
 from perception.images.frames import Frame
@@ -63,11 +70,8 @@ class LiveObserver:
         seen = observe_frame(image, frame, boxes, self.models, refuse)
         if self.camera is None and seen:
             self.camera = scaled_camera({frame: SeenFrame(seen, [])}, causal=True)
-        return [
-            row
-            for item in sorted(seen, key=lambda item: item.track_id)
-            if (row := self._row(item, refuse)) is not None
-        ]
+        found = [self._row(item, refuse) for item in sorted(seen, key=lambda item: item.track_id)]
+        return [row for row in found if row is not None]
 
     def _row(self, item: SeenPerson, refuse: Callable[[str], object]) -> dict[str, Any] | None:
         assert self.camera is not None
@@ -97,9 +101,7 @@ def observe_live(
 
 def given_boxes(boxes: Iterable[PersonBox]) -> Finder:
     """Boxes that are known."""
-    by_frame: dict[int, list[PersonBox]] = {}
-    for item in boxes:
-        by_frame.setdefault(item.frame, []).append(item)
+    by_frame = boxes_by_frame(boxes)
     return lambda frame, image: by_frame.get(frame, [])
 
 

@@ -1,9 +1,4 @@
-"""What was seen of people in frames, and how a journal writes it down.
-
-What keypoints say of people: where body and head point, and where the head is.
-
-From frames and boxes to the table of observations that `graphtrack` smooths.
-"""
+"""Observed people of each frame: models look at boxes, and observations become the fields of tracks."""
 
 from __future__ import annotations
 
@@ -21,7 +16,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
-from perception.detection.boxes import PersonBox, foot_point, points_of
+from perception.detection.boxes import PersonBox, boxes_by_frame, foot_point, points_of
 from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
@@ -69,7 +64,7 @@ class SeenPerson:
         return np.asarray(foot_point(self.box) if self.standing is None else self.standing.foot, float)
 
     def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
+        """Return a JSON object."""
         record = {
             "frame": self.frame,
             "track_id": self.track_id,
@@ -138,8 +133,7 @@ def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
 
 _HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065
 """Of a head, and of its middle below the top, in heights of the person's box."""
-_LEAST = 0.2
-"""Confidence from which on a point of the face says where the head is."""
+_LEAST = 0.2  # confidence from which on a point of the face says where the head is
 
 
 def said_by_keypoints(
@@ -231,9 +225,9 @@ def observe_frame(
     light = light_of(image) if models.appearance else None
     for item in _usable(image, frame, boxes, refuse):
         standing = standing_in(models.view, item.box)
-        people.append(_Cut(item, crop(*upright_picture(image, item.box, standing)), standing))
+        people.append((item, crop(*upright_picture(image, item.box, standing)), standing))
         # However many people there are, their pictures take no more memory than a few of the whole image.
-        if sum(cut.picture.size for cut in people) > image.size:
+        if sum(picture.size for _, picture, _ in people) > image.size:
             seen += _look(image, people, models, light)
             people = []
     return seen + _look(image, people, models, light)
@@ -252,39 +246,29 @@ def _usable(
             yield item
 
 
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """A person, the picture of the box, and how they stand in the image if they lean."""
-
-    item: PersonBox
-    picture: Image
-    standing: Standing | None
+_Cut = tuple[PersonBox, Image, Standing | None]
+"""A person, the picture of the box, and how they stand in the image if they lean."""
 
 
 def _look(image: Image, people: list[_Cut], models: Models, light: FloatArray | None) -> list[SeenPerson]:
     """What the models say of people and the pictures of their boxes; given the light, their looks too."""
     if not people:
         return []
+    items, shown, standing = zip(*people, strict=True)
     if models.of_keypoints is not None:
-        said = said_by_keypoints([cut.item for cut in people], models.of_keypoints)
+        said = said_by_keypoints(items, models.of_keypoints)
     elif models.of_camera is not None:
-        said = models.of_camera.look(
-            image, [cut.item.box for cut in people], [cut.standing for cut in people]
-        )
+        said = models.of_camera.look(image, [item.box for item in items], standing)
     else:
-        said = _said([cut.picture for cut in people], models)
-    looks: Sequence[NDArray[np.uint8] | None] = [None] * len(people)
-    if light is not None:
-        looks = list(describe([cut.picture for cut in people], light))
+        said = _said(shown, models)
+    looks = [None] * len(people) if light is None else describe(shown, light)
     return [
-        SeenPerson(
-            cut.item.frame, cut.item.track_id, cut.item.box, *of_person, cut.item.score, look, cut.standing
-        )
-        for cut, of_person, look in zip(people, said, looks, strict=True)
+        SeenPerson(item.frame, item.track_id, item.box, *of_person, item.score, look, how)
+        for item, of_person, look, how in zip(items, said, looks, standing, strict=True)
     ]
 
 
-def _said(pictures: list[Image], models: Models) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
+def _said(pictures: Sequence[Image], models: Models) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
     """Of each picture: the body's log likelihoods, heads, and theirs, by the models of any camera."""
     body = models.body_pose.log_likelihoods(pictures)
     candidates = [models.head_localiser.locate(picture) for picture in pictures]
@@ -323,9 +307,7 @@ def observe(
     Frames that the journal has need not come again. Frames that cannot be decoded, boxes that hold nothing
     and boxes of frames that do not come are told to ``refuse``.
     """
-    by_frame: dict[int, list[PersonBox]] = {}
-    for item in boxes:
-        by_frame.setdefault(item.frame, []).append(item)
+    by_frame = boxes_by_frame(boxes)
     count, came = 0, set(journal.frames)
     for known in journal.frames.values():
         for reason in known.refused:
@@ -400,14 +382,6 @@ def channels_of(
         "score": scores if np.isfinite(scores).any() else None,
         "inputs": inputs,
     }
-
-
-def by_track(seen: Iterable[SeenPerson]) -> dict[int, list[SeenPerson]]:
-    """What was seen of each person, by id and then by frame."""
-    groups: dict[int, list[SeenPerson]] = {}
-    for item in sorted(seen, key=lambda item: (item.track_id, item.frame)):
-        groups.setdefault(item.track_id, []).append(item)
-    return groups
 
 
 def in_heights(item: SeenPerson) -> HeadCandidates:

@@ -1,9 +1,4 @@
-"""Rows of detections, which stand alone, made some frames at a time.
-
-Tracks of observed people, made in two passes over the frames: few of them are in memory at a time.
-
-Estimates of the people in boxes: identities, then position, motion, body and head.
-"""
+"""Tables of observations and estimates, made of what was seen some frames at a time."""
 
 from __future__ import annotations
 
@@ -33,10 +28,8 @@ from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
 from perception.pose.head_detection import HeadCandidates, HeadPath, select_along_track, select_so_far
 
-_AT_ONCE = 512
-"""Rows that are made together."""
-_LOOKS = 8192
-"""People by whom it is found out what varies."""
+_AT_ONCE, _ROWS_AT_ONCE = 512, 64  # rows that are made together: of detections, and of a track
+_LOOKS = 8192  # people by whom it is found out what varies
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +168,6 @@ def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
     return Projection.fitted(np.array(looks, np.uint8).reshape(-1, LENGTH))
 
 
-_ROWS_AT_ONCE = 64
-"""Rows of a track that are made together."""
-
-
 @dataclass(eq=False)
 class _Heads:
     """The head's candidates in the frames of one track, in heights of the person: boxes and scores."""
@@ -252,7 +241,10 @@ def to_tracks(
         items, start = pending[track_id], done[track_id]
         if items:
             chosen = heads[track_id][start : start + len(items)]
-            parts[track_id].append(_fields(items, chosen, head_classes, camera, fps, projection))
+            known = channels_of(items, chosen, head_classes, camera, fps, projection=projection)
+            known |= known.pop("inputs")
+            known["score"] = np.array([item.score for item in items], float)  # NaN where not known
+            parts[track_id].append(known)
             pending[track_id], done[track_id] = [], start + len(items)
 
     for item in _on_ground(frames, camera):
@@ -270,20 +262,6 @@ def to_tracks(
 def _on_ground(frames: Mapping[int, SeenFrame], camera: GroundCamera) -> Iterator[SeenPerson]:
     for number in sorted(frames):
         yield from (item for item in frames[number].people if is_on_ground(item, camera))
-
-
-def _fields(
-    items: list[SeenPerson],
-    heads: NDArray[np.int64],
-    head_classes: PoseClasses,
-    camera: GroundCamera,
-    fps: float,
-    projection: Projection,
-) -> dict[str, Any]:
-    """Those of a piece of a track, with what is not known as NaN or left out."""
-    known = channels_of(items, heads, head_classes, camera, fps, projection=projection)
-    inputs = known.pop("inputs")
-    return known | inputs | {"score": np.array([item.score for item in items], float)}
 
 
 def _joined(track_id: int, parts: list[dict[str, Any]]) -> Track:

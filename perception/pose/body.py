@@ -18,8 +18,7 @@ from perception.pose.features import fisher_projection, multi_level_hog, sparse_
 
 _WIDTH, _HEIGHT = 64, 128
 _LEVELS = ((4, 2), (8, 4))
-_LEAST = 1e-9
-"""A share below every other, whose logarithm is finite."""
+_LEAST = 1e-9  # A share below every other, whose logarithm is finite
 
 Projection = Literal["fisher", "none"]
 

@@ -1,8 +1,4 @@
-"""AdaBoost on stumps over real features, quantised once.
-
-Boosted detectors of heads, by two directions of a block or by its Fisher discriminant (Chen et al. 2011,
-§2.2).
-"""
+"""AdaBoost on stumps, and boosted detectors of heads over blocks of gradients (Chen et al. 2011, §2.2)."""
 
 from __future__ import annotations
 
@@ -88,8 +84,7 @@ def _best(codes: Any, signed: Any) -> Any:
 Weak = Literal["differential", "fisher"]
 
 _PAIRS = np.array([(a, b) for a in range(BINS) for b in range(a + 1, BINS)])
-_RENEWED = 25
-"""Rounds after which the Fisher discriminants are learned anew with the weights of then."""
+_RENEWED = 25  # rounds after which the Fisher discriminants are learned anew with the weights of then
 
 
 class BoostedBlocks:
@@ -128,7 +123,9 @@ class BoostedBlocks:
         n = len(labels)
         weights = np.where(labels > 0, 0.5 / np.sum(labels > 0), 0.5 / np.sum(labels < 0))
         found: list[tuple[int, NDArray[np.float32], float, float]] = []
-        directions = _pair_directions()
+        directions = (
+            np.eye(BINS, dtype=np.float32)[_PAIRS[:, 0]] - np.eye(BINS, dtype=np.float32)[_PAIRS[:, 1]]
+        )
         quantised = None
         if weak == "differential":
             differences = histograms[:, :, _PAIRS[:, 0]] - histograms[:, :, _PAIRS[:, 1]]
@@ -173,13 +170,6 @@ class BoostedBlocks:
             integral, rows, columns, blocks, self.direction, used, count, self.threshold, weight, normalised
         )
         return np.asarray(total / float(weight.sum()), float)
-
-
-def _pair_directions() -> NDArray[np.float32]:
-    directions = np.zeros((len(_PAIRS), BINS), np.float32)
-    directions[np.arange(len(_PAIRS)), _PAIRS[:, 0]] = 1.0
-    directions[np.arange(len(_PAIRS)), _PAIRS[:, 1]] = -1.0
-    return directions
 
 
 def _fisher_directions(

@@ -1,7 +1,4 @@
-"""The classes into which poses are divided.
-
-Class likelihoods of the image as those of the world, or of other classes.
-"""
+"""The classes into which poses are divided, and class likelihoods of the image as those of the world."""
 
 from __future__ import annotations
 

@@ -1,14 +1,9 @@
-"""How honest class likelihoods are, and the one number that makes them more so.
-
-What every pose classifier has in common: fit, log likelihoods, calibration and a file.
-
-Errors of pose classifiers on labelled images.
-"""
+"""Pose classifiers: what all have in common (fit, calibrated log likelihoods, file), and their errors."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -55,9 +50,8 @@ def fit_temperature_and_share(
 ) -> tuple[float, float]:
     """Temperature and `with_neighbours` share of the highest likelihood of the labels, together.
 
-    Angles near the border of two classes are told as either: a temperature alone, which must make up for
-    that too, leaves the surest answers too sure. The parameters are those of `fit_temperature`, for classes
-    all around a circle.
+    A temperature alone must also make up for angles near the border of two classes, and leaves the surest
+    answers too sure. The parameters are those of `fit_temperature`, for classes all around a circle.
     """
     rows = np.arange(len(labels))
     start = np.log(fit_temperature(scores, labels, groups=groups))
@@ -151,10 +145,6 @@ class FeatureClassifier(Stored):
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Take over what `arrays` gave."""
 
-    def settings(self) -> dict[str, Any]:
-        """Return the arguments of the constructor besides classes and seed, for the file."""
-        return {name: getattr(self, name) for name in self.options}
-
     def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
         """Learn from images (h, w, 3) or (h, w) uint8 and class indices (n,).
 
@@ -167,7 +157,8 @@ class FeatureClassifier(Stored):
         rng = np.random.default_rng(self.seed)
         train, held_out = split(labels, _HELD_OUT, rng)
         chosen = [images[i] for i in train]
-        features = self._all_features([*chosen, *(np.ascontiguousarray(image[:, ::-1]) for image in chosen)])
+        mirrored = (np.ascontiguousarray(image[:, ::-1]) for image in chosen)
+        features = _in_batches(self.features, [*chosen, *mirrored])
         both = np.concatenate([labels[train], self.classes.reflected(labels[train])])
         self.fit_features(features, both, rng)
         scores = self._all_scores([images[i] for i in held_out])
@@ -222,7 +213,7 @@ class FeatureClassifier(Stored):
         """Classes, arguments of the constructor and calibration."""
         return {
             "classes": asdict(self.classes),
-            "settings": self.settings(),
+            "settings": {name: getattr(self, name) for name in self.options},
             "seed": self.seed,
             "temperature": self.temperature,
             "neighbour_share": self.neighbour_share,
@@ -239,17 +230,12 @@ class FeatureClassifier(Stored):
         return model
 
     def _all_scores(self, images: Sequence[Image]) -> FloatArray:
-        return np.concatenate(
-            [
-                self.scores(self.features(images[start : start + _BATCH]))
-                for start in range(0, len(images), _BATCH)
-            ]
-        )
+        return _in_batches(lambda some: self.scores(self.features(some)), images)
 
-    def _all_features(self, images: Sequence[Image]) -> FloatArray:
-        return np.concatenate(
-            [self.features(images[start : start + _BATCH]) for start in range(0, len(images), _BATCH)]
-        )
+
+def _in_batches(function: Callable[[Sequence[Image]], FloatArray], images: Sequence[Image]) -> FloatArray:
+    parts = [function(images[start : start + _BATCH]) for start in range(0, len(images), _BATCH)]
+    return np.concatenate(parts)
 
 
 def check_labels(

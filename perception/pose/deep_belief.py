@@ -21,9 +21,6 @@ from perception.pose.classifier import FeatureClassifier
 SIDE = 32
 """Pixels of the equalised head's side."""
 
-Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
-"""Weights (inputs, units) and biases (units,)."""
-
 
 class DeepBelief(FeatureClassifier):
     """softmax(W₃·max(0, W₂·max(0, W₁·z + b₁) + b₂) + b₃) of the 32 × 32 equalised pixels z in 0…1.
@@ -62,7 +59,7 @@ class DeepBelief(FeatureClassifier):
             raise InputError(f"dropout {dropout}", "a share from 0 to below 1")
         self.units, self.epochs = tuple(units), epochs
         self.pretraining_epochs, self.dropout = pretraining_epochs, dropout
-        self._layers: list[Layer] = []
+        self._layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []  # weights and biases
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """Equalised pixels (n, 1024) in 0…1."""

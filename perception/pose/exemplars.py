@@ -35,8 +35,7 @@ _FEW = 3
 """Exemplars of so few images take the deviations of their whole class, except in the form as published."""
 
 _FILTERS = 1 + len(SCALES)
-_WEIGHED_ON = 1200
-"""Images that choose the weights of the filters, at most."""
+_WEIGHED_ON = 1200  # images that choose the weights of the filters, at most
 _SEARCH = 70
 CENTRE_STEP, DEVIATION_STEP = 0.05, 0.02
 """Centres and deviations are whole numbers of these steps; responses are normalised, so of order 1."""

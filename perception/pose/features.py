@@ -1,21 +1,10 @@
-"""Histograms of oriented gradients.
+"""Features of heads, bodies and people.
 
-Gradient histograms of all rectangles on a 6 × 6 grid in any window, by integral histograms (Chen et al.
-2011, §2.2).
-
-One Gaussian and three rotation-invariant Gabor wavelets at the points of a disc (Ba & Odobez 2003,
-§2.1).
-
-Skin by colour histograms (Chen et al. 2011, §2.3, after Jones and Rehg).
-
-Linear algebra on features: the projection that separates classes, and sparse combinations of samples.
-
-What somebody looks like: colours and texture by parts of the body, in a few numbers.
-
-Histograms of parts of the body, weighed towards its axis, are those of SDALF (Farenzena, Bazzani, Perina,
-Murino & Cristani, Person re-identification by symmetry-driven accumulation of local features, CVPR 2010),
-here joint ones of CIE L*a*b*, with orientations of gradients beside them (Dalal & Triggs, CVPR 2005). Their
-square roots are compared, so that Euclidean distances are Hellinger's; a projection makes them short.
+Histograms of oriented gradients, and those of all rectangles on a 6 × 6 grid by integral histograms (Chen et
+al. 2011, §2.2–2.3); a Gaussian and three rotation-invariant Gabor wavelets at the points of a disc (Ba &
+Odobez 2003, §2.1); skin by colour histograms (Jones & Rehg 2002); Fisher projection and sparse combinations.
+Appearance is described by parts of the body weighed towards its axis, as SDALF (Farenzena et al., CVPR 2010),
+in CIE L*a*b* with gradients; of square roots, so that Euclidean distances are Hellinger's.
 """
 
 from __future__ import annotations
@@ -322,12 +311,7 @@ def _rgb_bins(image: Image) -> NDArray[np.int64]:
 
 
 def _bins(image: Image) -> NDArray[np.int64]:
-    """Index (h, w) of each pixel's colour, as brightness and two ratios of colours.
-
-    Brightness is relative to the bright pixels of the same image. Measured on rendered heads under random
-    lights, exposures and skin tones: 75 % of the pixels are told right so, 70 % by blue, green and red as
-    they are.
-    """
+    """Index (h, w) of brightness, relative to the image's bright pixels, and of two colour ratios."""
     light = image.astype(np.float32) + 1.0
     mean = light.mean(axis=-1)
     brightness = mean * (10.6 / max(float(np.quantile(mean, 0.9)), 1e-6))
@@ -392,12 +376,10 @@ PARTS = ((0, 11), (11, 22), (22, 33), (33, 57))
 """Rows of the head, the chest, the waist, the legs. Below are the ground and the shadow."""
 LEVELS = (6, 5, 5)
 """Bins of L*, a* and b*."""
-_TEXTURED = ((1, 4), (4, 7))
-"""Eighths of the height whose gradients count: trunk and legs."""
+_TEXTURED = ((1, 4), (4, 7))  # eighths of the height whose gradients count: trunk and legs
 _CHROMA = 15.0
 """The outermost bins of a* and b* are centred on ± this; streets and clothes have little colour."""
-_AXIS = 0.18
-"""1-σ of the weight of columns, in widths: the border is background."""
+_AXIS = 0.18  # 1-σ of the weight of columns, in widths: the border is background
 
 _COLOURS = len(PARTS) * int(np.prod(LEVELS))
 LENGTH = _COLOURS + len(_TEXTURED) * BINS
@@ -436,10 +418,7 @@ def _lab(image: Image) -> NDArray[np.float32]:
 
 
 def _colours(lab: NDArray[np.float32]) -> FloatArray:
-    """Joint histograms (n, parts · bins) of colours (n, h, w, 3) about the light, of sum 1 each.
-
-    A pixel votes for the eight nearest bins, by linear interpolation.
-    """
+    """Joint histograms (n, parts · bins), interpolated, of colours (n, h, w, 3) about the light."""
     n = len(lab)
     steps = np.array(LEVELS) - 1
     place = (lab + np.array([50.0, _CHROMA, _CHROMA])) / (100.0, 2.0 * _CHROMA, 2.0 * _CHROMA) * steps

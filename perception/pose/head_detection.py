@@ -1,7 +1,4 @@
-"""Where the head is in the box of a person (Chen et al. 2011, §2.2).
-
-Which candidate is the head in each frame of a track: temporal filtering of the places (Chen et al. 2011,
-§2.2).
+"""Head candidates in the box of a person, and their temporal filtering (Chen et al. 2011, §2.2).
 
 The paper asks for "a separate and simple temporal filtering on the head location candidates by enforcing a
 head location smoothness over time", and does not say which.
@@ -26,22 +23,18 @@ from perception.pose.boosting import BoostedBlocks, Weak
 from perception.pose.features import block_histograms, corner_sums, integral_histogram
 from perception.storage import ModelCard, Stored
 
-_HEIGHT = 128
-"""Rows to which a person's box is resized."""
-_WIDEST = 4 * _HEIGHT
-"""Columns to which it is resized at most: who is in a box of another shape is squeezed."""
+_HEIGHT = 128  # rows to which a person's box is resized
+_WIDEST = 4 * _HEIGHT  # columns to which it is resized at most: who is in a box of another shape is squeezed
 _HEAD_HEIGHTS = (14.0, 17.0, 20.0, 24.0)
 _ASPECTS = (0.68, 0.85)
 _STEP = 2.5
-_LOWEST = 0.30
-"""Centres of heads lie in this upper share of the box, unless the localiser is plain."""
+_LOWEST = 0.30  # centres of heads lie in this upper share of the box, unless the localiser is plain
 _AROUND = 1.3
 _OVERLAP = 0.2
 _FIRST_ROUNDS, _KEPT = 30, 250
 _NEGATIVE_OVERLAP = 0.35
 _HELD_OUT = 0.2
-_ANYTHING = -1e6
-"""A threshold below every score."""
+_ANYTHING = -1e6  # A threshold below every score
 _PLACE_WEIGHTS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1)
 """Scores that one squared deviation of the place costs, to choose from."""
 
@@ -207,8 +200,7 @@ class HeadLocaliser(Stored):
 
 def _places(windows: FloatArray, width: int) -> FloatArray:
     """Centres over the size of a crop of 128 rows, and logarithms of sizes, (n, 4) of windows (n, 4)."""
-    size = (width, _HEIGHT)
-    centre = (windows[:, :2] + windows[:, 2:] / 2.0) / size
+    centre = (windows[:, :2] + windows[:, 2:] / 2.0) / (width, _HEIGHT)
     return np.hstack([centre, np.log(windows[:, 2:] / _HEIGHT)])
 
 
@@ -245,8 +237,7 @@ def _refined(windows: FloatArray, scores: FloatArray, best: int) -> FloatArray:
     return np.asarray(weight @ windows[near] / weight.sum(), float)
 
 
-_SMOOTHNESS = 2.0
-"""Score that a step of one head height costs."""
+_SMOOTHNESS = 2.0  # score that a step of one head height costs
 
 
 class HeadPath:

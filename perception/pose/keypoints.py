@@ -1,9 +1,4 @@
-"""COCO's 17 points of a person, and how other conventions are turned into them.
-
-Where body and head point, by the points of a pose network.
-
-Keypoints that others have found: JSON as COCO results, OpenPose and MMPose write it.
-"""
+"""Keypoints in COCO's order: other conventions, files of other tools, and where body and head point."""
 
 from __future__ import annotations
 
@@ -114,8 +109,7 @@ FLOOR = 0.05
 
 _FACE = 5
 _SURE = 0.95
-_UNSEEN = 0.05
-"""Confidence up to which a point is not there."""
+_UNSEEN = 0.05  # confidence up to which a point is not there
 _ORDER = np.array(USED)
 
 
@@ -247,8 +241,7 @@ def _layers(name: str, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Laye
 
 
 _EXPECTED = "keypoints of COCO (a list with image_id, keypoints), OpenPose (people) or MMPose (instances)"
-_LARGEST = 1e6
-"""Pixels beyond which a point is nowhere."""
+_LARGEST = 1e6  # pixels beyond which a point is nowhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,21 +289,15 @@ def read_keypoints(
 
 
 def _checked(path: Path, people: Iterable[PersonPoints]) -> list[PersonPoints]:
-    found = _with_confidences(sorted(people, key=lambda person: person.frame))
+    found = sorted(people, key=lambda person: person.frame)
     if not found:
         raise InputError("nobody", "at least one person's keypoints", path=path)
+    # Annotations have visibilities 0, 1 (hidden) and 2 (seen) in place of confidences.
+    every = np.array([person.points[:, 2] for person in found])
+    whole = 2.0 if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any() else 1.0
+    for person in found:
+        person.points[:, 2] = np.clip(person.points[:, 2] / whole, 0.0, 1.0)
     return found
-
-
-def _with_confidences(people: list[PersonPoints]) -> list[PersonPoints]:
-    """The same with visibilities 0, 1 (hidden) and 2 (seen), as annotations have them, as confidences."""
-    every = np.array([person.points[:, 2] for person in people]).ravel()
-    if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any():
-        for person in people:
-            person.points[:, 2] /= 2.0
-    for person in people:
-        np.clip(person.points[:, 2], 0.0, 1.0, out=person.points[:, 2])
-    return people
 
 
 def _loaded(path: Path) -> Any:

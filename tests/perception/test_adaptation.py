@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from command import run
+from street_files import write_street
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -28,22 +28,9 @@ from perception.adaptation.labels import (
 )
 from perception.adaptation.learning import AdaptationParameters, thinned
 from perception.adaptation.models import CameraModels
-from perception.detection.boxes import write_boxes
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models, observe_frame
 from perception.synthetic.clips import FPS, PastedStreet, pasted_street
-
-
-def write_street(street: PastedStreet, folder: Path) -> list[object]:
-    """A folder of frames, boxes and a homography; the arguments of a command that name them."""
-    (folder / "frames").mkdir(parents=True)
-    for frame in street.frames:
-        assert frame.image is not None
-        cv2.imwrite(str(folder / "frames" / f"{frame.number:04d}.png"), frame.image)
-    write_boxes(street.boxes, folder / "boxes.txt")
-    np.savetxt(folder / "homography.txt", street.camera.homography)
-    options = ["--boxes", folder / "boxes.txt", "--homography", folder / "homography.txt", "--fps", FPS]
-    return [folder / "frames", *options]
 
 
 @pytest.fixture(scope="module")

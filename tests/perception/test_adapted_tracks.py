@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from command import run
+from street_files import write_street
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
@@ -21,7 +21,7 @@ from perception.adaptation.directions import (
 )
 from perception.adaptation.labels import ABOVE, COLUMNS, ROWS, TALL, as_patch, surroundings, walking_labels
 from perception.adaptation.learning import AdaptationParameters, Scenery, joined, rendered_people, thinned
-from perception.detection.boxes import PersonBox, write_boxes
+from perception.detection.boxes import PersonBox
 from perception.images.frames import Frame
 from perception.synthetic.clips import FPS, pasted_street
 from perception.synthetic.inserted import Insertion, Place, with_person
@@ -171,15 +171,10 @@ def test_a_camera_learns_from_two_recordings_and_writes_the_graph_that_goes_with
     arguments: list[object] = []
     for name, seed in (("a", 5), ("b", 6)):
         street = pasted_street(11, np.random.default_rng(seed))
-        (tmp_path / name).mkdir()
-        for frame in street.frames:
-            assert frame.image is not None
-            cv2.imwrite(str(tmp_path / name / f"{frame.number:04d}.png"), frame.image)
-        write_boxes(street.boxes, tmp_path / f"{name}.txt")
-        np.savetxt(tmp_path / "homography.txt", street.camera.homography)
-        arguments += [tmp_path / name, "--boxes", tmp_path / f"{name}.txt"]
-    arguments += ["--homography", tmp_path / "homography.txt", "--fps", FPS]
-    once = run("adapt", *arguments, "--boxes", tmp_path / "a.txt", "-o", tmp_path / "camera.npz")
+        frames, option, boxes, *options = write_street(street, tmp_path / name)
+        arguments += [frames, option, boxes]
+    arguments += options
+    once = run("adapt", *arguments, "--boxes", boxes, "-o", tmp_path / "camera.npz")
     assert once.returncode == 2 and "--boxes 3 times for 2 recordings" in once.stderr
     graph = tmp_path / "camera.toml"
     done = run("adapt", *arguments, "-o", tmp_path / "camera.npz", "--write-model", graph)

@@ -87,15 +87,23 @@ def test_rows_that_the_file_says_to_leave_out_are_told_of(tmp_path: Path) -> Non
     ]
 
 
-@pytest.mark.parametrize("name", ["boxes.txt", "boxes.xml"])
-def test_boxes_beyond_all_reason_are_refused_with_their_line(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    if name.endswith("xml"):
-        box = '<box xc="20" yc="50" w="3000000" h="3000000"/>'
-        objects = f'<objectlist>\n<object id="4">{box}</object></objectlist>'
-        path.write_text(f'<dataset>\n<frame number="7">{objects}</frame></dataset>')
-    else:
-        path.write_text("1,1,10,20,30,40,1\n1,2,-1000000,-1000000,3000000,3000000,1\n")
+XML = (
+    '<dataset>\n<frame number="7"><objectlist>\n<object id="4">'
+    '<box xc="20" yc="50" w="3000000" h="3000000"/></object></objectlist></frame></dataset>'
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line"),
+    [
+        ("boxes.txt", "1,1,10,20,30,40,1\n1,2,-1000000,-1000000,3000000,3000000,1\n", 2),
+        ("boxes.xml", XML, 3),
+    ],
+)
+def test_boxes_beyond_all_reason_are_refused_with_their_line(
+    tmp_path: Path, name: str, text: str, line: int
+) -> None:
+    (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as found:
-        read_boxes(path)
-    assert found.value.line == (3 if name.endswith("xml") else 2)
+        read_boxes(tmp_path / name)
+    assert found.value.line == line

@@ -41,9 +41,12 @@ def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> 
     return frames
 
 
-@pytest.mark.parametrize("camera", [CAMERA, None], ids=["camera", "scale"])
-@pytest.mark.parametrize("causal", [False, True], ids=["whole", "causal"])
-@pytest.mark.parametrize("known", [False, True], ids=["bare", "looks"])
+KINDS = pytest.mark.parametrize(
+    ("camera", "causal", "known"), [(CAMERA, False, True), (None, True, True), (CAMERA, True, False)]
+)
+
+
+@KINDS
 def test_rows_made_some_at_a_time_are_those_of_tracks(
     camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -60,9 +63,7 @@ def test_rows_made_some_at_a_time_are_those_of_tracks(
         np.testing.assert_allclose(found.columns[name], expected[name][order], atol=1.01e-4, err_msg=name)
 
 
-@pytest.mark.parametrize("camera", [CAMERA, None], ids=["camera", "scale"])
-@pytest.mark.parametrize("causal", [False, True], ids=["whole", "causal"])
-@pytest.mark.parametrize("known", [False, True], ids=["bare", "looks"])
+@KINDS
 def test_tracks_made_piece_by_piece_are_the_same(
     camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,6 +18,9 @@ from perception.trackers.tracker import BoxEstimate
 CENTRE = (80.0, 60.0)
 
 
+GREY = np.full((SIZE[1], SIZE[0], 3), 100, np.uint8)
+
+
 @pytest.fixture
 def estimate() -> BoxEstimate:
     return BlobTracker().start(blob_image(CENTRE), (72.0, 50.0, 16.0, 20.0))
@@ -26,8 +29,7 @@ def estimate() -> BoxEstimate:
 def changed(estimate: BoxEstimate, other: BoxEstimate, pans: bool = False) -> np.ndarray:
     """Rows and columns (n, 2) in which two pictures differ, in pixels of the image before it was enlarged."""
     classes = BlobTracker().pan_classes if pans else None
-    grey = np.full((SIZE[1], SIZE[0], 3), 100, np.uint8)
-    first, second = (draw(grey, 1, item, classes) for item in (estimate, other))
+    first, second = (draw(GREY, 1, item, classes) for item in (estimate, other))
     factor = first.shape[0] // SIZE[1]
     found = np.argwhere((first != second).any(axis=2)[:, : factor * SIZE[0]])
     return np.asarray(found / factor)
@@ -52,8 +54,7 @@ def test_the_arrow_points_down_to_the_camera_and_right_at_a_quarter(
     turned = replace(estimate, pan=pan / pan.sum())
     opposite = replace(turned, pan=np.roll(turned.pan, 6))
     # Both arrows begin in the middle; what lies on the asked side must be this one's.
-    grey = np.full((SIZE[1], SIZE[0], 3), 100, np.uint8)
-    plain, arrow = draw(grey, 1, turned), draw(grey, 1, turned, BlobTracker().pan_classes)
+    plain, arrow = draw(GREY, 1, turned), draw(GREY, 1, turned, BlobTracker().pan_classes)
     factor = plain.shape[0] // SIZE[1]
     rows, columns = np.argwhere((plain != arrow).any(axis=2)[:, : factor * SIZE[0]]).T / factor
     away = np.array([columns.mean() - CENTRE[0], rows.mean() - CENTRE[1]])

@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from command import run
+from street_files import write_street
 
-from graphtrack import io
+import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import write_calibration
@@ -111,7 +112,7 @@ def test_nobody_has_a_height_beyond_the_horizon_or_below_the_camera() -> None:
         GroundSearch(GroundCamera.from_scale(10.0), SIZE)
 
 
-def test_every_place_is_in_a_band_of_its_height() -> None:
+def test_every_place_is_in_a_band_of_its_height_which_shows_what_is_there() -> None:
     sizes = PersonSizes.of(CAMERA.ground_camera(), SIZE)
     bands = GroundBands.of(sizes, SIZE)
     feet = np.vstack(bands.foot)
@@ -120,14 +121,7 @@ def test_every_place_is_in_a_band_of_its_height() -> None:
     for band, foot, expected in zip(bands.bands, bands.foot, bands.expected, strict=True):
         np.testing.assert_allclose(TALL / band.scale, sizes.heights(foot) * np.exp(expected), rtol=1e-6)
         assert np.abs(expected).max() <= 0.1 + 1e-9
-
-
-def test_a_band_shows_what_is_there() -> None:
-    sizes = PersonSizes.of(CAMERA.ground_camera(), SIZE)
-    bands = GroundBands.of(sizes, SIZE)
-    image = np.tile(np.arange(SIZE[0], dtype=np.float64)[None, :, None] * 0.5, (SIZE[1], 1, 3)).astype(
-        np.uint8
-    )
+    image = np.tile((np.arange(SIZE[0]) // 2).astype(np.uint8)[None, :, None], (SIZE[1], 1, 3))
     for band in bands.bands:
         cut = band.cut(image)
         assert cut.shape[:2] == band.size[::-1]
@@ -291,13 +285,8 @@ def test_few_frames_of_a_long_recording_are_learned_from() -> None:
 
 @pytest.fixture(scope="module")
 def written(street: PastedStreet, tmp_path_factory: pytest.TempPathFactory) -> list[object]:
-    folder = tmp_path_factory.mktemp("street")
-    (folder / "frames").mkdir()
-    for frame in street.frames:
-        assert frame.image is not None
-        cv2.imwrite(str(folder / "frames" / f"{frame.number:04d}.png"), frame.image)
-    np.savetxt(folder / "homography.txt", street.camera.homography)
-    return [folder / "frames", "--homography", folder / "homography.txt", "--fps", FPS]
+    frames, _, _, *options = write_street(street, tmp_path_factory.mktemp("street"))
+    return [frames, *options]
 
 
 def test_observe_writes_detections_and_smooth_finds_who_is_who(
@@ -310,7 +299,7 @@ def test_observe_writes_detections_and_smooth_finds_who_is_who(
     table = pd.read_csv(out)
     assert set(table["track_id"]) == {-1} and table["score"].between(0.5, 1.0).all()
     assert not list(tmp_path.glob("seen.csv.*"))
-    people = io.read(out)
+    people = gt.read(out)
     assert 6 <= len(people) <= 14
 
 
@@ -369,16 +358,6 @@ def test_a_calibration_of_another_image_size_is_one_line(written: list[object], 
     assert done.returncode == 2 and done.stderr.count("error:") == 1
     assert "frames of 320 × 240 pixels, expected those of the calibration" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["camera.ci"]
-
-
-def test_frames_of_changing_size_are_one_line(written: list[object], tmp_path: Path) -> None:
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    for k in range(3):
-        cv2.imwrite(str(folder / f"{k}.png"), np.zeros((240 + 10 * (k == 2), 320, 3), np.uint8))
-    done = run("observe", folder, *written[1:], "-o", tmp_path / "o.csv")
-    assert done.returncode == 2 and "frame 2 of 320 × 250 pixels, expected 320 × 240" in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["frames"]
 
 
 def test_boxes_stand_on_their_feet() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import shutil
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from command import run
 from made_up_behaviour import standing
 from rerun_recordings import read_recording
+from street_files import write_street
 
 import graphtrack as gt
 from graphtrack.errors import InputError
@@ -24,7 +26,7 @@ from perception.adaptation import learning
 from perception.adaptation.learning import AdaptationParameters, learn
 from perception.adaptation.models import CameraModels
 from perception.cli import report as command
-from perception.detection.boxes import PersonBox, write_boxes
+from perception.detection.boxes import PersonBox
 from perception.drawing.people import ShownPerson, draw_tracked
 from perception.observe import pipeline
 from perception.observe.tables import METHODS, associated, estimated, numbered
@@ -50,15 +52,7 @@ def street() -> PastedStreet:
 @pytest.fixture(scope="module")
 def arguments(street: PastedStreet, tmp_path_factory: pytest.TempPathFactory) -> list[object]:
     """Frames, boxes and a camera, as the command line names them."""
-    folder = tmp_path_factory.mktemp("street")
-    (folder / "frames").mkdir()
-    for frame in street.frames:
-        assert frame.image is not None
-        cv2.imwrite(str(folder / "frames" / f"{frame.number:04d}.png"), frame.image)
-    write_boxes(street.boxes, folder / "boxes.txt")
-    np.savetxt(folder / "homography.txt", street.camera.homography)
-    boxes, homography = folder / "boxes.txt", folder / "homography.txt"
-    return [folder / "frames", "--boxes", boxes, "--homography", homography, "--fps", FPS]
+    return write_street(street, tmp_path_factory.mktemp("street"))
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +165,6 @@ def test_what_the_camera_learned_of_the_graph_is_not_the_filters(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    import shutil
-
     shutil.copytree(reported[0], tmp_path / "out")
     (tmp_path / "out" / "camera.npz").touch()
     asked = []
@@ -191,8 +183,6 @@ def test_what_the_camera_learned_of_the_graph_is_not_the_filters(
 def test_another_method_repeats_only_what_depends_on_it(
     reported: tuple[Path, str], arguments: list[object], tmp_path: Path
 ) -> None:
-    import shutil
-
     shutil.copytree(reported[0], tmp_path / "out")
     done = run("report", *arguments, "-o", tmp_path / "out", "--method", "particle")
     assert done.returncode == 0, done.stderr
