@@ -1,4 +1,4 @@
-"""`graphtrack smooth --trust`, and that of `track`."""
+"""`graphtrack smooth --trust`."""
 
 from __future__ import annotations
 
@@ -36,22 +36,6 @@ def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(
         std = gt.read(output).tracks[0].std("x")
         stds[trust] = float(np.median(std))
     assert stds[None] == stds["check"] == stds["declared"] < 0.6 * stds["learn"]
-
-
-def test_track_tells_of_a_wrong_sigma_where_it_is_asked_to(overconfident: Path, tmp_path: Path) -> None:
-    written = []
-    for given in ([], ["--trust", "check"]):
-        output = tmp_path / f"{len(given)}.csv"
-        files = (overconfident, "-o", output, "--model", "position")
-        done = run("track", *files, *given, program="graphtrack")
-        assert done.returncode == 0
-        said = [line for line in done.stderr.splitlines() if "position: the noise is" in line]
-        assert len(said) == bool(given)
-        assert all("pos_std" in line and "graphtrack smooth --trust learn" in line for line in said)
-        written.append(output.read_bytes())
-    assert written[0] == written[1]
-    done = run("track", "-", "--trust", "check", program="graphtrack")
-    assert done.returncode == 2 and "--trust" in done.stderr
 
 
 def test_what_is_streamed_cannot_be_corrected(tmp_path: Path) -> None:
