@@ -1,7 +1,4 @@
-"""Values of saved states: numbers as text, and the error for damaged ones.
-
-Arrays and records as JSON-able data, and back to the last bit.
-"""
+"""Values of saved states: arrays and records as JSON-able data, and back to the last bit."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Homographies of the plane: fitting, applying, and refusing those that cannot be trusted.
-
-The camera above a ground plane: pixels ↔ metres, and pose angles in the image ↔ angles in the world.
+"""The camera above a ground plane: homographies, pixels ↔ metres, pose angles in the image ↔ in the world.
 
 Source for the angles: Chen, Heili & Odobez 2011, §3.
 """
@@ -19,7 +17,6 @@ from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 
 LARGEST_CONDITION = 1e10
 """The condition number, after normalising the coordinates, from which a homography counts as singular."""
-
 
 LARGEST_ENTRY = 1e15
 """The largest number in a homography, and in a point to fit one to, that is not a mistake."""
@@ -216,8 +213,7 @@ class GroundCamera:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, GroundCamera):
             return NotImplemented
-        fields = (name for name in self.__dataclass_fields__ if name != "lens")
-        return self.lens == other.lens and all(_same(getattr(self, n), getattr(other, n)) for n in fields)
+        return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in self.__dataclass_fields__)
 
     def __hash__(self) -> int:
         return hash(self.homography.tobytes())
@@ -474,7 +470,3 @@ def _bent_by_fisheye(point: FloatArray, distortion: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(radius > 1e-12, seen / radius, 1.0)
     return np.asarray(point * factor[..., None])
-
-
-def _same(a: FloatArray | None, b: FloatArray | None) -> bool:
-    return (a is None) == (b is None) and (a is None or b is None or np.array_equal(a, b))

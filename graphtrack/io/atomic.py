@@ -1,8 +1,6 @@
-"""Errors of libraries that read and write files, as `InputError` with the name of the file.
+"""Paths to write: checks before the work begins, and writing that happens whole or not at all.
 
-Checks of paths: identity of files, and places that cannot be written without loss.
-
-Writing that either happens whole or not at all.
+Errors of libraries that read and write files become `InputError` with the name of the file.
 """
 
 from __future__ import annotations
@@ -33,8 +31,7 @@ WRITING = (OSError, sqlite3.Error)
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a place to which no more can be written."""
 
-_PROBE = 2**18
-"""Bytes that are written to see whether a place is full: several pages of a database."""
+_PROBE = 2**18  # bytes that are written to see whether a place is full: several pages of a database
 
 
 def described(error: BaseException) -> str:
@@ -224,8 +221,7 @@ def _identity(path: Path) -> _Identity:
     return status.st_dev, status.st_ino, final.name
 
 
-_UNFINISHED = ".unfinished"
-"""Ending of the hidden folders in which results grow."""
+_UNFINISHED = ".unfinished"  # ending of the hidden folders in which results grow
 
 
 @contextmanager
@@ -282,10 +278,7 @@ def _told_of(path: Path, temporary: Path) -> Iterator[None]:
 
 @contextmanager
 def _scratch(path: Path) -> Iterator[Path]:
-    """A hidden folder next to ``path``, gone afterwards; its name says which process of which host writes.
-
-    Folders of processes of this host that have ended are removed first.
-    """
+    """A hidden folder next to ``path``, gone afterwards; its name says which process of which host writes."""
     owner = f".{path.name}.{zlib.crc32(socket.gethostname().encode()):08x}-"
     left = re.compile(re.escape(owner) + r"(\d+)-[a-z0-9_]{8}" + re.escape(_UNFINISHED))
     with contextlib.suppress(PermissionError):  # a folder that can be written to but not listed

@@ -1,7 +1,4 @@
-"""The camera of a reader: the caller's, a file's, or a scale when nothing is known.
-
-Boxes of people, and what is made of them: where they stand, and how sure a detector was.
-"""
+"""From pixels and boxes to the ground: the camera of a reader, its files, and a scale where none is known."""
 
 from __future__ import annotations
 
@@ -28,8 +25,7 @@ PERSON_HEIGHT = 1.7
 
 _LARGEST_SETTING = 1e7
 _DISTORTION = tuple(f"Distortion{name}" for name in ("K1", "K2", "P1", "P2", "K3"))
-_FISHEYE = tuple(f"FisheyeK{k}" for k in (1, 2, 3, 4))
-"""Names of which any says that the lens is a fisheye."""
+_FISHEYE = tuple(f"FisheyeK{k}" for k in (1, 2, 3, 4))  # names of which any says that the lens is a fisheye
 _QUATERNION = ("RotationX", "RotationY", "RotationZ", "RotationW")
 
 BEYOND_HORIZON = "at or beyond the camera's horizon"

@@ -1,7 +1,4 @@
-"""Columns of text and of whatever a table holds as numbers, times and identities, strictly.
-
-Tables as they stand in files and objects: columns by their names, nothing decided of what they mean.
-"""
+"""Tables as they stand in files and objects, and their columns as numbers, times and identities, strictly."""
 
 from __future__ import annotations
 
@@ -119,13 +116,10 @@ def cells_of_ndjson(source: Source) -> Cells:
         rows.append(row)
         numbers.append(number)
         names |= dict.fromkeys(row)
-    columns = {name: np.array([_single(row.get(name)) for row in rows], dtype=object) for name in names}
+    # Lists and objects become text, which no number is.
+    rows = [{k: repr(v) if isinstance(v, list | tuple) else v for k, v in row.items()} for row in rows]
+    columns = {name: np.array([row.get(name) for row in rows], dtype=object) for name in names}
     return Cells(source.path, "ndjson", columns, numbers.__getitem__, {})
-
-
-def _single(value: Any) -> Any:
-    """A JSON value that a cell can hold; lists and objects become text, which no number is."""
-    return repr(value) if isinstance(value, list | tuple) else value
 
 
 def cells_of_parquet(source: Source) -> Cells:
@@ -196,8 +190,7 @@ def cells_of_frame(table: Any) -> Cells:
     return Cells(path, "table", columns, lambda row: row + 1, zones)
 
 
-_LONGEST = 40
-"""Characters of a cell that a message repeats."""
+_LONGEST = 40  # characters of a cell that a message repeats
 
 
 def is_empty(cell: object) -> bool:

@@ -69,8 +69,7 @@ UNSURE_UNIT = (
 )
 """Note on a column of times without a unit in its name."""
 
-_NO_METRES = frozenset(("u", "v", "lat", "lon"))
-"""Columns beside which no other column is taken for metres."""
+_NO_METRES = frozenset(("u", "v", "lat", "lon"))  # columns beside which no other column is taken for metres
 
 
 def plain(name: str) -> tuple[str, str]:
@@ -133,8 +132,7 @@ def _patterns(name: str, start: int, end: int) -> list[str]:
     return patterns
 
 
-_MOST = 10_000
-"""Columns of a table from which on no names are looked at."""
+_MOST = 10_000  # columns of a table from which on no names are looked at
 
 
 def with_synonyms(

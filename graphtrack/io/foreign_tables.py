@@ -1,7 +1,4 @@
-"""Wide tables, with columns for each person, become long ones, with a row for each person and time.
-
-The rows of a table, from its cells and what its owner says of them.
-"""
+"""The rows of a table with columns and units of its own; wide tables have columns for each person."""
 
 from __future__ import annotations
 
@@ -254,8 +251,7 @@ def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mappin
         raise cells.fail(f"{said} again at {when}", "each once at a time", row, named["t"])
 
 
-_AMISS = 0.25
-"""Of a frame: how far a time may be from that of its frame."""
+_AMISS = 0.25  # of a frame: how far a time may be from that of its frame
 
 
 def numbered_times(t: FloatArray) -> tuple[FloatArray, str]:

@@ -1,7 +1,4 @@
-"""`Format`: what a module of `graphtrack.io.formats` offers.
-
-The frame rate of tracks, for formats that have one in place of times.
-"""
+"""`Format`: the interface of a module of `graphtrack.io.formats`; frame rates for formats without times."""
 
 from __future__ import annotations
 
@@ -17,8 +14,8 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.tracks.table import Rows
-from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.table import Rows, restored
+from graphtrack.tracks.track import TrackSet, to_columns
 from graphtrack.tracks.validation import check_frame_rate
 
 
@@ -34,8 +31,8 @@ class Format:
     looks_like : (first bytes, path) → whether the content is of this format
     read : (source, options) → rows, whose cells are checked
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
-    write_columns : (columns of the native table, path) → None, likewise; for tables, which can do without
-        identities
+    write_columns : (columns of the table, path) → None; for tables, which can do without identities and need
+        no ``write``
     beside : path → the places beside it where the reader looks for more by itself
     is_read : False: only written; what it makes is read otherwise, if at all
     takes : options of tables, fields of `ReadOptions`, that the reader itself understands
@@ -55,9 +52,16 @@ class Format:
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
 
+    def __post_init__(self) -> None:
+        if self.write is None and self.write_columns is not None:
+            object.__setattr__(self, "write", self._write_table)
 
-_AMISS = 0.1
-"""Of a frame: how far a time may be from that of its frame."""
+    def _write_table(self, tracks: TrackSet, path: Path) -> None:
+        assert self.write_columns is not None
+        self.write_columns(restored(to_columns(tracks), tracks.as_read), path)
+
+
+_AMISS = 0.1  # of a frame: how far a time may be from that of its frame
 
 
 def steady_rate(tracks: TrackSet) -> float | None:

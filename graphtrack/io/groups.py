@@ -1,7 +1,4 @@
-"""Groups that somebody labelled or estimated, and what they are in the frames of tracks.
-
-Files that say who is in a group with whom: SALSA's, ETH's, and the table of ``graphtrack groups``.
-"""
+"""Labelled groups of people: SALSA's and ETH's files and the table of ``graphtrack groups``."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Detections and tracks of other libraries (supervision, Ultralytics), none of which is imported.
-
-Points for geographers (extra ``geo``): GeoDataFrame, GeoPackage and GeoParquet, which are only written.
-"""
+"""Boxes of supervision and Ultralytics, which are not imported, and points of GeoPandas (extra ``geo``)."""
 
 from __future__ import annotations
 

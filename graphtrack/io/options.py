@@ -1,7 +1,4 @@
-"""A caller's description of a table: the meaning of its columns, and their units.
-
-`ReadOptions`: everything that a caller can tell a reader.
-"""
+"""`ReadOptions`: all options of reading; `Layout`: the columns and units of a table."""
 
 from __future__ import annotations
 

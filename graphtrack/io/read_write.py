@@ -1,11 +1,4 @@
-"""The tracks of several files as one set.
-
-`read` and `write`: any format, one call.
-
-Tracks from a file, a table or tracks.
-
-Files on two sides that belong together, such as estimates and the truth of several sequences.
-"""
+"""`read` and `write`: any format, one file or several, a table or tracks."""
 
 from __future__ import annotations
 
@@ -353,9 +346,7 @@ def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
     from graphtrack.io.cells import cells_of_csv, cells_of_ndjson, cells_of_parquet
 
     tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
-    chosen = format
-    if chosen is None and not source.data:
-        chosen = BAG
+    chosen = format if source.data else format or BAG
     if chosen is None:
         chosen = next((n for n in tables if format_named(n).looks_like(source.head, source.path)), "csv")
     elif format_named(chosen).write_columns is None:

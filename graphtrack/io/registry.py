@@ -1,6 +1,6 @@
-"""Hints in errors to options with which a table could be read.
+"""The list of formats, their detection, and hints to options that would read a table.
 
-The list of formats. A new one is a module with a constant of type `Format` and a line in `FORMATS`.
+A new format is a module with a constant of type `Format` and a line in `FORMATS`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ from graphtrack.io.source import Source
 from graphtrack.io.text import other_delimiter, parse_number
 from graphtrack.tracks.time import is_iso
 
-_FEWEST = 3
-"""Cells of a line from which it may name the columns of a table."""
+_FEWEST = 3  # cells of a line from which it may name the columns of a table
 
 
 def hinted(error: InputError) -> InputError:

@@ -1,11 +1,4 @@
-"""Files that are named by a URL, on object stores and elsewhere, by the package fsspec (extra ``cloud``).
-
-`Source`: the bytes of one input file, and the ways in which getting at them can fail.
-
-Folders that stand for a table within them.
-
-TOML files: models and parameters.
-"""
+"""`Source`: the bytes of one input file or URL (extra ``cloud``), and folders that stand for a file."""
 
 from __future__ import annotations
 

@@ -24,8 +24,7 @@ from graphtrack.tracks.table import Rows
 from graphtrack.tracks.time import EPOCH, NANOSECONDS_IN, is_iso
 from graphtrack.tracks.track import TrackSet
 
-_ROWS = 400
-"""Rows that are looked at."""
+_ROWS = 400  # rows that are looked at
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,4 @@
-"""Delimiters: rows of CSV, and the error for a table with other marks than commas between its cells.
-
-Text files with other marks or another encoding than the readers expect, as their owner says they are.
-
-Strict reading of text files that are nothing but numbers.
-"""
+"""Strict reading of text: delimiters, decimal marks, encodings, and tables of numbers."""
 
 from __future__ import annotations
 
@@ -26,14 +21,12 @@ from graphtrack.tracks.schema import NAMES
 from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_METRES, LARGEST_PIXELS
 
 _MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
-_TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}
-"""The mark as typed after ``--delimiter``."""
+_TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}  # the mark as typed after ``--delimiter``
 SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """Excel's line before a header."""
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _LOOKED_AT = 20
-_FEWEST = 4
-"""Numbers in a row from which a table without a header is one."""
+_FEWEST = 4  # numbers in a row from which a table without a header is one
 
 
 def other_delimiter(source: Source, names: Collection[str] = NAMES) -> InputError | None:
@@ -301,10 +294,7 @@ def read_numbers(
                 raise error
             wanted = (len(rows[0]),) if rows else widths
             raise InputError(
-                f"{len(cells)} columns",
-                " or ".join(map(str, wanted)),
-                path=source.path,
-                line=number,
+                f"{len(cells)} columns", " or ".join(map(str, wanted)), path=source.path, line=number
             )
         rows.append(cells)
         line_numbers.append(number)

@@ -19,17 +19,14 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
 from graphtrack.smoothing import OnlineTracker
 
-_GONE = 5.0
-"""Seconds without a sight of somebody with a name after which they are forgotten."""
+_GONE = 5.0  # seconds without a sight of somebody with a name after which they are forgotten
 
-_KEPT = 30 * SECOND
-"""Nanoseconds for which transforms are kept."""
+_KEPT = 30 * SECOND  # nanoseconds for which transforms are kept
 
 _JUMP = SECOND
 """By how much stamps may go back, as messages overtake each other; further back a new recording begins."""
 
-_LOOKS = 0.5
-"""Probability from which somebody is said to look at somebody."""
+_LOOKS = 0.5  # probability from which somebody is said to look at somebody
 
 _CHANNELS = {
     "position_std": "pos_std",
@@ -152,7 +149,8 @@ class Live:
             if self._tracker is None:
                 self._tracker = OnlineTracker(self._model, lag=self._lag)
             people = self._tracker.update(t, seen)
-            return {one.track_id: (str(one.track_id), one, _sure(one.identity_p)) for one in people}
+            sure = [1.0 if np.isnan(one.identity_p) else one.identity_p for one in people]
+            return {one.track_id: (str(one.track_id), one, p) for one, p in zip(people, sure, strict=True)}
         found: dict[int, tuple[str, Estimate, float]] = {}
         for name, one in zip(names, seen, strict=True):
             if not name or any(name == told for told, _, _ in found.values()):
@@ -186,10 +184,6 @@ class Live:
             if kind == "person" and target is not None and p >= _LOOKS
         ]
         return members, gazes
-
-
-def _sure(probability: float) -> float:
-    return probability if probability == probability else 1.0
 
 
 def _observations(t: float, columns: dict[str, NDArray[Any]]) -> list[Observation]:

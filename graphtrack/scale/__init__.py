@@ -1,4 +1,4 @@
-"""Smoothing of Parquet data sets that do not fit into memory, on this machine or on a Dask cluster."""
+"""Smoothing of Parquet data sets that do not fit into memory."""
 
 from graphtrack.scale.dataset import Dataset, open_dataset
 from graphtrack.scale.job import Outcome, smooth_dataset

@@ -1,11 +1,8 @@
-"""`Dataset`: a Parquet file, or a folder of them, as one native table that is read block by block.
-
-A Parquet file that is written shard by shard, with the same bytes as when it is written at once.
-"""
+"""`Dataset`: Parquet files read block by block as one native table; a file written shard by shard."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -119,7 +116,7 @@ class Dataset:
                 for place, name in enumerate(columns):
                     if name in file.columns:
                         values = column_values(batch.column(file.columns[name]), name, file.path, row)
-                        block[:, place] = self._coded(values) if name == "label" else values
+                        block[:, place] = list(map(self._code, values)) if name == "label" else values
                     elif name in file.constants:
                         value = file.constants[name]
                         block[:, place] = self._code(value) if isinstance(value, str) else value
@@ -128,9 +125,6 @@ class Dataset:
                 block[:, -1] = file.first_row + row + np.arange(n)
                 row += n
                 yield block
-
-    def _coded(self, labels: Iterable[object]) -> list[int]:
-        return [self._code(label) for label in labels]
 
     def _code(self, label: object) -> int:
         if not isinstance(label, str):

@@ -22,8 +22,7 @@ from graphtrack.tracks.validation import LARGEST_ID
 RUN = 4
 """Batches whose rows are sorted in memory at a time."""
 
-_PENDING = 2**18
-"""Track ids that are gathered before they are counted together."""
+_PENDING = 2**18  # track ids that are gathered before they are counted together
 
 
 @dataclass(frozen=True, eq=False)

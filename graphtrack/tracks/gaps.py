@@ -19,11 +19,9 @@ from graphtrack.tracks.validation import LARGEST_FRAME, is_number
 LONGEST_FILLED = 60.0
 """Seconds of the longest gap that is filled: in a longer one nothing is known of the person any more."""
 
-_MOST_ROWS = 20_000_000
-"""Rows of all tracks up to which tracks are resampled."""
+_MOST_ROWS = 20_000_000  # rows of all tracks up to which tracks are resampled
 
-_SAME_TIME = 1e-6
-"""Seconds within which two times are one."""
+_SAME_TIME = 1e-6  # seconds within which two times are one
 
 
 def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:

@@ -1,13 +1,4 @@
-"""Names and units of a table that was read, so that output has them again.
-
-Summary of reading.
-
-Rows of observations: what a reader makes of its file, and what is checked before they are tracks.
-
-NumPy arrays as Arrow has them, without pandas, which pyarrow imports to convert anything itself.
-
-Rows from the columns of the native table, whatever holds them (CSV, Parquet, a DataFrame).
-"""
+"""Rows of observations: columns of the native table, checked, with the names and units that were read."""
 
 from __future__ import annotations
 
@@ -29,7 +20,6 @@ from graphtrack.tracks.projection import Plane
 from graphtrack.tracks.schema import (
     INTEGERS,
     NO_CLASS,
-    Column,
     expected_group,
     expected_integer,
     in_order,
@@ -55,10 +45,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-LENGTHS = (
-    *("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"),
-    *("true_x", "true_y"),
-)
+LENGTHS = (*("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"), *("true_x", "true_y"))
 """Columns of the native table that are metres, or metres a second."""
 
 DEGREES = ("lat", "lon")
@@ -406,8 +393,7 @@ def _unsorted(rows: Rows) -> int:
     return len(np.unique(track_id[1:][back]))
 
 
-_LONGEST = 2**31 - 1
-"""Bytes of all texts of a column: Arrow's offsets have 32 bits."""
+_LONGEST = 2**31 - 1  # bytes of all texts of a column: Arrow's offsets have 32 bits
 
 
 def arrow_array(values: NDArray[Any]) -> pa.Array:
@@ -557,7 +543,9 @@ def from_columns(
         check_integers(columns[name], name, highest, fail)
     for name, values in columns.items():
         if (column := numeric(name)) is not None:
-            _check_bounds(values, column, fail)
+            place = column.bounds.first_outside(values)
+            if place is not None:
+                raise fail(f"{values[place]:g}", column.bounds.expected, place[0], name)
     for group in together(tuple(columns)):
         _check_group({name: columns[name] for name in group}, fail)
     if ignored:
@@ -604,12 +592,6 @@ def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable
         row = int(np.argmax(bad))
         found = "an empty cell" if np.isnan(values[row]) else f"{values[row]:.17g}"
         raise fail(found, expected_integer(highest), row, name)
-
-
-def _check_bounds(values: FloatArray, column: Column, fail: Callable[..., InputError]) -> None:
-    place = column.bounds.first_outside(values)
-    if place is not None:
-        raise fail(f"{values[place]:g}", column.bounds.expected, place[0], column.name)
 
 
 def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError]) -> None:

@@ -29,8 +29,7 @@ _ISO = re.compile(
     r"(\d{4}-\d{2}-\d{2})([T ])(\d{2}:\d{2}(?::\d{2})?)(?:[.,](\d{1,9}))?\s*(Z|[+-]\d{2}(?::?\d{2})?)?",
     re.ASCII,
 )
-_YEARS = range(1700, 2200)
-"""Years within 64-bit nanoseconds from 1970."""
+_YEARS = range(1700, 2200)  # years within 64-bit nanoseconds from 1970
 
 
 @dataclass(frozen=True)

@@ -159,11 +159,8 @@ class Track:
         label: str = "",
         inputs: Mapping[str, FloatArray] = MappingProxyType({}),
     ) -> Track:
-        """A track of arrays that are as the attributes say; they become read-only.
-
-        They are neither checked nor copied: for thousands of tracks that would take as long as to read them,
-        and longer than to smooth them. For readers, who have checked a file as a whole, and for engines.
-        """
+        """A track of arrays that are as the attributes say; they become read-only."""
+        # Neither checked nor copied: for thousands of tracks that would take longer than to smooth them.
         track = object.__new__(cls)
         vars(track).update(track_id=track_id, frame=frame, label=label, inputs=dict(inputs), **_ABSENT)
         vars(track).update(channels)

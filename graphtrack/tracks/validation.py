@@ -1,7 +1,4 @@
-"""Shapes and bounds of a track's arrays, and checks of settings.
-
-Speeds that no pedestrian has, which tell of wrong units, frame rates or scales.
-"""
+"""Shapes and bounds of a track's arrays, checks of settings, and speeds that tell of wrong units."""
 
 from __future__ import annotations
 
@@ -222,8 +219,7 @@ def with_table(parameters: Parameters, table: str, values: Any) -> Parameters:
 FASTEST = 12.0
 """Metres a second: nobody runs faster."""
 
-_SPAN = 1.0
-"""Seconds over which speeds are taken: from frame to frame they are mostly noise."""
+_SPAN = 1.0  # seconds over which speeds are taken: from frame to frame they are mostly noise
 
 _SHARE = 0.1
 """Share of the positions from which fast tracks are told of: a few odd ones have other causes than units."""
@@ -251,10 +247,7 @@ class Speeds:
         found = [(speed, n) for speed, n in (median_speed(*one) for one in tracks) if n]
         fast = [(speed, n) for speed, n in found if speed > FASTEST]
         return cls(
-            len(found),
-            sum(n for _, n in found),
-            tuple(speed for speed, _ in fast),
-            sum(n for _, n in fast),
+            len(found), sum(n for _, n in found), tuple(speed for speed, _ in fast), sum(n for _, n in fast)
         )
 
     def __add__(self, other: Speeds) -> Speeds:

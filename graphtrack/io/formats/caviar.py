@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,8 +37,7 @@ LOBBY_NADIR = (295.0, 221.0)
 LOBBY_HEIGHT = 5.35
 """Metres of the lobby's camera above the floor, as far as heads are 1.6 m above feet."""
 
-_TOWARDS_NADIR = 0.8
-"""Position of the feet between the box's centre (0) and its edge towards the nadir (1)."""
+_TOWARDS_NADIR = 0.8  # position of the feet between the box's centre (0) and its edge towards the nadir (1)
 
 _LOBBY_SIZE = (384.0, 288.0)
 _WIDE_SHARE = 0.2
@@ -62,11 +60,6 @@ def lobby_camera() -> GroundCamera:
     intrinsics = np.array([[231.0, 0.0, 192.0], [0.0, 231.0, 144.0], [0.0, 0.0, 1.0]])
     distortion = np.array([-0.322, 0.0993, 0.0, 0.0, 0.0])
     return GroundCamera.from_calibration(rotation, -rotation @ centre, intrinsics, distortion)
-
-
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether it is XML with a ``dataset`` element."""
-    return b"<dataset" in head and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
 
 
 @dataclass(frozen=True)
@@ -173,12 +166,7 @@ def _camera(
 def _orientations(
     observations: list[_Observation], camera: GroundCamera, foot: FloatArray
 ) -> dict[str, FloatArray]:
-    """Body and head (n,) in the world, radians.
-
-    Two points of one height are seen on the ground with the direction that they have: both are moved away
-    from the camera by the same factor. So shoulders and gaze are mapped where they are seen, and only
-    where that is above the horizon at the feet.
-    """
+    """Body and head (n,) in the world, radians."""
     left = camera.image_to_ground([o.left for o in observations])
     right = camera.image_to_ground([o.right for o in observations])
     across = left - right
@@ -302,6 +290,8 @@ CAVIAR = Format(
     name="caviar",
     description="CAVIAR ground truth (XML)",
     suffixes=(".xml",),
-    looks_like=looks_like,
+    looks_like=lambda head, path: (
+        b"<dataset" in head and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
+    ),
     read=read,
 )

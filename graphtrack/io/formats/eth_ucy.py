@@ -1,7 +1,4 @@
-"""BIWI (ETH) and OpenTraj tables: ``frame id x z y vx vz vy``, annotated at 2.5 Hz.
-
-UCY crowds: splines (``.vsp``) whose control points are the observations.
-"""
+"""BIWI (ETH) and OpenTraj tables ``frame id x z y vx vz vy``, and splines of UCY crowds (``.vsp``)."""
 
 from __future__ import annotations
 
@@ -38,10 +35,7 @@ def _looks_like_eth(head: bytes, path: Path) -> bool:
 
 
 def _read_eth(source: Source, options: ReadOptions) -> Rows:
-    """Read positions (metres) of an ``obsmat`` table; its velocities are differences and are left out.
-
-    The frame rate is 2.5 Hz times the step of the frame numbers, unless ``fps`` is given.
-    """
+    """Read positions (metres) of an ``obsmat`` table; its velocities are differences and are left out."""
     table = read_numbers(source, delimiter=None, widths=(8,), names=_OBSMAT)
     frame = table.integers(0)
     notes = ["the velocities of the file are differences of its positions and were not read"]
@@ -83,8 +77,7 @@ ETH = Format(
 
 
 _UCY_FPS = 25.0
-_CENTRE = (360.0, 288.0)
-"""The file's origin in its 720×576 image, as (u, v)."""
+_CENTRE = (360.0, 288.0)  # the file's origin in its 720×576 image, as (u, v)
 
 _FROM_PIXEL = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """(u, v) → (row, column), which is what the homographies that come with the data expect."""
@@ -96,11 +89,6 @@ _COMMENT = re.compile(r" - | ?\(")
 _POINT = ("x", "y", "frame", "gaze")
 _OBSTACLES = re.compile(r"\s*\d{1,9}.*number of (line|cylinder) obstacles", re.ASCII | re.IGNORECASE)
 _WHOLE = {"frame"}
-
-
-def _looks_like_ucy(head: bytes, path: Path) -> bool:
-    """Return whether the first line counts splines."""
-    return b"number of splines" in head.split(b"\n", 1)[0].lower()
 
 
 def _homography_beside(path: Path) -> tuple[Path, ...]:
@@ -118,12 +106,7 @@ class _ControlPoint:
 
 
 def _read_ucy(source: Source, options: ReadOptions) -> Rows:
-    """Read each control point as one observation in its frame.
-
-    Needs the homography of the data set, (row, column) → ground in metres; ``H.txt`` beside the file is found
-    by itself. A mirrored ground is turned right-handed by negating y. 25 frames a second unless ``fps`` is
-    given.
-    """
+    """Read each control point as one observation in its frame."""
     lines = _Lines(source)
     points = _control_points(lines)
     pixel = np.array([(point.u, point.v) for point in points]).reshape(-1, 2)
@@ -135,13 +118,7 @@ def _read_ucy(source: Source, options: ReadOptions) -> Rows:
     frame = np.array([point.frame for point in points], dtype=np.int64)
     spline = np.array([point.spline for point in points], dtype=np.int64)
     rows = Rows(
-        source.path,
-        "ucy",
-        spline,
-        frame,
-        {"pixel": pixel},
-        lambda row: points[row].line,
-        notes=tuple(notes),
+        source.path, "ucy", spline, frame, {"pixel": pixel}, lambda row: points[row].line, notes=tuple(notes)
     )
     rows = on_ground(rows, camera, more)
     # Annotators at times set two control points in one frame; the first one stands.
@@ -265,7 +242,7 @@ UCY = Format(
     name="ucy",
     description="UCY crowds: splines of control points (.vsp)",
     suffixes=(".vsp",),
-    looks_like=_looks_like_ucy,
+    looks_like=lambda head, path: b"number of splines" in head.split(b"\n", 1)[0].lower(),
     read=_read_ucy,
     beside=_homography_beside,
 )

@@ -30,8 +30,7 @@ _LABEL = (
     *("height", "width", "length", "x", "y", "z", "rotation_y", "score"),
 )
 _OXTS_COLUMNS = 30
-_EARTH_RADIUS = 6378137.0
-"""Metres; the devkit's, of the WGS 84 ellipsoid at the equator."""
+_EARTH_RADIUS = 6378137.0  # metres; the devkit's, of the WGS 84 ellipsoid at the equator
 
 
 def looks_like(head: bytes, path: Path) -> bool:

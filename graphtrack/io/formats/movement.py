@@ -1,15 +1,4 @@
-"""Layout of tracks in a dataset: the dimensions of each variable.
-
-Position, body and head orientation of people from keypoints on the ground.
-
-Frames and times of a dataset.
-
-Rows of observations from a dataset of movement: poses, boxes, or tracks that were written as one.
-
-Tracks as a dataset of movement.
-
-netCDF files of datasets of the package movement.
-"""
+"""Datasets of the package movement (extra ``movement``) and their netCDF files."""
 
 from __future__ import annotations
 
@@ -266,7 +255,8 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     score = read.confidence()
     if score is not None and "score" not in channels:
         channels["score"] = score
-    channels["pixel" if in_image else "position"] = _both(standing)
+    both = np.isfinite(standing).all(axis=-1, keepdims=True)
+    channels["pixel" if in_image else "position"] = np.where(both, standing, np.nan)
     kept = read.has_row(channels)
     people, steps = np.nonzero(kept)
     if not len(people):
@@ -298,11 +288,6 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
         if name not in rows.channels:
             rows = rows.with_channels(**{name: angles[people, steps]})
     return place_pixels(rows, options) if camera is None else on_ground(rows, camera, told_of)
-
-
-def _both(position: FloatArray) -> FloatArray:
-    """Positions (..., 2) with both coordinates or none."""
-    return np.where(np.isfinite(position).all(axis=-1, keepdims=True), position, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -468,7 +453,8 @@ class _Reading:
         wanted = FURTHER.get(name)
         if wanted is None or set(rest) != set(wanted):
             return None
-        return wanted if all(self.dataset.sizes[one] == size for one, size in _sizes(name)) else None
+        sizes = tuple(self.dataset.sizes[one] for one in wanted)
+        return wanted if sizes == SHAPES[name] else None
 
     def has_row(self, channels: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
         """(individuals, time) where somebody has a row."""
@@ -476,10 +462,6 @@ class _Reading:
             return self.array(HAS_ROW) > 0.5
         known = [np.isfinite(v).reshape(*v.shape[:2], -1).any(axis=2) for v in channels.values()]
         return np.logical_or.reduce(known)
-
-
-def _sizes(name: str) -> list[tuple[str, int]]:
-    return list(zip(FURTHER[name], SHAPES[name], strict=True))
 
 
 EXTRA = "movement"
@@ -538,7 +520,7 @@ def to_movement(tracks: TrackSet) -> Any:
             (TIME, SPACE, KEYPOINTS, INDIVIDUALS),
             np.moveaxis(position, 2, 1)[:, :, None, :],
             {"space_unit": "m"},
-        ),
+        )
     }
     score = grid.filled("score", ())
     variables["confidence"] = ((TIME, KEYPOINTS, INDIVIDUALS), score[:, None, :])
@@ -612,11 +594,6 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 
 
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether the file begins with the signature of netCDF, or of HDF5, which netCDF 4 is."""
-    return head.startswith((_HDF5, *_CLASSIC))
-
-
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read a dataset; see `rows_of_dataset`."""
     xarray = package("xarray", EXTRA)
@@ -657,7 +634,7 @@ MOVEMENT = Format(
     name="movement",
     description="netCDF of the package movement (extra movement)",
     suffixes=(".nc",),
-    looks_like=looks_like,
+    looks_like=lambda head, path: head.startswith((_HDF5, *_CLASSIC)),
     read=read,
     write=write,
     takes=("columns", "units"),

@@ -1,9 +1,7 @@
-"""The native table as CSV.
+"""The native table as CSV and Parquet; null and NaN both mean a missing observation.
 
-pyarrow reads it in strict typing. What pyarrow refuses is read again cell by cell, to find the place
-for the message or to accept it after all (such as a quoted label with a line break in it).
-
-The native table as Parquet. Null and NaN both mean a missing observation.
+pyarrow reads CSV in strict typing. What it refuses is read again cell by cell, to find the place for the
+message or to accept it after all (such as a quoted label with a line break in it).
 """
 
 from __future__ import annotations
@@ -26,9 +24,8 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import csv_rows, expected_number, is_blank, other_delimiter, parse_number
 from graphtrack.tracks.schema import NAMES, in_order, is_column, repeated, unknown
-from graphtrack.tracks.table import Rows, arrow_array, from_columns, restored
+from graphtrack.tracks.table import Rows, arrow_array, from_columns
 from graphtrack.tracks.time import date_texts
-from graphtrack.tracks.track import TrackSet, to_columns
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -41,8 +38,7 @@ def _looks_like_csv(head: bytes, path: Path) -> bool:
     return len(cells & set(NAMES)) >= 2
 
 
-_SMALL = 200_000
-"""Characters that are read before pyarrow would be imported."""
+_SMALL = 200_000  # characters that are read before pyarrow would be imported
 
 
 def _read_csv(source: Source, options: ReadOptions) -> Rows:
@@ -111,10 +107,8 @@ def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | N
 
 
 def _doubles(array: Any) -> NDArray[np.float64]:
-    """The values (n,) of an Arrow array of doubles, NaN for null.
-
-    From its buffers, since Arrow's own conversion imports pandas, which takes longer than a file to read.
-    """
+    """The values (n,) of an Arrow array of doubles, NaN for null."""
+    # From its buffers: Arrow's own conversion imports pandas, which takes longer than to read a file.
     rows = slice(array.offset, array.offset + len(array))
     valid, data = array.buffers()
     if not len(array):
@@ -171,11 +165,6 @@ class _LineFinder:
         return next(number for i, number in enumerate(filled, -1) if i == row)
 
 
-def _write_csv(tracks: TrackSet, path: Path) -> None:
-    """Write the native table; numbers have the digits that read back to the same double."""
-    write_csv_columns(restored(to_columns(tracks), tracks.as_read), path)
-
-
 def write_csv_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Write columns of the native table, which need not have identities."""
     import pyarrow as pa
@@ -207,18 +196,12 @@ CSV = Format(
     suffixes=(".csv", ".csv.gz"),
     looks_like=_looks_like_csv,
     read=_read_csv,
-    write=_write_csv,
     write_columns=write_csv_columns,
 )
 
 
 ROW_GROUP = 131_072
 """Rows of a row group in written files: few enough that a reader can take one at a time."""
-
-
-def _looks_like_parquet(head: bytes, path: Path) -> bool:
-    """Return whether the file begins with Parquet's signature."""
-    return head.startswith(b"PAR1")
 
 
 def _read_parquet(source: Source, options: ReadOptions) -> Rows:
@@ -315,11 +298,6 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
     return values
 
 
-def _write_parquet(tracks: TrackSet, path: Path) -> None:
-    """Write the native table; missing numbers become null."""
-    _write_parquet_columns(restored(to_columns(tracks), tracks.as_read), path)
-
-
 def _write_parquet_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Write columns of the native table, which need not have identities."""
     import pyarrow as pa
@@ -333,8 +311,7 @@ PARQUET = Format(
     name="parquet",
     description="native table as Parquet",
     suffixes=(".parquet", ".pq"),
-    looks_like=_looks_like_parquet,
+    looks_like=lambda head, path: head.startswith(b"PAR1"),
     read=_read_parquet,
-    write=_write_parquet,
     write_columns=_write_parquet_columns,
 )

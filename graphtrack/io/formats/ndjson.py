@@ -1,6 +1,4 @@
-"""Lines of JSON that come and go by the thousand: what most of them are, read and written quickly.
-
-The native table as NDJSON: a JSON object a line, its keys the columns; null, or no key, is an empty cell.
+"""The native table as NDJSON: a JSON object a line, its keys the columns; null, or no key, is an empty cell.
 
 `graphtrack track -` reads the lines of a stream by the same functions as a file is read.
 """
@@ -37,9 +35,8 @@ from graphtrack.tracks.schema import (
     together,
     unknown,
 )
-from graphtrack.tracks.table import Rows, from_columns, restored
+from graphtrack.tracks.table import Rows, from_columns
 from graphtrack.tracks.time import date_texts
-from graphtrack.tracks.track import TrackSet, to_columns
 
 _ENCODED = json.JSONEncoder(allow_nan=False).encode
 
@@ -103,8 +100,7 @@ def _layout(names: tuple[str, ...]) -> list[tuple[str, float, float, bool]] | No
 Pairs = tuple[tuple[str, Any], ...]
 """Keys and values of a JSON object in their order; a key may stand there twice."""
 
-_LONGEST = 40
-"""Characters of a value that a message repeats."""
+_LONGEST = 40  # characters of a value that a message repeats
 
 # -- a line --------------------------------------------------------------------------------------------------
 
@@ -267,11 +263,6 @@ NOT_USED = "rows that 'track -' could not use"
 REPLACED = "estimates that a later row of the same frame replaces"
 
 
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether most lines begin as an object does."""
-    return mostly(head, lambda line: line.startswith("{"))
-
-
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
 
@@ -327,10 +318,7 @@ def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
 
 
 def _last_answers(rows: list[_Row]) -> list[_Row]:
-    """Without the estimates that a later row of the same person and frame replaces.
-
-    An estimate is replaced by one after a row that was not "new", or by itself, said again.
-    """
+    """Without the estimates that a later row of the same person and frame replaces."""
     kept: dict[int, _Row] = {}
     newest: dict[tuple[int, int], _Row] = {}
     for row in rows:
@@ -355,19 +343,10 @@ def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def write(tracks: TrackSet, path: Path) -> None:
-    """Write the native table; numbers have the digits that read back to the same double."""
-    _write(restored(to_columns(tracks), tracks.as_read), path)
-
-
 def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Write columns of the native table; without identities each object has the ``track_id`` −1."""
     if "track_id" not in table:
         table = {"track_id": np.full(len(table["frame"]), -1), **table}
-    _write(table, path)
-
-
-def _write(table: Mapping[str, NDArray[Any]], path: Path) -> None:
     columns = {name: _values(cells) for name, cells in table.items()}
     opened: Callable[..., Any] = gzip.open if path.name.lower().endswith(".gz") else open
     with opened(path, "wt", encoding="ascii", newline="\n") as stream:
@@ -386,8 +365,7 @@ NDJSON = Format(
     name="ndjson",
     description="native table as NDJSON: a JSON object a line (also gzipped)",
     suffixes=(".ndjson", ".jsonl", ".ndjson.gz", ".jsonl.gz"),
-    looks_like=looks_like,
+    looks_like=lambda head, path: mostly(head, lambda line: line.startswith("{")),
     read=read,
-    write=write,
     write_columns=write_columns,
 )

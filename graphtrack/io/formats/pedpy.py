@@ -1,9 +1,4 @@
-"""Trajectories of PedPy, in memory and as the text files of the Pedestrian Dynamics Data Archive.
-
-Text of the Pedestrian Dynamics Data Archive, as PedPy reads it: ``id frame x y`` below comments.
-
-Trajectories of JuPedSim: SQLite databases with trajectory_data, metadata, geometry and frame_data.
-"""
+"""Trajectories of PedPy in memory and as text, and of JuPedSim as SQLite databases."""
 
 from __future__ import annotations
 
@@ -114,11 +109,7 @@ def _looks_like_text(head: bytes, path: Path) -> bool:
 
 
 def _read_text(source: Source, options: ReadOptions) -> Rows:
-    """Read ``id frame x y``; more columns, such as a height, are passed over.
-
-    The frame rate is ``fps``, or that of a comment such as ``# framerate: 25``; the unit of x and y that of
-    a comment (``x/m``, ``in cm``), or ``units``.
-    """
+    """Read ``id frame x y``; more columns, such as a height, are passed over."""
     header = []
     for line in source.lines:
         if line.strip() and not line.lstrip().startswith("#"):
@@ -178,21 +169,12 @@ SQLITE = b"SQLite format 3\0"
 _VERSION = 2
 _OWN = {"id": "track_id", "frame": "frame", "pos_x": "x", "pos_y": "y"}
 _FACING = ("ori_x", "ori_y")
-_AROUND = 1.0
-"""Metres of ground around everybody's positions, in the geometry that is written."""
+_AROUND = 1.0  # metres of ground around everybody's positions, in the geometry that is written
 _WITH_A_LOG = 2
 
 
-def _looks_like_jupedsim(head: bytes, path: Path) -> bool:
-    """Return whether the file begins with SQLite's signature."""
-    return head.startswith(SQLITE)
-
-
 def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
-    """Read positions, and where agents point as the body; and native columns beside them.
-
-    The frame rate is ``fps``, or that of the table metadata.
-    """
+    """Read positions, and where agents point as the body; and native columns beside them."""
     data = source.data
     if data[18:19] == bytes([_WITH_A_LOG]):
         raise InputError(
@@ -272,12 +254,7 @@ def _degrees(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _write_jupedsim(tracks: TrackSet, path: Path) -> None:
-    """Write a database of version 2, which JuPedSim and PedPy read.
-
-    Agents point where the body does, else where they go, else nowhere. The other columns of the native table
-    stand beside JuPedSim's, and the geometry is a rectangle around all positions. Rows without a position are
-    left out.
-    """
+    """Write a database of version 2, which JuPedSim and PedPy read."""
     columns, rate = trajectory_columns(tracks, path=path)
     columns = dict(columns)
     own = {"frame": columns.pop("frame"), "id": columns.pop("id")}
@@ -339,7 +316,7 @@ JUPEDSIM = Format(
     name="jupedsim",
     description="trajectories of JuPedSim (SQLite)",
     suffixes=(".sqlite",),
-    looks_like=_looks_like_jupedsim,
+    looks_like=lambda head, path: head.startswith(SQLITE),
     read=_read_jupedsim,
     write=_write_jupedsim,
 )

@@ -1,23 +1,14 @@
-"""Orientations and spreads of ROS's poses, and what a ground plane keeps of them.
+"""ROS 2 recordings (MCAP, SQLite), the messages in them that tell of people, and their definitions.
 
 Quaternions are x, y, z, w; covariances are those of ROS's poses: row by row 6×6 of x, y, z (metres) and of
-the rotations about the axes (radians).
-
-Messages to what they say of people. Of a message only its attributes are used, so that it may be rclpy's,
-rosbags' or anybody's.
-
-Definitions of the messages that are read and written, and the store that knows them (package rosbags).
-
-Choice of the topics of a recording to read.
-
-A recording, whatever holds it: an MCAP file, an SQLite file, or a folder of either.
+the rotations about the axes (radians). Messages are read by their attributes: rclpy's, rosbags' or others.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fnmatch
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -284,23 +275,8 @@ def _turn(orientation: Any) -> tuple[float, float, float, float]:
     return orientation.x, orientation.y, orientation.z, orientation.w
 
 
-def _of_people(message: Any) -> Iterator[Sighting]:
-    for one in message.people:
-        yield Sighting(one.name, _place(one.position), score=one.reliability)
-
-
-def _of_poses(message: Any) -> Iterator[Sighting]:
-    for pose in message.poses:
-        yield Sighting("", _place(pose.position), _turn(pose.orientation))
-
-
-def _of_pose(message: Any) -> Iterator[Sighting]:
-    yield Sighting("", _place(message.pose.position), _turn(message.pose.orientation))
-
-
-def _of_pose_with_covariance(message: Any) -> Iterator[Sighting]:
-    pose = message.pose.pose
-    yield Sighting("", _place(pose.position), _turn(pose.orientation), message.pose.covariance)
+def _posed(pose: Any, covariance: Any = None) -> Sighting:
+    return Sighting("", _place(pose.position), _turn(pose.orientation), covariance)
 
 
 def _of_detections(message: Any) -> Iterator[Sighting]:
@@ -328,18 +304,13 @@ def _of_detections(message: Any) -> Iterator[Sighting]:
         )
 
 
-def _of_ids(message: Any) -> Iterator[Sighting]:
-    for name in message.ids:
-        yield Sighting(name)
-
-
-_READERS: Mapping[str, Callable[[Any], Iterator[Sighting]]] = {
-    PEOPLE: _of_people,
+_READERS: Mapping[str, Callable[[Any], Iterable[Sighting]]] = {
+    PEOPLE: lambda m: [Sighting(one.name, _place(one.position), score=one.reliability) for one in m.people],
     DETECTIONS: _of_detections,
-    POSES: _of_poses,
-    POSE: _of_pose,
-    POSE_WITH_COVARIANCE: _of_pose_with_covariance,
-    IDS: _of_ids,
+    POSES: lambda m: map(_posed, m.poses),
+    POSE: lambda m: [_posed(m.pose)],
+    POSE_WITH_COVARIANCE: lambda m: [_posed(m.pose.pose, m.pose.covariance)],
+    IDS: lambda m: map(Sighting, m.ids),
 }
 
 

@@ -1,13 +1,4 @@
-"""Transforms between frames of reference, as ``tf`` tells them over time.
-
-Positions of people who are known by name alone, by the frames of REP 155 (ROS4HRI).
-
-People of messages on the ground of one frame of reference.
-
-The rows of a recording: whom its messages tell of, on the ground of one frame of reference.
-
-ROS 2 bags and MCAP files: people, poses, detections; see `graphtrack.ros`.
-"""
+"""The rows of a ROS 2 recording: people of messages and of ``tf`` (REP 155) on the ground of one frame."""
 
 from __future__ import annotations
 
@@ -39,6 +30,7 @@ from graphtrack.io.formats.ros_bag import (
     Sighting,
     chosen_topics,
     frame_of,
+    is_bag,
     is_of_one,
     kappa_of,
     multiplied,
@@ -47,21 +39,17 @@ from graphtrack.io.formats.ros_bag import (
     stamp_of,
     yaw_of,
 )
+from graphtrack.io.formats.ros_writing import write_mcap
 from graphtrack.io.options import Layout, ReadOptions
-from graphtrack.io.source import Source
 from graphtrack.packages import transform
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale
-from graphtrack.tracks.track import TrackSet
 
-_LONGEST = 100
-"""Frames between one and the root, above which there must be a circle."""
+_LONGEST = 100  # frames between one and the root, above which there must be a circle
 
-_FEW = 500
-"""Tellings of a frame that are kept however old they are."""
+_FEW = 500  # tellings of a frame that are kept however old they are
 
-_REACH = 500_000_000
-"""Nanoseconds by which a transform holds before its first and after its last telling."""
+_REACH = 500_000_000  # nanoseconds by which a transform holds before its first and after its last telling
 
 
 @dataclass(eq=False)
@@ -281,8 +269,7 @@ class Humans:
         return pose.translation[:, :2], looks((frames["body"], "x")), head, pose.known
 
 
-_USUAL = ("map", "odom", "world", "earth", "")
-"""Frames of reference that do not move, by REP 105."""
+_USUAL = ("map", "odom", "world", "earth", "")  # frames of reference that do not move, by REP 105
 
 _UNTOLD = (0.0, 0.0, 0.0, 0.0)
 _NOWHERE = (np.nan, np.nan, np.nan)
@@ -379,12 +366,9 @@ class Ground:
         """Notes on assumptions."""
         if self._was_given:
             return [f"places are in the frame {self.fixed}"]
-        hint = "; --fixed-frame brings them to one that does not move" if self._may_move else ""
+        may_move = self._has_transforms and self.fixed not in _USUAL
+        hint = "; --fixed-frame brings them to one that does not move" if may_move else ""
         return [f"places are in the frame {self.fixed or 'that has no name'}, as they stand{hint}"]
-
-    @property
-    def _may_move(self) -> bool:
-        return self._has_transforms and self.fixed not in _USUAL
 
     def placed(self, seen: Seen) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         """Columns x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
@@ -467,8 +451,7 @@ def _of_anybody(seen: Seen, place: FloatArray) -> dict[str, NDArray[Any]]:
     }
 
 
-_AT_A_TIME = 2048
-"""Messages that are brought to the ground together."""
+_AT_A_TIME = 2048  # messages that are brought to the ground together
 
 _BACK, _AHEAD = 10**9, 86_400 * 10**9
 """Nanoseconds by which stamps may go back, as messages overtake each other, and go ahead from the last."""
@@ -490,8 +473,7 @@ class _Columns:
     parts: list[dict[str, NDArray[Any]]] = field(default_factory=list)
     refused: Counter[str] = field(default_factory=Counter)
     kinds: Counter[str] = field(default_factory=Counter)
-    turned: bool = False
-    """Return whether any orientation is another than that of the frame of reference."""
+    turned: bool = False  # some orientation is another than that of the frame of reference
 
 
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
@@ -508,17 +490,15 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
             ground = _ground(bag, kind, topics, options.fixed_frame)
             columns = _columns(bag, kind, topics, ground, options.classes)
         except InputError as error:
-            raise _placed(error, path) from error
+            if error.path is not None:
+                raise
+            raise InputError(
+                error.found, error.expected, path=path, line=error.line, column=error.column
+            ) from error
         notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class picks")
         return _rows(path, columns, notes, options.beside, ground.fixed or "")
-
-
-def _placed(error: InputError, path: Path) -> InputError:
-    if error.path is not None:
-        return error
-    return InputError(error.found, error.expected, path=path, line=error.line, column=error.column)
 
 
 def _is_given(classes: tuple[str, ...]) -> bool:
@@ -552,11 +532,10 @@ def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
 
 
 def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> None:
-    if before is None or -_BACK <= stamp - before <= _AHEAD:
-        return
-    found = f"a clock that jumps by {(stamp - before) / 1e9:+.6g} s"
-    expected = "stamps that go on; cut the recording where its clock was set (ros2 bag convert)"
-    raise InputError(found, expected, line=number, column=topic)
+    if before is not None and not -_BACK <= stamp - before <= _AHEAD:
+        found = f"a clock that jumps by {(stamp - before) / 1e9:+.6g} s"
+        expected = "stamps that go on; cut the recording where its clock was set (ros2 bag convert)"
+        raise InputError(found, expected, line=number, column=topic)
 
 
 def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground:
@@ -617,7 +596,8 @@ def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None
         joined["body_rad"][:] = np.nan
         notes.append("orientations are all those of the frame of reference, and were taken for unsaid")
     number = joined.pop("number")
-    said = {name: values for name, values in joined.items() if not _is_void(values)}
+    void = {name for name, values in joined.items() if values.dtype.kind == "f" and np.isnan(values).all()}
+    said = {name: values for name, values in joined.items() if name not in void}
     layout = replace(_LAYOUT, columns={k: v for k, v in _LAYOUT.columns.items() if v in said})
     cells = Cells(path, "bag", said, lambda row: int(number[row]), {})
     rows = rows_of_cells(cells, layout, beside=beside)
@@ -627,10 +607,6 @@ def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None
     as_read = AsRead({}, TimeScale("number", origin=told.time.origin), names=told.names, frame=frame)
     notes = [*notes, *(note for note in rows.notes if note not in notes)]
     return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
-
-
-def _is_void(values: NDArray[Any]) -> bool:
-    return values.dtype.kind == "f" and bool(np.isnan(values).all())
 
 
 def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
@@ -643,31 +619,11 @@ def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
     return first
 
 
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether a recording lies at the path, which may be a folder."""
-    from graphtrack.io.formats.ros_bag import is_bag
-
-    return is_bag(path)
-
-
-def read(source: Source, options: ReadOptions) -> Rows:
-    """Read whom the messages of a topic tell of; see `graphtrack.io.formats.ros_reading.rows_of_bag`."""
-
-    return rows_of_bag(source.path, options)
-
-
-def write(tracks: TrackSet, path: Path) -> None:
-    """Write an MCAP file of messages and of what Foxglove and RViz draw."""
-    from graphtrack.io.formats.ros_writing import write_mcap
-
-    write_mcap(tracks, path)
-
-
 BAG = Format(
     name="bag",
     description="ROS 2 bag or MCAP: People, Detection3DArray, PoseArray, PoseStamped, IdsList",
     suffixes=(".mcap",),
-    looks_like=looks_like,
-    read=read,
-    write=write,
+    looks_like=lambda head, path: is_bag(path),
+    read=lambda source, options: rows_of_bag(source.path, options),
+    write=write_mcap,
 )

@@ -1,19 +1,8 @@
-"""Estimates of people at a time as ROS messages, of any library's message classes.
+"""Estimates as ROS messages of any library's classes, and tracks as an MCAP file for Foxglove and RViz.
 
-Messages of rosbags, of some of their fields: the others are empty.
-
-Messages that differ in numbers alone, by the thousand.
-
-To build and serialise a message object by object takes a millisecond for twenty people. But where the same
-people are told of with the same quantities, the bytes differ in known places alone. Where these are is found
-out by serialising one message with marks in the place of its numbers; the others are copies of it.
-
-People as Foxglove (``SceneUpdate``) and RViz (``MarkerArray``) draw them.
-
-Each message stands by itself: it takes back what was drawn before. An arrow from the feet is a second's way,
-one at the shoulders shows the body, one at the eyes the head; an ellipse holds the position with 95 %.
-
-Tracks as an MCAP file of ROS 2's messages, for robots, and for Foxglove and RViz to draw.
+To serialise a message object by object takes a millisecond for twenty people. Where the same people are told
+of with the same quantities, the bytes differ in known places alone, so one message with marks in the place of
+its numbers is serialised, and the others are copies of it.
 """
 
 from __future__ import annotations
@@ -58,11 +47,9 @@ HEIGHT, WIDTH = 1.7, 0.5
 EYES = 1.55
 """Metres above the ground of a head's pose."""
 
-_CHI2_95 = 5.991464547107979
-"""Of two degrees of freedom: what 95 % stay below."""
+_CHI2_95 = 5.991464547107979  # of two degrees of freedom: what 95 % stay below
 
-_SHORTEST = 0.01
-"""Metres of an arrow: what has no length at all, RViz complains of."""
+_SHORTEST = 0.01  # metres of an arrow: what has no length at all, RViz complains of
 
 
 class Make(Protocol):
@@ -288,16 +275,14 @@ class Made:
         return [self._nothing((inner, name)) for _ in range(length if node == Nodetype.ARRAY else 0)]
 
 
-_HEADER = 4
-"""Bytes before the contents of a message, from which its numbers are aligned."""
+_HEADER = 4  # bytes before the contents of a message, from which its numbers are aligned
 
 _MARK = 0xB7E1_5162_8A00_0000
 """Bits of a double that is none of a drawing; the last 24 number the marks. UTF-8 text has no such bytes."""
 
 _SECONDS, _NANOSECONDS = 0x6AE1_5162, 0xB7E1_5163
 
-_MOST = 2**24 // len(Quantities._fields)
-"""People of whom a message can be repeated."""
+_MOST = 2**24 // len(Quantities._fields)  # people of whom a message can be repeated
 
 
 class Repeated:
@@ -351,8 +336,7 @@ _SHOULDERS = 1.35
 _THIN = 0.02
 _ABOVE = HEIGHT + 0.25
 _WHITE = "#FFFFFF"
-_POINT = 0.3
-"""Metres of the point of an arrow of body or head."""
+_POINT = 0.3  # metres of the point of an arrow of body or head
 
 _ARROW, _CYLINDER, _TEXT = 0, 3, 9
 _DELETE_ALL_MARKERS, _DELETE_ALL_ENTITIES = 3, 1
@@ -531,8 +515,7 @@ _BETWEEN_DRAWINGS = 95_000_000
 
 _LATEST = 2**31 * 10**9
 _CHUNK = 4 * 2**20
-_AT_A_TIME = 4096
-"""People times moments that are written together."""
+_AT_A_TIME = 4096  # people times moments that are written together
 
 
 def message_for(kind: str, make: Any, stamp: int, frame_id: str, people: list[Person]) -> Any:

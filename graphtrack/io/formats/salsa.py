@@ -59,12 +59,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         "salsa",
         np.tile(np.array(list(ids), dtype=np.int64), steps),
         np.repeat(np.arange(steps), people),
-        {
-            "t": np.repeat(t, people),
-            "position": np.column_stack([x, y]),
-            "body": angle(3),
-            "head": angle(4),
-        },
+        {"t": np.repeat(t, people), "position": np.column_stack([x, y]), "body": angle(3), "head": angle(4)},
         lambda row: table.line_of(row // people),
         labels=ids,
         notes=notes,
