@@ -26,13 +26,13 @@ LARGE = 512 * 2**20
 """Bytes of a Parquet file from which it is streamed without being asked to."""
 
 
-def is_streamed(inputs: list[Path], output: Path, asked: bool | None) -> bool:
-    """Return True if an input is streamed: asked for, of a folder or of a large file."""
+def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: str | None) -> bool:
+    """Return True if an input is streamed: asked for, on a cluster, of a folder or of a large file."""
     from graphtrack.io.formats.ros_bag import is_bag
 
     if asked is not None:
-        return asked
-    if any(table_in(path).is_dir() and not is_bag(path) for path in inputs):
+        return asked or cluster is not None
+    if cluster is not None or any(table_in(path).is_dir() and not is_bag(path) for path in inputs):
         return True
     return len(inputs) == 1 and _is_large(inputs[0]) and _is_parquet(inputs[0]) and _is_parquet(output)
 
@@ -71,8 +71,9 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     dataset = open_dataset(path)
     files = "" if len(dataset.files) == 1 else f" in {len(dataset.files)} files"
     emit(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed")
-    in_lanes = (is_large(options["model"], dataset.n_rows),)
-    make_solver_ready(options["model"], options["engine"], in_lanes=in_lanes)
+    if options["cluster"] in (None, "local"):
+        in_lanes = (is_large(options["model"], dataset.n_rows),)
+        make_solver_ready(options["model"], options["engine"], in_lanes=in_lanes)
     start = time.perf_counter()
     with progress_bar(dataset.n_rows) as advance:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)
@@ -107,6 +108,7 @@ def smooth(
     report: Path | None = None,
     stream: bool | None = None,
     batch_frames: Annotated[int, typer.Option(min=1)] = 100_000,
+    cluster: Annotated[str | None, typer.Option(metavar="ADDRESS|local")] = None,
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties.
 
@@ -122,6 +124,7 @@ def smooth(
     ----------------------------
     stream : Parquet track by track, in bounded memory, as folders and files of 512 MB are.
     batch_frames : Person-frames held at a time when streaming.
+    cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
     from graphtrack.diagnostics import trusted
     from graphtrack.inference.chain.batch import fit_lanes
@@ -140,7 +143,7 @@ def smooth(
     )
     chosen = Model.named(model)
     solver = engine_of(chosen, engine)
-    if is_streamed(inputs, output, stream):
+    if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample}
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
@@ -153,6 +156,7 @@ def smooth(
             model=chosen,
             engine=solver,
             jobs=jobs,
+            cluster=cluster,
             batch_frames=batch_frames,
             select=tuple(reading.select or ()),
             read_options=reading.options(),

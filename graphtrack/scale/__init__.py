@@ -1,4 +1,4 @@
-"""Smoothing of Parquet data sets that do not fit into memory."""
+"""Smoothing of Parquet data sets that do not fit into memory, on this machine or on a Dask cluster."""
 
 from graphtrack.scale.dataset import Dataset, open_dataset
 from graphtrack.scale.job import Outcome, smooth_dataset

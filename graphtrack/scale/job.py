@@ -22,7 +22,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
 from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
-from graphtrack.scale.workers import Work, smooth_batch
+from graphtrack.scale.workers import Batch, Shard, Work, smooth_batch, smooth_on_cluster
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import in_order
 from graphtrack.tracks.table import check_names
@@ -67,6 +67,7 @@ def smooth_dataset(
     *,
     engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
+    cluster: str | None = None,
     batch_frames: int = 100_000,
     select: tuple[str, ...] = (),
     read_options: ReadOptions | None = None,
@@ -82,8 +83,12 @@ def smooth_dataset(
     dataset : a Parquet file, or a folder of them that together are one native table
     output : the Parquet file to write, outside of the data set. It is there whole or, on any failure, not at
         all; nor is it written when no track could be smoothed. Temporary files lie beside it.
-    model, engine, jobs, options : as in `graphtrack.solve`
-    batch_frames : person-frames that are read and smoothed together; memory grows with it
+    model, engine, options : as in `graphtrack.solve`
+    jobs : as in `graphtrack.solve`; with ``cluster="local"`` processes with a batch each, by default one for
+        each processor
+    cluster : None: this process; "local": a Dask cluster of processes on this machine; else the address of a
+        Dask scheduler
+    batch_frames : person-frames that are read, smoothed and sent together; memory grows with it
     select : patterns as in `TrackSet.select`; empty: all tracks
     read_options : frame rate and camera
     progress : called with the numbers of rows that are done
@@ -91,8 +96,10 @@ def smooth_dataset(
     Raises
     ------
     InputError
-        For input that cannot be right, with file, row and column, or an output that is a part of the data
-        set.
+        For input that cannot be right, with file, row and column, for an output that is a part of the data
+        set, or a cluster that cannot be reached.
+    GraphtrackError
+        When the cluster is lost, or a batch ends every worker that takes it.
     """
     dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     output, model = Path(output), Model.named(model)
@@ -105,14 +112,36 @@ def smooth_dataset(
         raise dataset.fail(
             "pixels u, v without x, y", "positions in metres, to stream a data set", column="x"
         )
-    options = SolverOptions() if options is None else options
-    work = Work(dataset, read_options, select, model, engine_of(model, engine), jobs, options)
-    make_solver_ready(model, work.engine, read_options.camera, (is_large(model, dataset.n_rows),))
+    work = Work(
+        dataset.path,
+        dataset.columns,
+        read_options,
+        select,
+        model,
+        engine_of(model, engine),
+        1 if cluster else jobs,
+        SolverOptions() if options is None else options,
+        dataset.n_rows,
+    )
+    if cluster in (None, "local"):
+        # Once for all processes of this machine.
+        in_lanes = (is_large(work.model, work.n_frames),)
+        make_solver_ready(work.model, work.engine, read_options.camera, in_lanes)
     index = index_tracks(dataset)
+
+    def labelled(scratch: Path) -> Iterator[Batch]:
+        for rows in batches(dataset, index, batch_frames, scratch):
+            yield Batch(rows, _labels(dataset, rows))
+
     try:
         with atomic_path(output) as temporary:
-            given = batches(dataset, index, batch_frames, temporary.parent)
-            outcome = _write(work, given, temporary, notes, progress)
+            given = labelled(temporary.parent)
+            shards = (
+                (smooth_batch(work, batch) for batch in given)
+                if cluster is None
+                else smooth_on_cluster(work, given, cluster, jobs)
+            )
+            outcome = _write(dataset, shards, temporary, work, notes, progress)
             if not outcome.n_smoothed:
                 raise _NothingSmoothed
     except _NothingSmoothed:
@@ -121,13 +150,13 @@ def smooth_dataset(
 
 
 def _write(
-    work: Work,
-    given: Iterator[FloatArray],
+    dataset: Dataset,
+    shards: Iterator[Shard],
     path: Path,
+    work: Work,
     notes: tuple[str, ...],
     progress: Callable[[int], None] | None,
 ) -> Outcome:
-    dataset = work.dataset
     n_tracks = n_sorted = 0
     speeds = Speeds()
     failures: list[Failure] = []
@@ -135,8 +164,7 @@ def _write(
     said = dict.fromkeys((*dataset.notes, *notes))
     with ShardWriter(path, possible_columns(dataset, work.model), dataset.names) as writer:
         try:
-            for rows in given:
-                shard = smooth_batch(work, rows)
+            for shard in shards:
                 writer.add(shard.columns)
                 n_tracks += shard.n_tracks
                 n_sorted += shard.n_sorted
@@ -145,7 +173,7 @@ def _write(
                 unconverged += shard.unconverged
                 said |= dict.fromkeys(shard.notes)
                 if progress is not None:
-                    progress(len(rows))
+                    progress(shard.n_rows)
         except InputError as error:
             if error.path != str(dataset.path) or error.line is None:
                 raise
@@ -174,7 +202,7 @@ def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
 
 
 def _with_camera(dataset: Dataset, options: ReadOptions) -> tuple[ReadOptions, tuple[str, ...]]:
-    """The options with the camera that they name."""
+    """The options with the camera that they name, so that workers need none of its files."""
     if not {"u", "v"} <= set(dataset.columns):
         return options, ()
     # Which side of the horizon is seen: the first pixels tell.
@@ -183,3 +211,10 @@ def _with_camera(dataset: Dataset, options: ReadOptions) -> tuple[ReadOptions, t
     if camera is None and options.metres_per_pixel is not None:
         camera, notes = camera_or_scale(options, pixel, np.ones(1))
     return replace(options, camera=camera), notes
+
+
+def _labels(dataset: Dataset, rows: FloatArray) -> dict[int, str]:
+    if "label" not in dataset.columns:
+        return {}
+    codes = np.unique(rows[:, dataset.columns.index("label")]).astype(int)
+    return {code: dataset.labels[code] for code in codes.tolist()}

@@ -1,19 +1,34 @@
-"""One batch: from the rows of some whole tracks to the columns of their estimates."""
+"""One batch: from the rows of some whole tracks to the columns of their estimates. It runs on any worker.
+
+Batches on a Dask cluster: in order, a few at a time, again elsewhere when a worker is lost.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import logging
+import time
+import uuid
+from collections import deque
+from collections.abc import Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.result import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
+from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model
-from graphtrack.scale.dataset import Dataset
+from graphtrack.packages import package
 from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.table import from_columns
 from graphtrack.tracks.track import TrackSet, to_columns
@@ -26,19 +41,39 @@ class Work:
 
     Attributes
     ----------
-    dataset : that the batches come from
+    path : of the data set, for messages
+    columns : names of the columns of a batch
     read_options : frame rate and camera
     select : patterns of the tracks to smooth; empty: all
     model, engine, jobs, options : as in `graphtrack.solve`
+    n_frames : person-frames of all batches
+    version : of this package, where the job was started
     """
 
-    dataset: Dataset
+    path: Path
+    columns: tuple[str, ...]
     read_options: ReadOptions
     select: tuple[str, ...]
     model: Model
     engine: OfflineEngine
     jobs: int | None
     options: SolverOptions
+    n_frames: int
+    version: str = version("graphtrack")
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Rows of whole tracks.
+
+    Attributes
+    ----------
+    rows : (n, columns + 1) as `Dataset.blocks` has them
+    labels : number in the column ``label`` → what it stands for
+    """
+
+    rows: FloatArray
+    labels: Mapping[int, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +83,8 @@ class Shard:
     Attributes
     ----------
     columns : of the native table, as `to_columns` gives them
-    n_tracks : tracks that were chosen
+    n_rows : rows that went in
+    n_tracks : tracks among them that were chosen
     n_sorted : tracks whose frames were out of order
     failures : tracks that could not be smoothed
     unconverged : (track id, iterations) of those that were, but did not converge
@@ -57,6 +93,7 @@ class Shard:
     """
 
     columns: dict[str, NDArray[Any]]
+    n_rows: int
     n_tracks: int
     n_sorted: int
     failures: tuple[Failure, ...]
@@ -65,22 +102,21 @@ class Shard:
     speeds: Speeds
 
 
-def smooth_batch(work: Work, rows: FloatArray) -> Shard:
-    """Check and smooth the tracks of a batch; one that fails does not keep the others from coming out.
-
-    Parameters
-    ----------
-    rows : (n, columns + 1) of whole tracks, as `Dataset.blocks` has them
-    """
-    dataset = work.dataset
-    rows, n_sorted = _in_order(rows)
-    columns: dict[str, NDArray[Any]] = dict(zip(dataset.columns, rows.T[:-1], strict=True))
+def smooth_batch(work: Work, batch: Batch) -> Shard:
+    """Check and smooth the tracks of a batch; one that fails does not keep the others from coming out."""
+    here = version("graphtrack")
+    if here != work.version:
+        raise InputError(f"graphtrack {here} on a worker", f"{work.version}, as where the job was started")
+    rows, n_sorted = _in_order(batch.rows)
+    columns: dict[str, NDArray[Any]] = {}
+    for place, name in enumerate(work.columns):
+        columns[name] = rows[:, place]
     if "label" in columns:
-        columns["label"] = np.array(dataset.labels, dtype=object)[columns["label"].astype(int)]
+        columns["label"] = np.array([batch.labels[code] for code in columns["label"]], dtype=object)
     number = rows[:, -1]
     native = from_columns(
         columns,
-        path=dataset.path,
+        path=work.path,
         format="parquet",
         fps=work.read_options.fps,
         line_of=lambda row: int(number[row]) + 1,
@@ -90,11 +126,12 @@ def smooth_batch(work: Work, rows: FloatArray) -> Shard:
     if work.select:
         tracks = tracks.select(*work.select)
     found = solve_tracks(
-        tracks, work.model, work.engine, jobs=work.jobs, options=work.options, n_frames=dataset.n_rows
+        tracks, work.model, work.engine, jobs=work.jobs, options=work.options, n_frames=work.n_frames
     )
     good = [result for result in found if isinstance(result, Solution)]
     return Shard(
         to_columns(replace(tracks, tracks=tuple(result.track for result in good))),
+        len(rows),
         len(tracks),
         n_sorted,
         tuple(result for result in found if isinstance(result, Failure)),
@@ -109,3 +146,134 @@ def _in_order(rows: FloatArray) -> tuple[FloatArray, int]:
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     back = (np.diff(rows[:, 0]) == 0) & (np.diff(rows[:, 1]) < 0)
     return rows[np.lexsort((rows[:, 1], rows[:, 0]))], len(np.unique(rows[1:, 0][back]))
+
+
+AHEAD = 2
+"""Batches in the hands of the cluster for each of its threads: one that runs and one that waits."""
+
+ALONE = 60.0
+"""Seconds after which a cluster without any worker is given up."""
+
+_LOOK = 2.0
+"""Seconds between two looks at whether there still are workers."""
+
+
+def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: int | None) -> Iterator[Shard]:
+    """Yield the result of `smooth_batch` for each batch, in the order of the batches.
+
+    A batch travels inside its task, which stays with the scheduler until its shard has arrived here: when a
+    worker is lost, with batches or with finished shards, the scheduler gives them to another one.
+
+    Parameters
+    ----------
+    address : of a Dask scheduler, or "local" for processes on this machine
+    jobs : processes of a local cluster, by default one for each processor
+
+    Raises
+    ------
+    InputError
+        If there is no dask.distributed here, no graphtrack on the workers, or no answer from the address;
+        or what `smooth_batch` raises.
+    GraphtrackError
+        When the scheduler is lost, no worker is left, or a batch ends every worker that takes it.
+    """
+    distributed = package("distributed", "cluster")
+    if address != "local" and jobs is not None:
+        raise InputError(f"{jobs} jobs on a cluster", "as many as its workers have threads: leave it out")
+    with _client(address, jobs) as client:
+        waiting: deque[tuple[Any, int]] = deque()
+        name = f"smooth-{uuid.uuid4().hex}"
+        number = 0
+        try:
+            while True:
+                room = AHEAD * max(1, sum(client.nthreads().values()))
+                while len(waiting) < room and (batch := next(given, None)) is not None:
+                    key = f"{name}-{number}"
+                    waiting.append((client.submit(smooth_batch, work, batch, key=key), number))
+                    number += 1
+                if not waiting:
+                    return
+                yield _result(client, *waiting.popleft())
+        except distributed.KilledWorker as error:
+            raise GraphtrackError(
+                f"cluster: {error.last_worker.address} is the last of several workers that ended while they "
+                "smoothed the same batch; give the workers more memory, or batches of fewer frames"
+            ) from error
+        except (CancelledError, distributed.comm.CommClosedError) as error:
+            raise GraphtrackError(f"cluster: the scheduler at {address} was lost") from error
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"a worker without {error.name}", "this version of graphtrack on every worker"
+            ) from error
+
+
+def _result(client: Any, future: Any, number: int) -> Shard:
+    alone_since = None
+    while True:
+        try:
+            shard: Shard = future.result(timeout=_LOOK)
+            return shard
+        except TimeoutError as error:
+            if client.nthreads():
+                alone_since = None
+                continue
+            alone_since = time.monotonic() if alone_since is None else alone_since
+            if time.monotonic() - alone_since > ALONE:
+                raise GraphtrackError(
+                    f"cluster: no worker for {ALONE:g} s, batch {number + 1} waits"
+                ) from error
+
+
+@contextmanager
+def _client(address: str, jobs: int | None) -> Iterator[Any]:
+    import dask
+    import distributed
+
+    with ExitStack() as stack:
+        # A batch inside its task is what is wanted here, and lost workers are told by the result.
+        stack.enter_context(dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GiB"}))
+        stack.enter_context(_silence("distributed"))
+        if address == "local":
+            cluster = distributed.LocalCluster(
+                n_workers=jobs or processors(),
+                threads_per_worker=1,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
+            stack.enter_context(cluster)
+            where: Any = cluster
+        else:
+            where = address
+        try:
+            # A client that cannot connect complains again when it is collected: knock first.
+            if where is address:
+                asyncio.run(_knock(address))
+            client = distributed.Client(where, set_as_default=False)
+        except (OSError, ValueError, ImportError, distributed.comm.CommClosedError) as error:
+            expected = "the address of one that runs, such as tcp://host:8786, or local"
+            raise InputError(f"no answer from a Dask scheduler at {address}", expected) from error
+        stack.enter_context(client)
+        yield client
+
+
+async def _knock(address: str) -> None:
+    """Connect to a scheduler and hang up; raises OSError (of which TimeoutError is one) if none answers."""
+    import dask
+    import distributed
+
+    identity = distributed.Security().get_connection_args("client")
+    seconds = dask.utils.parse_timedelta(dask.config.get("distributed.comm.timeouts.connect"))
+    # The limit of `connect` holds for the connection, not for the answer to the first message.
+    comm = await asyncio.wait_for(distributed.comm.connect(address, **identity), 2.0 * seconds)
+    await comm.close()
+
+
+@contextmanager
+def _silence(name: str) -> Iterator[None]:
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

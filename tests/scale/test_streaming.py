@@ -15,7 +15,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from command import run
 from selection import others_slow
 from walks import walk, without
 
@@ -262,24 +261,6 @@ def test_batches_are_whole_tracks_in_order_and_hold_every_row_once(tmp_path):
     np.testing.assert_array_equal(together[order][:, 0], track_id)
     np.testing.assert_array_equal(together[order][:, 2], table["x"])
     assert not (tmp_path / "runs").exists()
-
-
-def test_the_command_names_failed_tracks_and_refuses_options_that_need_all_tracks(tmp_path):
-    source, output = tmp_path / "in.parquet", tmp_path / "out.parquet"
-    gt.write(
-        gt.TrackSet((walk(20, track_id=1), without(walk(9, track_id=5), "position", slice(None)))), source
-    )
-    for target, options, words in (
-        (output, ("--report", tmp_path / "r.html"), "--report when streaming"),
-        (output, ("--format", "csv"), "--format when streaming"),
-        (tmp_path / "out.csv", (), ".parquet"),
-    ):
-        done = run("smooth", source, "-o", target, "--stream", *options, program="graphtrack")
-        assert done.returncode == 2 and words in done.stderr
-        assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
-    done = run("smooth", source, "-o", output, "--stream", program="graphtrack")
-    assert done.returncode == 2 and "error: track 5" in done.stderr
-    assert set(pd.read_parquet(output).track_id) == {1}
 
 
 MEASURED = """
