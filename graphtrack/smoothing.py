@@ -2,8 +2,6 @@
 
 In this order: read files, find identities, insert missing frames, check the declared noise, find groups
 (with a model that has them), and solve with an engine.
-
-`OnlineTracker`: online tracking of a scene from detections, with groups and forecasts.
 """
 
 from __future__ import annotations

@@ -1,14 +1,8 @@
-"""Appearance: a calibrated likelihood ratio of two descriptors under one person and under two.
+"""Appearance and detection scores as calibrated likelihood ratios, learned from tracks.
 
-Differences are whitened by those within people, as in KISSME (Köstinger, Hirzer, Wohlhart, Roth & Bischof,
-Large scale metric learning from equivalence constraints, CVPR 2012). Its own ratio, of two Gaussians, is far
-too sharp, for looks have heavy tails; here it is a logistic function of the logarithm of the whitened
-distance (Platt, Probabilistic outputs for support vector machines, 1999), learned on people whom the
-whitening has not seen.
-
-Learning the likelihood ratios of appearance and of detection scores from tracks.
-
-Evidence of appearance and detection scores, as it is learned from tracks.
+Differences of descriptors are whitened by those within people, as in KISSME (Köstinger et al., CVPR 2012).
+The ratio is a logistic function of the logarithm of the whitened distance (Platt 1999), learned on people
+whom the whitening has not seen: a ratio of two Gaussians would be far too sharp, for looks have heavy tails.
 """
 
 from __future__ import annotations
@@ -263,9 +257,7 @@ def resemblance_of_false_ones(
     Detections have as much less to gain: `constancy`, as who decides at once can measure it. There
     links are made because looks agree, so that the mean of those of people would rise by itself.
 
-    Parameters
-    ----------
-    chains : the detections, in the order of time
+    ``chains``: the detections, in the order of time
     """
     false = np.flatnonzero((identity < 0) & has_descriptor(descriptors))
     if not len(false):

@@ -1,13 +1,8 @@
-"""Detections chained to tracks, and a scene's parameters, as compiled functions read them.
+"""Log likelihood of tracks as chains of detections, compiled: motion, misses, angles and appearance.
 
-Likelihood of two detections' angles and appearance if they are one person's.
-
-Evidence that detections are one person's, compiled: filters of white-noise acceleration along chains.
-
-A track is a chain: each detection knows the one after it (−1: none). Its evidence is the log density of its
-detections, of how it was missed between them, and of its birth, over that of false detections.
-
-Evidence of observed body and head angles for data association, with parameters learned from tracks.
+Each detection of a chain has the index of the next one (−1: none) and a filtered state of white-noise
+acceleration. The evidence of a track is the log density of its detections, of the gaps between them and of
+its birth, over that of false detections.
 """
 
 from __future__ import annotations
@@ -470,9 +465,8 @@ def gains_of_detections(
 ) -> FloatArray:
     """Return the gain in evidence (tracks, detections) of a frame's detection in a track that spans it.
 
-    Parameters
-    ----------
-    heads, tails : (tracks,) the last detection before the frame and the first after it, linked; −1: none
+    ``heads``, ``tails``: (tracks,) the last detection before the frame and the first after it, linked; −1:
+    none
     """
     gains, state, here = np.full((len(heads), len(detections)), IMPOSSIBLE), np.empty(STATE), np.empty(STATE)
     alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)
@@ -640,10 +634,8 @@ _OUTLIERS = (0.02, 0.9)
 def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     """Observed body and head of each detection, (n, 2) radians; NaN where there is none.
 
-    Parameters
-    ----------
-    channels : by the names of a track's attributes; where there is no angle, class likelihoods are taken by
-        their circular mean
+    ``channels``: by the names of a track's attributes; where there is no angle, class likelihoods are taken
+    by their circular mean
     """
     found = np.full((n, 2), np.nan)
     for column, name in enumerate(("body", "head")):
@@ -662,9 +654,7 @@ def learn_orientation(
 ) -> SceneParameters:
     """The parameters of angles under which the tracks' are most probable.
 
-    Parameters
-    ----------
-    chains : the tracks; their states are filtered anew
+    ``chains``: the tracks; their states are filtered anew
     """
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])

@@ -1,11 +1,9 @@
-"""Moves that better an explanation: tracks are cut and joined anew, a frame's detections matched anew.
+"""Offline data association: block-wise maximisation of the evidence of a whole recording.
 
-The most probable explanation of a whole recording, by assigning anew at every cut and in every frame.
-
-At each time all tracks are cut: what came before (heads) and what comes after (tails) are matched anew, a
-link being worth the evidence of the joined track over that of both alone. In each frame its detections are
-matched anew to the tracks that span it, everything else staying. Each is the best of its block, so that the
-evidence only rises; a few sweeps over the recording suffice.
+At each time all tracks are cut: heads (what came before) and tails (what comes after) are matched again, a
+link being worth the evidence of the joined track over that of both alone. In each frame the detections are
+matched again to the tracks that span it. Each match is the best of its block, so that the evidence only
+rises; a few sweeps suffice.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""Attributes of open detections alongside their chains.
+"""Online data association with a revision window.
 
-The newest final decisions of online association, from which the scene's parameters are learned.
-
-Online data association with a revision window.
-
-The moves are those of a whole recording (`moves`), made in the newest frames alone. What lies further back is
-as it was decided; of it only the last detection of each track is kept, for it may be found again.
+The moves of `offline` are made in the newest frames alone. Older decisions are final; of them the last
+detection of each track is kept, for it may be found again, and the newest ones, to learn the scene's
+parameters from.
 """
 
 from __future__ import annotations
@@ -304,10 +301,7 @@ class OnlineAssociation(Moves):
     def from_state(cls, state: Mapping[str, Any]) -> OnlineAssociation:
         """One that goes on where `state` was taken, to the last bit.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError, InputError
-            If the state is damaged.
+        Raise KeyError, TypeError, ValueError or InputError if the state is damaged.
         """
         found = cls(state["known"], np.inf if state["lag"] is None else state["lag"])
         found.scene = SceneParameters(**state["scene"])
@@ -380,6 +374,9 @@ class OnlineAssociation(Moves):
     ) -> Decision:
         """Take in a frame's detections.
 
+        Raise InputError if time does not increase, a position is not finite or descriptors have another size
+        than before. Nothing has changed then.
+
         Parameters
         ----------
         t : seconds, after those of the update before
@@ -388,12 +385,6 @@ class OnlineAssociation(Moves):
         facing : (n, 2) radians, body and head as they were observed; NaN: not observed
         score : (n,) how sure the detector was, in its own units; NaN: it does not say
         descriptor : (n, d) what each looks like, NaN where that is not known; d is the same in all frames
-
-        Raises
-        ------
-        InputError
-            If time does not increase, a position is not finite or descriptors have another size than before.
-            Nothing has changed then.
         """
         position = np.asarray(position, float).reshape(-1, 2)
         self.check_time(t)

@@ -1,11 +1,8 @@
-"""Several detections of one person in a frame: the others are not people of their own.
+"""Parameters of a scene, learned from detections and their tracks (expectation maximisation).
 
-The scene's parameters from the detections alone: expectation and maximisation around the association.
-
-Birth, death and clutter rates, learned as maps over the ground plane.
-
-Each is a rate over the ground, as many times the scene's mean: events are counted on a grid, blurred, and
-compared with as many as there would be if they happened alike wherever they could.
+Rates of misses, occlusions, duplicates, births, deaths and clutter, and the motion. Births, deaths and
+clutter also have maps over the ground plane: events are counted on a grid, blurred, and divided by as many
+as there would be if they happened alike everywhere.
 """
 
 from __future__ import annotations

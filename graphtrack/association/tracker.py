@@ -1,9 +1,4 @@
-"""Angles, scores and descriptors of observations as arrays; NaN where one has none.
-
-`DetectionTracker`: a frame's detections in, an estimate of everybody out.
-
-Recorded detections online: who was who, and where, as it was said at each frame.
-"""
+"""`DetectionTracker`: from the detections of a frame to estimates of everybody, online."""
 
 from __future__ import annotations
 
@@ -61,9 +56,7 @@ def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
 
     Raise InputError for a descriptor that has another size.
 
-    Parameters
-    ----------
-    size : d as it was before; 0: that of the first one
+    ``size``: d as it was before; 0: that of the first one
     """
     given = [one.inputs.get(APPEARANCE) for one in seen]
     rows = [None if one is None else np.atleast_1d(np.asarray(one, float)) for one in given]
@@ -186,19 +179,15 @@ class DetectionTracker:
     ) -> list[PersonEstimate]:
         """Take in a frame's detections; what is known of everybody who is there, in the order of track ids.
 
-        Those are told, too, who were not seen and more probably were missed than left.
+        Those are told, too, who were not seen and more probably were missed than left. Raise InputError if
+        time does not increase, a detection has no position or cannot be used, or a descriptor of looks has
+        another size than before. Nothing has changed then.
 
         Parameters
         ----------
         t : seconds, after those of the update before; any step
         detections : observations, whose own times do not matter, or positions (n, 2) in metres; none is fine.
             What they look like is their input ``appearance``, of one size in all frames
-
-        Raises
-        ------
-        InputError
-            If time does not increase, a detection has no position or cannot be used, or a descriptor of
-            looks has another size than before. Nothing has changed then.
         """
         seen = [self.on_the_ground(one, t) for one in detections]
         position = np.array([one.position for one in seen], float).reshape(-1, 2)
@@ -240,10 +229,7 @@ class DetectionTracker:
     ) -> Self:
         """A tracker that goes on where `state` was taken, given the same model and options.
 
-        Raises
-        ------
-        InputError
-            If the state is damaged, or of a model with other terms.
+        Raise InputError if the state is damaged, or of a model with other terms.
         """
         tracker = cls(model, **options)
         try:
@@ -364,10 +350,7 @@ class DetectionTracker:
     def on_the_ground(self, detection: Any, t: float) -> Observation:
         """A detection as an observation at the time, with the camera's position where it has none.
 
-        Raises
-        ------
-        InputError
-            If it has none at all, or cannot be used.
+        Raise InputError if it has none at all, or cannot be used.
         """
         if not isinstance(detection, Observation):
             x, y = (float(value) for value in detection)

@@ -1,7 +1,4 @@
-"""The parts of a forecast, and how far from its mean people are expected to be.
-
-`Forecaster`: predict people's positions online, from the frames seen so far.
-"""
+"""`Forecaster`: predict people's positions online, from the frames seen so far."""
 
 from __future__ import annotations
 

@@ -1,12 +1,8 @@
-"""Parameters of forecasts, with units and ranges, and their file.
+"""Parameters of forecasts, and Kalman filters under several beliefs about the noise of positions.
 
-Positions and velocities of many people at once, under several beliefs about how noisy positions are.
-
-For each person a Kalman filter (white-noise acceleration, the model's term `Motion`) runs under each of
-`BELIEFS`; how well it predicted the next position says which holds (a static multiple model: Magill, IEEE TAC
-10(4), 1965). Annotators' splines and detectors' jitter differ by two orders of magnitude, and a filter that
-is wrong about them either lags or shakes. Points of the plane are complex numbers: both axes share their
-gains. (The filter of data association takes one belief and jumps, one detection at a time, compiled.)
+For each person a filter (white-noise acceleration) runs under each of `BELIEFS`, weighed by how well it
+predicted (a static multiple model: Magill, IEEE TAC 10(4), 1965), since annotators' splines and detectors'
+jitter differ by two orders of magnitude. Points of the plane are complex: both axes share their gains.
 """
 
 from __future__ import annotations

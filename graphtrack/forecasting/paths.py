@@ -1,10 +1,8 @@
-"""Gaussian kernel sums, compiled, and the paths of a scene that they are taken over.
-
-Paths of a scene, learned online: deviations of earlier people of the same place and velocity.
+"""Paths of a scene, learned online: deviations of earlier people of the same place and velocity.
 
 Every so often a person's position and velocity become an anchor, which is filled with where the person went
-instead of straight on, as that is seen. A forecast is corrected by the anchors near it (a kernel regression:
-Nadaraya, Theory Probab. Appl. 9(1), 1964), weighed against people who went straight on.
+instead of straight on. A forecast is corrected by the anchors near it (kernel regression: Nadaraya, Theory
+Probab. Appl. 9(1), 1964), weighed against people who went straight on.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Forecasts for recorded tracks: each from what had been seen when it was made.
-
-Tables of forecasts: recognised by their columns, and read.
-"""
+"""Forecasts for recorded tracks, each from the frames before it, and their tables."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
-"""Spread of forecasts: a mixture of an elliptical Gaussian and a wider one of the same shape.
+"""Spread of forecasts: a mixture of an elliptical Gaussian and a wider one, and its calibration.
 
-Calibration of forecasts by the scene's own errors so far (conformal prediction with a prior).
-
-Of every forecast whose outcome was seen the error over the expected spread is counted, by time ahead, beside
-what would be expected of `ForecastParameters.scene_prior` forecasts. The quantiles of both together stretch
-the circles (conformal prediction, with a prior).
+Of every forecast whose outcome was seen, the error over the expected spread is counted by time ahead,
+together with what is expected of `ForecastParameters.scene_prior` forecasts. The quantiles of both stretch
+the circles (conformal prediction with a prior).
 """
 
 from __future__ import annotations

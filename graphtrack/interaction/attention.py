@@ -1,11 +1,4 @@
-"""Attention: how probably each person looks at each other one, at a place, or at nothing of these.
-
-Summaries of attention: tables, looks at each target, dwell times, mutual gaze.
-
-`OnlineAttention`: a frame's people in, what each of them looks at out, from what was seen until then.
-
-Machine code of online groups, attention and forecasts before it is needed.
-"""
+"""Visual attention: how probably each person looks at each other one, at a place, or at nothing of these."""
 
 from __future__ import annotations
 

@@ -172,12 +172,8 @@ class Conversations:
     def observed(self, track_id: int, observation: Observation) -> Observation:
         """An observation with what is told of the person's conversation, for `OnlineSmoother.update`.
 
-        One that says it itself, or comes late, stays as it is.
-
-        Raises
-        ------
-        InputError
-            If it cannot be used. Nothing has changed then.
+        One that says it itself, or comes late, stays as it is. Raise InputError if it cannot be used. Nothing
+        has changed then.
         """
         observation = checked(observation)
         self.begin(observation.t, observation.frame)

@@ -1,10 +1,7 @@
-"""Features of a pair of people that tell conversations: positions, o-spaces, crowding and gaze, compiled.
+"""Log odds that two people are of one group, frame by frame and averaged over time.
 
-Expected body orientation from where the others stand: an o-space is empty, with companions about it.
-
-Evidence of pairs of people in one group: from each frame, averaged over time.
-
-Log odds that two people are of one group, in each frame in which they are near each other.
+Features of a pair are positions, o-spaces, crowding and gaze; unknown bodies are taken to face where the
+others stand, for an o-space is empty, with companions about it.
 """
 
 from __future__ import annotations

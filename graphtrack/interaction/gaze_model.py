@@ -1,7 +1,4 @@
-"""Model of gaze: densities of head directions given a target, and a Markov chain over targets, compiled.
-
-One step of everybody's chain of looks, compiled.
-"""
+"""Model of gaze, compiled: densities of head directions given a target, and a Markov chain over targets."""
 
 from __future__ import annotations
 

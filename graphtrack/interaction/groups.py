@@ -1,11 +1,4 @@
-"""Correlation clustering: the partition of people with the most log odds inside its groups, compiled.
-
-Numbers that groups keep over time.
-
-Groups: for every frame a partition of the people, with its kinds and probabilities.
-
-`OnlineGroups`: a frame's people in, its groups out, from what was seen until then.
-"""
+"""Groups: for every frame a partition of the people by correlation clustering, offline and online."""
 
 from __future__ import annotations
 

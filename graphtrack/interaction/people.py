@@ -1,7 +1,4 @@
-"""Everybody of a scene, frame by frame: where they are and how surely they face a direction.
-
-People of one frame, as online smoothers and trackers tell of them.
-"""
+"""People of a scene, frame by frame: where they are and how surely they face a direction."""
 
 from __future__ import annotations
 
@@ -171,10 +168,7 @@ def numbers_of(estimate: Estimate) -> Numbers:
 def people_told(t: float, told: Told) -> People:
     """The people of a frame, by identity; those who still wait for a position are left out.
 
-    Raises
-    ------
-    InputError
-        For a time that is no number, and for somebody who is told of twice.
+    Raise InputError for a time that is no number, and for somebody who is told of twice.
     """
     if not math.isfinite(t):
         raise InputError(f"t = {t:g}", "a time in seconds")

@@ -1,7 +1,4 @@
-"""Scores of groups and of looks, given labels.
-
-Groups are judged as in the literature of F-formations, looks by the probabilities of their true targets.
-"""
+"""Scores of groups, as in the literature of F-formations, and of looks, given labels."""
 
 from __future__ import annotations
 

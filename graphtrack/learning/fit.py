@@ -1,9 +1,4 @@
-"""Fitting the parameters of a model: the free ones, on scales without limits, and the search.
-
-Journal of evaluations: learning that was interrupted replays it and goes on.
-
-`fit`: the parameters that a set of tracks makes most probable, with their uncertainty.
-"""
+"""`fit`: the parameters of a model that a set of tracks makes most probable, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -258,11 +253,12 @@ def fit(
 
     With the truth, what grows is the likelihood of the true positions and angles under the smoother's
     covariances, frame by frame. Without it, the Laplace evidence: the log density at the optimum, with its
-    normaliser, and ½·log of 2π over the determinant of the Hessian.
-    Couplings have no normaliser that is known, so with them and without a truth it is the density of
-    observations that were hidden from the smoother, a part at a time. The uncertainty comes from how the
-    tracks differ (jackknife and Student's t, no less than the curvature says); where they are too few, one
-    alone or by the evidence less than five, from the curvature.
+    normaliser, and ½·log of 2π over the determinant of the Hessian. Couplings have no normaliser that is
+    known, so with them and without a truth it is the density of observations that were hidden from the
+    smoother, a part at a time. The uncertainty comes from how the tracks differ (jackknife and Student's t,
+    no less than the curvature says); where they are too few, one alone or by the evidence less than five,
+    from the curvature. Raise InputError if the model is no chain, nothing can be learned from the tracks, or
+    the evidence is asked for and a term of the model is not normalised.
 
     Parameters
     ----------
@@ -274,12 +270,6 @@ def fit(
     max_frames : person-frames to learn from at most
     journal : file that keeps what was found; a run that was interrupted goes on from it
     progress : called after each evaluation with the number so far
-
-    Raises
-    ------
-    InputError
-        If the model is no chain, nothing can be learned from the tracks, or the evidence is asked for and a
-        term of the model is not normalised.
     """
     model = Model.named(model)
     engine_of(model, "chain")

@@ -1,15 +1,9 @@
-"""Learning the parameters of forecasts from recordings, and the errors of a whole recording at once.
+"""`fit_forecast`: learn the parameters of forecasts from recordings.
 
-`errors_at_once` says what `Forecaster` would, frame by frame, at a fraction of the time: what a search needs.
-
-The parameters of forecasts from recordings: `fit_forecast`.
-
-Four parts, each from what it decides: standing, company and places by the mean errors of forecasts, the
-head's lead by the errors a second ahead of people whose head is seen, the spread by the density of where
-people were, and how soon a scene's own errors are trusted by what circles hold in it. Recordings with heads
-teach the lead of the head alone, if there are others: they are of laboratories, where nobody goes anywhere.
-Scenes count equally, whatever their size. The search begins at `START` and in the middle of its lists, so
-that nothing depends on what was learned before.
+Four parts: standing, company and places by the mean errors of forecasts; the head's lead by the errors a
+second ahead; the spread by the density of where people were; the trust in a scene's own errors by what
+circles hold. Recordings with heads teach the lead alone, if there are others: they are of laboratories,
+where nobody goes anywhere. Scenes count equally. The search begins at `START`, never at learned values.
 """
 
 from __future__ import annotations
@@ -339,16 +333,13 @@ def fit_forecast(
 ) -> ForecastFit:
     """Learn how people go on.
 
+    Raise InputError if nothing can be learned from a scene.
+
     Parameters
     ----------
     scenes : name → recording, each of people who share a place and its times; where heads are seen they need
         not, if there are recordings without
     progress : is told what is being learned
-
-    Raises
-    ------
-    InputError
-        If nothing can be learned from a scene.
     """
     if not scenes:
         raise InputError("no recordings", "at least one")

@@ -1,11 +1,4 @@
-"""Learning the parameters of groups and of attention from labels.
-
-Distances and velocities of those who walk together, from labelled groups.
-
-`fit_groups`: the parameters of conversations, from labelled groups.
-
-`fit_attention`: how people look, from labelled looks.
-"""
+"""Learning the parameters of groups (`fit_groups`) and of attention (`fit_attention`) from labels."""
 
 from __future__ import annotations
 
@@ -178,16 +171,10 @@ def fit_groups(
 
     Weights are of one sign each, pulled to 0 (ridge), and learned from a frame in `_APART` seconds. The
     caution has the best F1 (mean of T = 2/3 and T = 1) over parts of the time left out in turn. How people
-    walk together is learned where enough do.
+    walk together is learned where enough do. Raise InputError if nobody is labelled, or all are together, or
+    nobody is with anybody.
 
-    Parameters
-    ----------
-    hold_out : share of the recording's end that only judges
-
-    Raises
-    ------
-    InputError
-        If nobody is labelled, or all are together, or nobody is with anybody.
+    ``hold_out``: share of the recording's end that only judges
     """
     start = DEFAULT if start is None else start
     people = people_of(tracks)
@@ -346,18 +333,14 @@ def fit_attention(
 
     So what is learned is calibrated for heads that are seen as well as these. The logarithms of the
     parameters (log odds of ``nothing``) are found by the simplex of Nelder and Mead (1965), with a wide
-    Gaussian about the start, beside one term for each labelled look.
+    Gaussian about the start, beside one term for each labelled look. Raise InputError if no look is labelled,
+    or all are at nobody, or people of the labels are not among the tracks.
 
     Parameters
     ----------
     tracks : estimates or observations, as `attention` will be given them
     start : where to begin; by default the parameters' own
     hold_out : share of the recording's end that only judges
-
-    Raises
-    ------
-    InputError
-        If no look is labelled, or all are at nobody, or people of the labels are not among the tracks.
     """
     from scipy.optimize import minimize
 

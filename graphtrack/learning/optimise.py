@@ -1,15 +1,7 @@
-"""Finding the top of a log density in a few parameters, and how sharp it is.
+"""Objectives of learning (truth, evidence, held-out prediction), their maximum and its curvature.
 
-Objectives of learning: held-out predictive log-likelihood, evidence, likelihood of the truth.
-
-Couplings are products that are not normalised, so that an evidence of them is not known; how well they
-foretell observations is.
-
-The volume of the posterior about an optimum, compiled.
-
-Solving the same tracks by one model after another, each time from the same states.
-
-Objectives of learning: the likelihood of the truth, the evidence, or that of held-out observations.
+Couplings are products that are not normalised, so that their evidence is not known; how well they predict
+hidden observations is.
 """
 
 from __future__ import annotations

@@ -114,7 +114,8 @@ def fit_scene(
 
     From detections alone: people are found, the parameters under which they are most probable are learned
     from them, and so on (expectation and maximisation, the former by the most probable explanation). From
-    labelled tracks: the same parameters, of the people who are given.
+    labelled tracks: the same parameters, of the people who are given. Raise InputError if the input cannot be
+    read, nobody is found in it, or labels are asked for and not there.
 
     Parameters
     ----------
@@ -131,11 +132,6 @@ def fit_scene(
     SceneFit
         Whose model has in its scene what the recording shows; what it does not, such as the noise of
         detections that all say their own, is left out, to be learned where the model is used.
-
-    Raises
-    ------
-    InputError
-        If the input cannot be read, nobody is found in it, or labels are asked for and not there.
     """
     model = Model.named(model)
     if not 0.0 <= hold_out <= 0.9:

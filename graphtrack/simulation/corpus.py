@@ -1,10 +1,8 @@
-"""Simulated people who walk straight or around an obstacle: the corpus of Baxter et al.
-(2014, §IV-A).
+"""Simulated people who walk straight or around an obstacle: the corpus of Baxter et al. (2014, §IV-A).
 
-The paper gives the numbers of tracks and steps, and all noise. It leaves open how fast people walk and what
-the manoeuvres look like, so these are arguments here. Its Fig. 4 shows somebody who leaves a line, passes an
-obstacle and comes back to the line: here the course turns by an angle, is held, turns back, passes, and then
-the same to the other side. Later behaviours turn further and faster.
+The paper gives the numbers of tracks and steps, and all noise. Walking speed and manoeuvres are arguments
+here. As in its Fig. 4, the course turns by an angle, is held, turns back, passes the obstacle, and then the
+same to the other side; later behaviours turn further and faster.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""Simulated people who cross a place, alone or in pairs, and stop now and then: to tune trackers on.
+"""Simulated pedestrians that are not drawn from the model: crowds that cross a place, and strollers.
 
-Pedestrians that are not drawn from the model: they walk, turn, stop and look aside by a schedule.
-
-Parameters and uncertainties of the model are judged on them. Nothing here uses the model's densities: speeds
-and courses are piecewise smooth functions of time, the body follows the course with a lag, the head turns
-ahead of it, and a glance adds an angle of its own. Walking paces follow Daamen & Hoogendoorn (2007) and hip
-sway Murray et al. (1964); glances and stops are choices.
+Speeds and courses of strollers are piecewise smooth functions of time, the body follows the course with a
+lag, the head turns ahead of it, and a glance adds an angle of its own. Walking paces follow Daamen &
+Hoogendoorn (2007) and hip sway Murray et al. (1964); glances and stops are choices.
 """
 
 from __future__ import annotations
@@ -73,9 +70,7 @@ def crowd(
     The velocity is an Ornstein–Uhlenbeck process about that towards the goal. Who enters together keeps side
     by side, each with a sway of their own. Raise InputError for a scene in which nobody is seen.
 
-    Parameters
-    ----------
-    seconds, fps : length of the scene, and frames a second
+    ``seconds``, ``fps``: length of the scene, and frames a second
     """
     tracks: list[Track] = []
     count = rng.poisson(place.arrivals * seconds)

@@ -1,7 +1,4 @@
-"""Making observations worse in a controlled way: noise added to known tracks, and windows withheld.
-
-Orientations as classifiers see them: the likelihoods of the classes that they answered.
-"""
+"""Degradation of known tracks: noise, windows withheld, and angles as classifiers answer them."""
 
 from __future__ import annotations
 

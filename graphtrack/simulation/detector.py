@@ -148,9 +148,7 @@ def sampled(tracks: TrackSet, every: float) -> TrackSet:
     nothing else. Who is not there at any of the times is left out, which the notes say. Raise InputError for
     a time that is not positive, and if nobody is there at any of them.
 
-    Parameters
-    ----------
-    every : seconds from a frame to the next
+    ``every``: seconds from a frame to the next
     """
     check_positive("every", every, 1e6)
     times = [track.t for track in tracks]

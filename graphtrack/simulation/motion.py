@@ -1,14 +1,8 @@
-"""Velocities and positions sampled from the motion terms, at a walking pace if wanted.
+"""Motion, body and head sampled from the graph's own density.
 
-Velocities of people whose body and head are coupled to the motion.
-
-Body and head angles sampled from the graph's own density: chains that diffuse under von Mises pulls.
-
-The density is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})), as the factor graph has it:
-nothing is normalised step by step. Messages run back from the last frame on a grid around the circle; then
-the course is drawn forward, each angle given the one before and all that is to come.
-
-Body and head sampled from the graph's own density given the motion: couplings, modes and steering.
+The density of angles is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})): nothing is normalised
+step by step. Messages run back from the last frame on a grid around the circle; then the course is drawn
+forward, each angle given the one before and all that is to come.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Tracks sampled from the model itself, with their truth, and glances that it knows nothing of.
-
-Tracks sampled from the model itself, with their truth.
-"""
+"""Tracks sampled from the model itself, with their truth, and glances that it knows nothing of."""
 
 from __future__ import annotations
 
@@ -174,9 +171,7 @@ def sample_states(
 ) -> dict[str, FloatArray]:
     """States of people at the times ``t`` (n,) seconds, by name.
 
-    Parameters
-    ----------
-    seen : (n_tracks, n) frames in which a position is seen; None: all
+    ``seen``: (n_tracks, n) frames in which a position is seen; None: all
 
     Returns
     -------

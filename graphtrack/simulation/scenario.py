@@ -1,7 +1,4 @@
-"""A scripted scene: six people who do what makes tracking hard, with truth and noisy observations.
-
-A simulated party: people in conversations and alone, who look at each other, and who move on.
-"""
+"""Scripted scenes with their truth: six people who are hard to track, and a party in conversation."""
 
 from __future__ import annotations
 
