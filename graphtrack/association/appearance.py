@@ -23,20 +23,13 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import packed, unpacked
 
-_LEAST = 1e-12
-"""Squared distances below it are that."""
-_STEEPEST = 5.0
-"""1-σ of what the slope is thought to be before anything is seen; people see it to be near 4."""
-_SHRINKAGE = 0.3
-"""Share of the within-person covariance that is taken to be the same in all directions."""
-_OUTLIER = 0.02
-"""Least probability that looks say nothing; it bounds the ratio."""
-_FOLDS = 5
-"""Groups of people that are held out in turn, to calibrate on."""
-_LEAST_PEOPLE = 4
-"""Below which nothing is learned, and looks do not count."""
-_MOST_PAIRS = 20_000
-"""Pairs of either kind that are looked at."""
+_LEAST = 1e-12  # squared distances below it are that
+_STEEPEST = 5.0  # 1-σ of what the slope is thought to be before anything is seen; people see it to be near 4
+_SHRINKAGE = 0.3  # share of the within-person covariance that is taken to be the same in all directions
+_OUTLIER = 0.02  # least probability that looks say nothing; it bounds the ratio
+_FOLDS = 5  # groups of people that are held out in turn, to calibrate on
+_LEAST_PEOPLE = 4  # below which nothing is learned, and looks do not count
+_MOST_PAIRS = 20_000  # pairs of either kind that are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,14 +191,10 @@ def _logistic(same: FloatArray, different: FloatArray, people: int) -> tuple[flo
     return float(offset), float(slope)
 
 
-_TAUGHT_SECONDS = 0.6
-"""Two detections of one person teach what stays the same if they are no further apart."""
-_APART = 1.0
-"""Metres between two detections of a frame beyond which they show two people."""
-_PRIOR = 5.0
-"""Pairs of false detections that looks tell nothing of, until more are seen."""
-_BINS = 6
-"""Into which scores are put, as many in each."""
+_TAUGHT_SECONDS = 0.6  # two detections of one person teach what stays the same if they are no further apart
+_APART = 1.0  # metres between two detections of a frame beyond which they show two people
+_PRIOR = 5.0  # pairs of false detections that looks tell nothing of, until more are seen
+_BINS = 6  # into which scores are put, as many in each
 
 
 def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray) -> AppearanceModel:

@@ -26,8 +26,7 @@ IntArray = NDArray[np.int64]
 STATE = 11
 """Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
 and head as vectors (x, y) whose length is their concentration; 0: not known."""
-BODY, HEAD = 7, 9
-"""Places of the last two."""
+BODY, HEAD = 7, 9  # places of the last two
 
 
 class Scene(NamedTuple):
@@ -81,16 +80,12 @@ DETECTION = np.dtype(
 )
 """A detection as kernels read it: one record, since each array that they are handed costs some time."""
 
-
 Row: TypeAlias = Any
 """One record of `DETECTION`, as kernels read it; type checkers know nothing of its fields."""
 
 
 class Chains(NamedTuple):
-    """n detections in the order of time, and the tracks that they are chained to.
-
-    What is asked of all records at once is an attribute, (n,): ``chains.following``; it is a view of them.
-    """
+    """n detections in the order of time, and the tracks that they are chained to; attributes are views."""
 
     rows: NDArray[np.void]  # (n,) of DETECTION
     state: FloatArray  # (n, STATE) filtered there, see `STATE`
@@ -115,21 +110,6 @@ class Chains(NamedTuple):
     def gain(self) -> FloatArray:
         """(n,) see `DETECTION`."""
         return self.rows["gain"]
-
-    @property
-    def birth(self) -> FloatArray:
-        """(n,) log of a rate."""
-        return self.rows["birth"]
-
-    @property
-    def death(self) -> FloatArray:
-        """(n,) log of a rate."""
-        return self.rows["death"]
-
-    @property
-    def given(self) -> IntArray:
-        """(n,) identities, or −1."""
-        return self.rows["given"]
 
     @property
     def following(self) -> IntArray:
@@ -282,10 +262,8 @@ def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> 
     state[6] -= 0.5 * v_gain * state[6]
 
 
-IMPOSSIBLE = -1e9
-"""The gain of what cannot be."""
-GATE = 6.0
-"""Standard deviations beyond which a detection is nobody's."""
+IMPOSSIBLE = -1e9  # the gain of what cannot be
+GATE = 6.0  # standard deviations beyond which a detection is nobody's
 
 
 @compiled
@@ -380,10 +358,7 @@ def is_within(
 def near_ones(
     chains: Chains, state: FloatArray, t: float, others: IntArray, scene: Scene, found: IntArray
 ) -> int:
-    """Put into ``found`` the places in ``others`` of detections that somebody may be at; how many they are.
-
-    One call for many: what a problem's arrays cost when they are handed on is more than the question.
-    """
+    """Put into ``found`` the places in ``others`` of detections somebody may be at; return their number."""
     count = 0
     for j in range(len(others)):
         other = chains.rows[others[j]]
@@ -525,11 +500,7 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
 
 @allocating
 def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
-    """Return the innovation likelihood of all linked detections, which are filtered again.
-
-    Returns the log density of their places, the sum of the log likelihood ratios of their angles, and their
-    number.
-    """
+    """Filter all linked detections; return the log densities of places and of angles, and their number."""
     places, angles, count = 0.0, 0.0, 0
     for m in range(len(chains.rows)):
         k = chains.rows[m].preceding
@@ -625,10 +596,8 @@ def only_pairs(gains: FloatArray, rows: IntArray, columns: IntArray) -> int:
     return count
 
 
-_LEAST = 20
-"""Neighbours in tracks below which angles say nothing."""
-_OUTLIERS = (0.02, 0.9)
-"""Shares of outliers that can be learned: angles are never thought sure."""
+_LEAST = 20  # neighbours in tracks below which angles say nothing
+_OUTLIERS = (0.02, 0.9)  # shares of outliers that can be learned: angles are never thought sure
 
 
 def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
@@ -652,10 +621,7 @@ def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
 def learn_orientation(
     chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
 ) -> SceneParameters:
-    """The parameters of angles under which the tracks' are most probable.
-
-    ``chains``: the tracks; their states are filtered anew
-    """
+    """The parameters of angles under which the tracks' are most probable; the tracks are filtered again."""
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
     neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}

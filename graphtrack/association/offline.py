@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,18 +175,11 @@ def match(gains: FloatArray) -> tuple[IntArray, IntArray]:
 APPEARANCE = "input_appearance"
 """The channel of descriptors of what detections look like, (n, d)."""
 
-SWEEPS = 6
-"""Over the recording at most, for one set of parameters."""
-
+SWEEPS = 6  # over the recording at most, for one set of parameters
+ROUNDS = 4  # alternations of finding tracks and learning the scene's parameters from them
+TRUST = 4.0  # log odds that a tracker's next detection is of the same person: it jumps at one in fifty
 _JOINED_FRAMES = 16
 """Frames that the first sweep looks ahead: nothing is linked yet, and all that comes is a candidate."""
-
-ROUNDS = 4
-"""Times that the scene's parameters are learned from the tracks, which are found anew with them."""
-
-
-TRUST = 4.0
-"""Log odds that a tracker's next detection of somebody is of the same person: it jumps at one in fifty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,14 +222,9 @@ def associate_detections(
         if k:
             search.adopt(search.learned())
         search.join_generously()
-        search.settle(partial(_told, progress, k, rounds))
+        search.settle(progress, k * SWEEPS, rounds * SWEEPS)
     progress(rounds * SWEEPS, rounds * SWEEPS)
-    identity = search.identities()
-    return Association(identity, search.probabilities(), search.scene, search.evidence())
-
-
-def _told(progress: Callable[[int, int], None], done: int, rounds: int, sweep: int) -> None:
-    progress(done * SWEEPS + sweep, rounds * SWEEPS)
+    return search.found(search.identities())
 
 
 def repair_detections(
@@ -262,8 +249,7 @@ def repair_detections(
         search.adopt(search.learned())
         search.settle()
     root, _ = search.roots()
-    identity = _renamed(root, given)
-    return Association(identity, search.probabilities(), search.scene, search.evidence())
+    return search.found(_renamed(root, given))
 
 
 def _renamed(track: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -290,9 +276,8 @@ class _Search(Moves):
         n = len(detections)
         self.detections, self._known = detections, known
         scene = replace(first_guess(detections) if start is None else start, **known)
-        std = detections.channels.get("position_std")
-        self._std = np.full(n, np.nan) if std is None else std
         channels = detections.channels
+        self._std = channels.get("position_std", np.full(n, np.nan))
         angles = observed_angles(channels, n)
         chains = unlinked(detections.t, detections.step, np.ascontiguousarray(detections.position), angles)
         super().__init__(chains, Scene(*scene.packed(detections.step_seconds)))
@@ -307,7 +292,7 @@ class _Search(Moves):
     def begin_with(self, given: NDArray[np.int64]) -> None:
         """Start from the tracks of somebody's identities (n,), from 0, and trust them; −1: none."""
         link_by(self.chains, given)
-        self.chains.given[:] = given
+        self.chains.rows["given"] = given
         self._trust = TRUST
         self.adopt(self.scene)
 
@@ -323,7 +308,7 @@ class _Search(Moves):
         self.chains = self._looks.in_chains(self.chains, self._descriptors)
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
         births, deaths, clutter = seen_from_within(self.chains, identity)
-        self.chains.birth[:], self.chains.death[:] = np.log(births), np.log(deaths)
+        self.chains.rows["birth"], self.chains.rows["death"] = np.log(births), np.log(deaths)
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
         model, each = self._looks.model, 0.0
@@ -360,11 +345,13 @@ class _Search(Moves):
         self.packed = packed
         self.filter_from(0)
 
-    def settle(self, progress: Callable[[int], None] = lambda sweep: None) -> None:
-        """Sweep until nothing changes, or often enough; ``progress`` is told of each sweep, from 0."""
+    def settle(
+        self, progress: Callable[[int, int], None] = lambda done, total: None, done: int = 0, total: int = 0
+    ) -> None:
+        """Sweep until nothing changes, or often enough; report the sweeps ``done`` before and since."""
         changed = None
         for sweep in range(SWEEPS):
-            progress(sweep)
+            progress(done + sweep, total)
             changed = self.sweep(changed)
             if not len(changed):
                 break
@@ -400,11 +387,8 @@ class _Search(Moves):
         numbers[alive] = np.searchsorted(roots, root[alive])
         return numbers
 
-    def probabilities(self) -> FloatArray:
-        """(n,) as in `Association`."""
-        return np.where(self.chains.preceding < 0, 1.0, self.link_p)
-
-    def evidence(self) -> float:
-        """The sum over the tracks that are kept."""
+    def found(self, identity: NDArray[np.int64]) -> Association:
+        """The result, with the evidence of the tracks that are kept."""
         _, value = self.roots()
-        return float(value[value > 0.0].sum())
+        probability = np.where(self.chains.preceding < 0, 1.0, self.link_p)
+        return Association(identity, probability, self.scene, float(value[value > 0.0].sum()))

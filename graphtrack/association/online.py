@@ -104,11 +104,8 @@ class Notes:
 LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
 """Detections after which the scene's parameters are learned; then after as many more as the last."""
 
-REMEMBERED = 3200
-"""Detections, decided upon, that parameters are learned from."""
-
-GUESS_SECONDS = 10.0
-"""Time that the first guess of how people turn counts for: at first they all may walk straight."""
+REMEMBERED = 3200  # decided detections that parameters are learned from
+GUESS_SECONDS = 10.0  # weight of the first guess of how people turn: at first they all may walk straight
 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
 """Parameters of turning, and the power of each that is a variance."""
@@ -126,18 +123,10 @@ class History:
 
     def add(self, chains: Chains, notes: Notes, owner: IntArray, first: int, end: int) -> None:
         """Remember the detections ``first`` up to ``end``, and forget as many where there are too many."""
-        new = {
-            "t": chains.t,
-            "std": notes.std,
-            "score": notes.score,
-            "descriptor": notes.descriptor,
-            "position": chains.position,
-            "facing": chains.facing,
-            "frame": chains.frame,
-            "owner": owner,
-        }
+        new = {name: getattr(chains, name) for name in ("t", "position", "facing", "frame")}
+        new |= {name: getattr(notes, name) for name in ("std", "score", "descriptor")}
         self.descriptor = widened(self.descriptor, notes.descriptor.shape[1])
-        for name, values in new.items():
+        for name, values in {**new, "owner": owner}.items():
             setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
         self.count += end - first
         self.since = float(chains.t[first]) if self.since is None else self.since
@@ -162,11 +151,7 @@ class History:
     def learned(
         self, scene: SceneParameters, step_seconds: float, known: Known
     ) -> tuple[SceneParameters, Places, Looks]:
-        """Learn from the remembered tracks.
-
-        Returns the parameters that they speak for but those known, where people come and go, and what looks
-        and scores are worth.
-        """
+        """Learn the parameters that are not known, the maps of rates, and the worth of looks and scores."""
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
         chains.gain[:] = 0.0
@@ -197,8 +182,7 @@ TOLD = 0.45
 """How probable somebody has to be, and that who is not seen is still there, to be told. What makes an
 F-measure greatest is half of it (Lipton et al. 2014, ECML PKDD), and IDF1 of made-up crowds is 0.9."""
 
-_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))
-"""The same of a track's value."""
+_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))  # the same of a track's value
 
 REVISED_FRAMES = 8
 """Frames in which decisions may change: as many detections as say whose they are."""
@@ -338,11 +322,7 @@ class OnlineAssociation(Moves):
         return sorted(number[last[self._still_there(last, now) > TOLD]].tolist())
 
     def _still_there(self, last: IntArray, now: int) -> FloatArray:
-        """Return the probability (n,) that those last seen at these detections have not left by a frame.
-
-        They may have left after any frame since, the likelier the more people did who went where they go, and
-        the sooner the less often they must have been missed.
-        """
+        """Return the probability (n,) that those last seen at these detections have not left by a frame."""
         chains, frames = self.chains, now - self.chains.frame[last]
         longest = int(frames.max(initial=0))
         often = np.exp([missed(k, self.packed) for k in range(longest + 1)])
@@ -391,20 +371,18 @@ class OnlineAssociation(Moves):
         if not np.isfinite(position).all():
             raise InputError("a detection without a position", "both of its coordinates")
         n = len(position)
-        shown = (
-            np.full((n, self.descriptor_size), np.nan)
-            if descriptor is None
-            else np.asarray(descriptor, float)
-        )
+        nothing = np.full(n, np.nan)
+        shown = np.full((n, self.descriptor_size), np.nan) if descriptor is None else descriptor
+        shown = np.asarray(shown, float)
         if shown.ndim != 2 or shown.shape[1] != (self.descriptor_size or shown.shape[1]):
             raise InputError(f"descriptors of shape {shown.shape}", f"(n, {self.descriptor_size or 'd'})")
         if self.updates:
             self._intervals = [*self._intervals[-24:], t - self._last]
         self._last = t
         self._forget(t)
-        std = np.full(n, np.nan) if std is None else np.asarray(std, float)
+        std = nothing if std is None else np.asarray(std, float)
         angles = np.full((n, 2), np.nan) if facing is None else np.asarray(facing, float)
-        scores = np.full(n, np.nan) if score is None else np.asarray(score, float)
+        scores = nothing if score is None else np.asarray(score, float)
         first = self._append(t, position, angles, Notes.of(std, np.ones(n), scores, shown))
         self.updates += 1
         self._learn()
@@ -436,7 +414,7 @@ class OnlineAssociation(Moves):
         new = self._looks.in_chains(new, notes.descriptor)
         if self._places is not None:
             births, deaths, notes.clutter = self._places.at(position)
-            new.birth[:], new.death[:] = np.log(births), np.log(deaths)
+            new.rows["birth"], new.rows["death"] = np.log(births), np.log(deaths)
         self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
         self.link_p = np.concatenate([self.link_p, np.ones(n)])
         self._notes.descriptor = widened(self._notes.descriptor, notes.descriptor.shape[1])
@@ -517,16 +495,9 @@ class OnlineAssociation(Moves):
         changed = np.flatnonzero(owner[:first] != self._notes.said[:first])
         changed = changed[changed >= (self._first[0] if self._first else 0)]
         chains = self.chains
-        revised = tuple(
-            Revision(
-                float(chains.t[k]),
-                int(chains.frame[k]),
-                int(self._notes.place[k]),
-                int(self._notes.said[k]),
-                int(owner[k]),
-            )
-            for k in changed.tolist()
-        )
+        columns = chains.t, chains.frame, self._notes.place, self._notes.said, owner
+        rows = zip(*(values[changed].tolist() for values in columns), strict=True)
+        revised = tuple(Revision(*row) for row in rows)
         self._notes.said = owner
         sure = np.where(chains.preceding < 0, 1.0, self.link_p)
         return Decision(owner[first:], sure[first:], revised)

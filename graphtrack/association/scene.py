@@ -21,9 +21,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 
-_DUPLICATE_REACH = 3.0
-"""Spreads within which a detection may be a duplicate."""
-
+_DUPLICATE_REACH = 3.0  # spreads within which a detection may be a duplicate
 
 Pairs: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
 """Two detections each, and their squared distances (m²)."""
@@ -119,15 +117,12 @@ def learn_duplicates(
     return replace(scene, **{name: found[name] for name in free})
 
 
-_EDGE = 3
-"""Frames at either end of a recording in which somebody may have been missed who was there."""
+_EDGE = 3  # frames at either end of a recording in which somebody may have been missed who was there
 
-_PRIOR_EVENTS = 2.0
-"""Events that the first guess counts for."""
+_PRIOR_EVENTS = 2.0  # events that the first guess counts for
 
 _FIRST_STD = 0.3
-"""Metres of noise at first: more than most detectors have. Too little makes people of false detections, which
-teach it to stay little; too much is unlearned in a round."""
+"""Metres of noise at first, more than most detectors have: too much is unlearned, too little is not."""
 
 
 def edge_of(frames: int) -> int:
@@ -204,10 +199,7 @@ def learn_scene(
 def scene_log_density(
     chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, seconds: float
 ) -> float:
-    """Return the log density of detections and their tracks, which `learn_scene` maximises with priors.
-
-    Log of a density in 1/m² for each detection, relative to any angle; where people come and go and
-    detections are false is taken to be the same everywhere.
+    """Return the log density (1/m² a detection, uniform rates) that `learn_scene` maximises with priors.
 
     Parameters
     ----------
@@ -332,11 +324,9 @@ in one place at the border, one may just have come in."""
 
 _CELL = 0.5 * SPREAD
 _REACH = 4.0 * SPREAD
-_LARGEST = 1000
-"""Corners along an axis: a kilometre; what lies beyond is counted at the edge."""
+_LARGEST = 1000  # corners along an axis: a kilometre; what lies beyond is counted at the edge
 _PEAK = 1.0 / (2.0 * np.pi * SPREAD**2)
-_PRIOR = 2.0 * _PEAK
-"""Events per square metre that the mean rate counts for: two on the spot."""
+_PRIOR = 2.0 * _PEAK  # events per square metre that the mean rate counts for: two on the spot
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,18 +37,13 @@ def facing_of(seen: Sequence[Observation]) -> FloatArray:
     channels: dict[str, FloatArray] = {}
     for name in ("body", "head"):
         angles = [getattr(one, name) for one in seen]
-        channels[name] = np.array([math.nan if angle is None else angle for angle in angles])
+        channels[name] = np.array(angles, float)  # None becomes NaN
         classes = [getattr(one, f"{name}_likelihood") for one in seen]
         size = next((len(one) for one in classes if one is not None), 0)
         if size:
             none = (math.nan,) * size
             channels[f"{name}_likelihood"] = np.array([none if one is None else one for one in classes])
     return observed_angles(channels, len(seen))
-
-
-def scores_of(seen: Sequence[Observation]) -> FloatArray:
-    """Return the detector's scores, (n,)."""
-    return np.array([math.nan if one.score is None else one.score for one in seen])
 
 
 def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
@@ -192,11 +187,11 @@ class DetectionTracker:
         seen = [self.on_the_ground(one, t) for one in detections]
         position = np.array([one.position for one in seen], float).reshape(-1, 2)
         descriptors = descriptors_of(seen, self.descriptor_size)
-        std = [math.nan if one.position_std is None else one.position_std for one in seen]
-        association, noise = self._association, self.scene.position_std
-        decision = association.update(
-            t, position, np.array(std), facing_of(seen), scores_of(seen), descriptors
+        std, score = (
+            np.array([getattr(one, name) for one in seen], float) for name in ("position_std", "score")
         )
+        association, noise = self._association, self.scene.position_std
+        decision = association.update(t, position, std, facing_of(seen), score, descriptors)
         number = association.updates - 1
         # Nobody knows better how noisy they are than who saw them follow each other.
         self._seen |= {(number, place): to_smooth(one, noise) for place, one in enumerate(seen)}
@@ -264,7 +259,7 @@ class DetectionTracker:
         """Have every person's smoother see the detections that are the person's by now."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
         if self._groups is not None:
-            self._groups.begin(self._time((number, UNSEEN)), number)
+            self._groups.begin(self._seen[number, UNSEEN].t, number)
         for key, track_id in owners:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
@@ -313,7 +308,7 @@ class DetectionTracker:
             same += 1
         new = [self._seen_by(person, key) for key in keys[same:]]
         if same < len(person.keys):
-            since = min(self._time(key) for key in (person.keys[same], *keys[same : same + 1]))
+            since = min(self._seen[key].t for key in (person.keys[same], *keys[same : same + 1]))
             person.estimate = person.smoother.revise(since, new)
             if person.estimate is None:
                 person.smoother = self._smoother()
@@ -326,9 +321,6 @@ class DetectionTracker:
     def _seen_by(self, person: _Person, key: Key) -> Observation:
         """An observation, with what the person was told of their conversation then."""
         return with_group_at(self._seen[key], person.told.get(key[0]))
-
-    def _time(self, key: Key) -> float:
-        return self._seen[key].t
 
     def _told(self, decision: Decision, hidden: list[int]) -> list[PersonEstimate]:
         told = {int(one): place for place, one in enumerate(decision.identity.tolist()) if one > 0}
@@ -365,8 +357,7 @@ class DetectionTracker:
 
 @dataclass
 class _Person:
-    """A person's smoother, which of the detections that can still be revised it has seen, and what it was
-    told of conversations in their updates."""
+    """A person's smoother, the revisable detections that it has seen, and the groups that it was given."""
 
     smoother: OnlineSmoother
     estimate: Estimate | None = None

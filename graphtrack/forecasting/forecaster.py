@@ -17,8 +17,7 @@ from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import real, whole
 
-_WALKING = 0.3
-"""Speed, m/s, at which people half count as walking."""
+_WALKING = 0.3  # speed, m/s, at which people half count as walking
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,17 +97,11 @@ def between_lags(ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
     return weights, ahead / inner
 
 
-LONGEST_HORIZON = 60.0
-"""Seconds ahead beyond which nothing of a person's motion is left to forecast from."""
-MOST_TIMES = 1000
-"""Times ahead of one forecast."""
-
-_FORGOTTEN = 10.0
-"""Seconds after which people who were not seen again are forgotten."""
-_HEAD_SECONDS = 0.3
-"""Time constant over which directions of the head are averaged."""
-JUDGED = 2.8
-"""Seconds that somebody must have been seen for, for the outcome of a forecast to tell about others."""
+LONGEST_HORIZON = 60.0  # seconds ahead beyond which nothing of a person's motion is left to forecast from
+MOST_TIMES = 1000  # times ahead of one forecast
+_FORGOTTEN = 10.0  # seconds after which people who were not seen again are forgotten
+_HEAD_SECONDS = 0.3  # time constant over which directions of the head are averaged
+JUDGED = 2.8  # seconds that somebody must have been seen for, for an outcome to tell about others
 _OF_A_PLACE = (
     *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
     *("_moved", "_looked", "_now", "_variance", "_seen"),
@@ -434,7 +427,9 @@ class Forecaster:
         position, velocity, variance = self._going(at)
         speed = np.abs(velocity)
         direction = np.where(speed > 1e-6, velocity / np.maximum(speed, 1e-6), 1.0)
-        turned = np.exp(1j * self._lead(at, velocity)[:, None] * mean_turn(ahead, self.parameters))
+        head = self._head[at]
+        led = lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
+        turned = np.exp(1j * led[:, None] * mean_turn(ahead, self.parameters))
         straight = velocity[:, None] * ahead * turned
         seen = self._near(at, position, velocity)
         prior = seen.weight / (seen.weight + self.parameters.place_prior)
@@ -451,11 +446,6 @@ class Forecaster:
             weight=seen.weight @ interpolate.T,
             square=(np.maximum(about, 0.0) / 2 / LAGS**2) @ interpolate.T * ahead**2,
         )
-
-    def _lead(self, at: NDArray[np.int64], velocity: ComplexArray) -> FloatArray:
-        """How far the head leads the motion, as far as that counts (n,), radians."""
-        head = self._head[at]
-        return lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
 
 
 def _plane(points: ComplexArray) -> FloatArray:

@@ -99,14 +99,10 @@ ComplexArray = NDArray[np.complex128]
 BELIEFS = np.array([(s, q) for s in (0.003, 0.02, 0.06, 0.2) for q in (0.005, 0.05)])
 """(K, 2): 1-σ of positions on each axis, m, and the density q of the acceleration, m²/s³."""
 
-_SPEED_VARIANCE = 1.0
-"""Of a velocity that nothing is known of, on each axis, (m/s)²."""
-_EVIDENCE_SECONDS = 10.0
-"""After which what was learned of a person's noise has faded to 1/e."""
-_FARTHEST = 25.0
-"""Squared distance, in variances, beyond which a position is a jump and not an error."""
-_HABIT_PRIOR = 2.0
-"""People that a belief about a scene is worth before anybody was seen there."""
+_SPEED_VARIANCE = 1.0  # of a velocity that nothing is known of, on each axis, (m/s)²
+_EVIDENCE_SECONDS = 10.0  # after which what was learned of a person's noise has faded to 1/e
+_FARTHEST = 25.0  # squared distance, in variances, beyond which a position is a jump and not an error
+_HABIT_PRIOR = 2.0  # people that a belief about a scene is worth before anybody was seen there
 
 
 @dataclass(frozen=True, eq=False)

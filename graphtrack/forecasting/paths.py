@@ -91,12 +91,10 @@ LAGS: FloatArray = 0.4 * np.arange(1.0, 13.0)
 EVERY = 0.4
 """Seconds between two anchors of a person."""
 
-_CAPACITY = 4096
-"""Anchors that are kept; when there are more, new ones take the places of any."""
+_CAPACITY = 4096  # anchors that are kept; when there are more, new ones take the places of any
 _OF_ALL = ("_position", "_velocity", "_outcome")
 _OF_OPEN = ("_t", "_owner", "_next", "_expected", "_spread")
-_LONGEST_GAP = 1.0
-"""Seconds without a person beyond which nobody knows where the person was in between."""
+_LONGEST_GAP = 1.0  # seconds without a person beyond which nobody knows where the person was in between
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,7 @@ from graphtrack.geometry.angles import FloatArray
 LEVELS = (0.5, 0.9)
 """Probabilities of the circles of a forecast."""
 
-_RATIOS = np.linspace(0.05, 1.0, 20)
-"""Shorter over longer axis, for which radii are tabulated."""
+_RATIOS = np.linspace(0.05, 1.0, 20)  # shorter over longer axis, for which radii are tabulated
 _ANGLES = (np.arange(64) + 0.5) * np.pi / 64
 
 

@@ -22,8 +22,7 @@ from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
 
-_EXACT = 200.0
-"""Concentration of a head that comes with none."""
+_EXACT = 200.0  # concentration of a head that comes with none
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,7 @@ def _of_one(
 def _others(
     one: Track, everybody: Sequence[Track], number: Mapping[int, IntArray]
 ) -> tuple[list[Track], FloatArray, np.ndarray]:
-    """Who is ever near somebody, where they are in the frames of that one, (n, p, 2), NaN: not there; and
-    whether they are in one group, (n, p)."""
+    """Others who are ever near, their positions in the person's frames (n, p, 2), shared groups (n, p)."""
     found, where, fellow = [], [], []
     for other in everybody:
         if other is one or not len(other):
@@ -200,9 +198,8 @@ def attention_columns(found: Sequence[Attention]) -> dict[str, np.ndarray]:
 
     Those of one person and frame sum to 1 but for what is left out.
     """
-    parts: dict[str, list[np.ndarray]] = {
-        name: [] for name in ("frame", "t", "track_id", "kind", "target", "probability")
-    }
+    names_of = ("frame", "t", "track_id", "kind", "target", "probability")
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in names_of}
     for one in found:
         kinds, names = (np.array(part, dtype=object) for part in zip(*one.targets, strict=True))
         keep = one.probability >= LEAST
@@ -302,8 +299,7 @@ def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
     return result
 
 
-_FORGOTTEN = 40.0
-"""Looks that end on average, after which nothing is left of what somebody looked at."""
+_FORGOTTEN = 40.0  # looks that end on average, after which nothing is left of what somebody looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -516,23 +512,11 @@ class OnlineAttention:
         return found
 
 
-ONLINE, FORECASTS = "groups and looks", "forecasts"
-"""What is compiled here, in words."""
-
-
-def online_rehearsal() -> Rehearsal:
-    """What online groups and attention call."""
-    return Rehearsal("groups and looks", _rehearse, 12.0)
-
-
-def make_behaviour_ready() -> None:
-    """Compile or load what groups and attention call; the log reports a long wait before and after."""
-    make_ready(ONLINE, online_rehearsal())
-
-
-def forecast_rehearsal() -> Rehearsal:
-    """What forecasts call."""
-    return Rehearsal("forecasts", _rehearse_forecast, 1.0)
+def make_behaviour_ready(*, groups: bool = True, forecasts: bool = False) -> None:
+    """Compile or load what groups and attention, or forecasts, call; the log reports a long wait."""
+    rehearsals = [Rehearsal("groups and looks", _rehearse, 12.0)] * groups
+    rehearsals += [Rehearsal("forecasts", _rehearse_forecast, 1.0)] * forecasts
+    make_ready(", ".join(one.name for one in rehearsals), *rehearsals)
 
 
 def _rehearse() -> None:

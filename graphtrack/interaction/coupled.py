@@ -28,13 +28,10 @@ from graphtrack.model.terms.faces_group import GROUP, Group, with_group_at
 from graphtrack.saved import from_text, real, to_text, whole
 from graphtrack.tracks.track import STATE, Track, TrackSet
 
-ROUNDS = 4
-"""Times that groups and states are found at most."""
+ROUNDS = 4  # times that groups and states are found at most
 LEAST = 0.1
-"""Probability of a conversation below which nothing is told of it: of angles that nobody saw it would be
-all that is known."""
-CONVERSATIONS = "conversations"
-"""What they are called among the members of a stream whose states are kept."""
+"""Least probability of a conversation that is used: of unobserved angles it would be all that is known."""
+CONVERSATIONS = "conversations"  # key among the saved states of the members of a stream
 
 _MOTION = [STATE.index("vx"), STATE.index("vy")]
 
@@ -110,13 +107,7 @@ def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
 
 
 def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> FloatArray:
-    """How much of its length each of successive directions counts, (n,), 0 to 1; as `counts_after`.
-
-    Parameters
-    ----------
-    toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
-    dt : (n,) seconds since the frame before
-    """
+    """`counts_after` of successive directions (n, 2), each ``dt`` (n,) seconds after the frame before."""
     before = np.vstack([np.zeros((1, 2)), toward[:-1]])
     return counts_after(before, toward, dt, correlation_time)
 

@@ -20,22 +20,13 @@ from graphtrack.interaction.people import IntArray, People
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.saved import from_text, to_text
 
-FEATURES = ("shared", "crowd", "far", "rank", "look")
-"""The numbers, in order; `ConversationWeights` says what each is."""
-
-REACH = 4.0
-"""Metres: people further apart are in no group by themselves, only through others."""
-
-_SHARED = 0.6
-"""Metres over which two o-spaces count as one."""
-_CROWD = 1.0
-"""Metres over which somebody counts for the crowd about a place."""
-_SOFT = 0.2
-"""Metres of distance that make somebody clearly nearer than another."""
-_LOOK = 0.5
-"""Radians, 1-σ of where a head points about what is looked at."""
-_NOTHING = 0.05
-"""Weight of looks at nobody, where that of a look straight at somebody near is 1."""
+FEATURES = ("shared", "crowd", "far", "rank", "look")  # in order, as in `ConversationWeights`
+REACH = 4.0  # metres: people further apart are in no group by themselves, only through others
+_SHARED = 0.6  # metres over which two o-spaces count as one
+_CROWD = 1.0  # metres over which somebody counts for the crowd about a place
+_SOFT = 0.2  # metres of distance that make somebody clearly nearer than another
+_LOOK = 0.5  # radians, 1-σ of where a head points about what is looked at
+_NOTHING = 0.05  # weight of looks at nobody, where that of a look straight at somebody near is 1
 
 
 @allocating
@@ -153,10 +144,8 @@ def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, Fl
 
 DIRECTIONS: FloatArray = 2.0 * np.pi * np.arange(36) / 36
 """Radians, of the bodies that are compared."""
-_WIDTH = 0.2
-"""Metres, 1-σ of a ring."""
-_FARTHEST = 2.5
-"""Metres from an o-space beyond which somebody tells nothing of it."""
+_WIDTH = 0.2  # metres, 1-σ of a ring
+_FARTHEST = 2.5  # metres from an o-space beyond which somebody tells nothing of it
 
 
 @allocating
@@ -232,8 +221,7 @@ def probabilities(score: FloatArray) -> FloatArray:
     return np.asarray(likelihood / likelihood.sum(axis=1, keepdims=True))
 
 
-_BEGINNING = 0.5
-"""Seconds that the first frame counts for where nobody knows when the next one will come."""
+_BEGINNING = 0.5  # seconds that the first frame counts for where nobody knows when the next one will come
 FORGOTTEN = 5.0
 """Times of averaging after which, where the past alone counts, two who meet again meet for the first time."""
 
@@ -367,12 +355,10 @@ def merged(
 
 SLOW = np.array([False, True, False, False, True])
 """Mask of the features that are averaged over ``look_seconds``."""
-_SPEED_STEP = 0.1
-"""m/s over which standing becomes walking."""
+_SPEED_STEP = 0.1  # m/s over which standing becomes walking
 ALONG = 1.5
 """Those who walk together are side by side: a metre along their way counts as so many across it."""
-_MOST = 6.0
-"""Log odds that one frame of walking says at most."""
+_MOST = 6.0  # log odds that one frame of walking says at most
 _CAME = 0.1
 """Share of the time near each other, not spent together, from which two are known to have met in sight."""
 _UNSURE = 0.01
@@ -409,36 +395,15 @@ def with_bodies(people: People, spread: float) -> People:
     return replace(people, body=np.where(unseen[:, None], turned, people.body))
 
 
-def known_shares(people: People, left: IntArray, right: IntArray) -> FloatArray:
-    """(n, 3) how much a pair is one of which positions alone, bodies too, and heads too are known."""
-    body, head = (np.linalg.norm(vector, axis=1) for vector in (people.body, people.head))
-    bodies, heads = body[left] * body[right], head[left] * head[right]
-    return np.column_stack([1.0 - bodies, bodies * (1.0 - heads), bodies * heads])
-
-
-def conversation_odds(
-    shares: FloatArray, features: FloatArray, parameters: GroupParameters
-) -> tuple[FloatArray, FloatArray]:
-    """Return the log odds of each pair by features, (n,): over a short time, and over a long one."""
-    quick, slow = np.zeros(len(features)), np.zeros(len(features))
-    for share, weights in zip(shares.T, parameters.conversations, strict=True):
-        terms = weights.of_features
-        quick += share * (weights.bias + features @ np.where(SLOW, 0.0, terms))
-        slow += share * (features @ np.where(SLOW, terms, 0.0))
-    return quick, slow
-
-
 def abreast(people: People, left: IntArray, right: IntArray) -> tuple[FloatArray, FloatArray]:
-    """How far apart two walk, (n,) metres, those along their way counted more; square of their velocities'
-    difference, (n,) m²/s²."""
+    """Distances of walkers (n,) m, along their way counted more; squared velocity differences (n,) m²/s²."""
     apart = people.position[right] - people.position[left]
+    unlike = people.velocity[right] - people.velocity[left]
     way = people.velocity[right] + people.velocity[left]
     way = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
     along = np.sum(apart * way, axis=1)
     across = apart[:, 0] * way[:, 1] - apart[:, 1] * way[:, 0]
-    return np.hypot(across, ALONG * along), np.sum(
-        (people.velocity[right] - people.velocity[left]) ** 2, axis=1
-    )
+    return np.hypot(across, ALONG * along), np.sum(unlike**2, axis=1)
 
 
 def walking_odds(people: People, left: IntArray, right: IntArray, parameters: GroupParameters) -> FloatArray:
@@ -478,8 +443,7 @@ def walks(people: People, parameters: GroupParameters) -> FloatArray:
     return share
 
 
-PARTS = 2
-"""Values of a pair that are averaged over each of the three times."""
+PARTS = 2  # values of a pair that are averaged over each of the three times
 
 
 @dataclass(frozen=True, eq=False)
@@ -523,8 +487,15 @@ def pair_values(people: People, parameters: GroupParameters) -> PairValues:
 
 def _values(people: People, parameters: GroupParameters) -> PairValues:
     left, right, features = pair_features(people, parameters.stride)
-    shares = known_shares(people, left, right)
-    quick, slow = conversation_odds(shares, features, parameters)
+    body, head = (np.linalg.norm(vector, axis=1) for vector in (people.body, people.head))
+    bodies, heads = body[left] * body[right], head[left] * head[right]
+    # How much a pair is one of which positions alone, bodies too, and heads too are known.
+    shares = np.column_stack([1.0 - bodies, bodies * (1.0 - heads), bodies * heads])
+    quick, slow = np.zeros(len(features)), np.zeros(len(features))
+    for share, weights in zip(shares.T, parameters.conversations, strict=True):
+        terms = weights.of_features
+        quick += share * (weights.bias + features @ np.where(SLOW, 0.0, terms))
+        slow += share * (features @ np.where(SLOW, terms, 0.0))
     caution = shares @ np.array([one.caution for one in parameters.conversations])
     walk = walks(people, parameters)
     walking, standing = walk[left] * walk[right], (1.0 - walk[left]) * (1.0 - walk[right])

@@ -328,9 +328,8 @@ class Groups:
     def members(self) -> dict[int, list[frozenset[int]]]:
         """Frame → the groups of two and more, each the ids of its members."""
         found: dict[int, dict[int, set[int]]] = {int(frame): {} for frame in self.frame}
-        for frame, group, person in zip(
-            self.frame.tolist(), self.group.tolist(), self.track_id.tolist(), strict=True
-        ):
+        columns = self.frame.tolist(), self.group.tolist(), self.track_id.tolist()
+        for frame, group, person in zip(*columns, strict=True):
             if group >= 0:
                 found[frame].setdefault(group, set()).add(person)
         return {

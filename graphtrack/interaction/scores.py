@@ -46,14 +46,10 @@ class GroupScore:
 
     def shown(self) -> list[dict[str, object]]:
         """Rows of a table."""
-        rows: list[dict[str, object]] = [
-            {"": f"groups, {name} of the members", "precision": p, "recall": r, "F1": f}
-            for name, p, r, f in zip(("two thirds", "all"), self.precision, self.recall, self.f1, strict=True)
-        ]
-        rows.append(
-            {"": "pairs", "precision": self.pair_precision, "recall": self.pair_recall, "F1": self.pair_f1}
-        )
-        return rows
+        names = ("groups, two thirds of the members", "groups, all of the members", "pairs")
+        precision, recall = (*self.precision, self.pair_precision), (*self.recall, self.pair_recall)
+        rows = zip(names, precision, recall, (*self.f1, self.pair_f1), strict=True)
+        return [{"": name, "precision": p, "recall": r, "F1": f} for name, p, r, f in rows]
 
     def to_dict(self) -> dict[str, object]:
         """For a JSON file."""

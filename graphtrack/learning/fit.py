@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
 
 
-DECLARED = {"position_scale": "position_std", "body_scale": "body_kappa", "head_scale": "head_kappa"}
+_DECLARED = {"position_scale": "position_std", "body_scale": "body_kappa", "head_scale": "head_kappa"}
 """Multiples of the noise that tracks declare, and the channel of each."""
 
 
@@ -83,7 +83,7 @@ class Free:
 
     @cached_property
     def _range(self) -> tuple[float, float]:
-        """The least and the greatest value that is tried: it may have both, and neither is out of the way."""
+        """The least and the greatest value that is tried."""
         limits = range_of(*self._place)
         assert limits is not None  # only numbers are learned
         low, high = limits
@@ -110,7 +110,7 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
             track.body_likelihood is None and track.head_likelihood is None for track in tracks
         ),
     }
-    for name, declared in DECLARED.items():
+    for name, declared in _DECLARED.items():
         absent[f"likelihood.{name}"] = not any(getattr(track, declared) is not None for track in tracks)
     free = (Free(name) for name in names if not absent.get(name, False))
     return tuple(one for one in free if one.is_learned and one.get(model) > 0.0)
@@ -178,11 +178,9 @@ class EvaluationJournal:
             self._path.unlink(missing_ok=True)
 
 
-MAX_FRAMES = 20_000
-"""Person-frames that are learned from; of more, tracks are chosen at random."""
-
+MAX_FRAMES = 20_000  # person-frames that are learned from; of more, tracks are chosen at random
 BLOCKS, _FEWEST_BLOCKS = 40, 5
-FLAT = 0.05
+_FLAT = 0.05
 """A parameter that changes the log density by less, a factor of 1.5 either way, is not in the data."""
 
 
@@ -358,7 +356,7 @@ class _Evaluations:
         values, found = self.values_about(self.model, free, "shown"), []
         middle = values(start).sum()
         for unit in np.log(1.5) * np.eye(len(free)):
-            found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > FLAT)
+            found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > _FLAT)
         return found
 
     def run(

@@ -155,7 +155,7 @@ def errors_at_once(of: Rows, parameters: ForecastParameters) -> tuple[float, flo
         first, last = ends[-1], ends[0]
         if not len(rows) or not last:
             continue
-        weight = nearness(where[rows], where[:last])
+        weight = _nearness(where[rows], where[:last])
         newer = outcome[first:last] * np.tile(np.arange(first, last)[:, None] < ends, 3)
         total = (weight[:, :first] @ outcome[:first] + weight[:, first:] @ newer).astype(float)
         real, imaginary, count = total[:, :size], total[:, size : 2 * size], total[:, 2 * size :]
@@ -163,7 +163,7 @@ def errors_at_once(of: Rows, parameters: ForecastParameters) -> tuple[float, flo
     return relative_errors((of.actual - mean)[whole], (of.actual - of.straight)[whole])
 
 
-def nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
+def _nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
     """Weights (n, m) of points (m, 4) for points (n, 4): of a Gaussian kernel of width 1."""
     logs = here @ there.T
     logs -= 0.5 * (here**2).sum(axis=1)[:, None]
@@ -203,13 +203,8 @@ HEAD_STEPS: Mapping[str, tuple[float, ...]] = {
 }
 SCENE_STEPS: Mapping[str, tuple[float, ...]] = {"scene_prior": (10.0, 30.0, 100.0, 300.0, 1000.0)}
 SPREAD = (
-    "spread_standing",
-    "spread_walking",
-    "spread_power",
-    "spread_along",
-    "spread_prior",
-    "tail_share",
-    "tail_scale",
+    *("spread_standing", "spread_walking", "spread_power", "spread_along", "spread_prior"),
+    *("tail_share", "tail_scale"),
 )
 
 START = ForecastParameters(
@@ -222,17 +217,12 @@ START = ForecastParameters(
     tail_scale=2.5,
     scene_prior=36.0,
 )
-"""Where the search for the spread begins; of the parameters of the lists it is of no account.
+"""Where the search begins. `scene_prior` stays so where there is one scene alone: as many forecasts as it
+takes to know what a circle of 90 % holds to 5 % (a binomial's 0.9 · 0.1 / 0.05²)."""
 
-`scene_prior` stays as it is here where there is one scene alone: as many forecasts as it takes to know what a
-circle of 90 % holds to 5 % (a binomial's 0.9 · 0.1 / 0.05²).
-"""
-
-_MOST = 4000
-"""Forecasts of a scene that the spread is learned from."""
+_MOST = 4000  # forecasts of a scene that the spread is learned from
 _HEAD_TIMES = np.array([0.4, 0.8, 1.0])
-_ROUNDS = 3
-"""Times that the lists are gone through, at most."""
+_ROUNDS = 3  # times that the lists are gone through, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,7 +334,8 @@ def fit_forecast(
     if not scenes:
         raise InputError("no recordings", "at least one")
     before = ForecastParameters()
-    with_heads = {name: one for name, tracks in scenes.items() if (one := head_recording(tracks)) is not None}
+    seen = {name: [one for one in tracks if one.head is not None] for name, tracks in scenes.items()}
+    with_heads = {name: recording(people, _HEAD_TIMES) for name, people in seen.items() if people}
     scenes = {name: tracks for name, tracks in scenes.items() if name not in with_heads} or scenes
     recordings = {name: recording(tracks) for name, tracks in scenes.items()}
 
@@ -355,20 +346,20 @@ def fit_forecast(
 
     best = _search(START, PLACE_STEPS, mean_error, progress)
     # Heads lead a motion that is found with the parameters of motion.
-    heads = [seen for one in with_heads.values() if (seen := heads_of(one, best)) is not None]
+    heads = [found for one in with_heads.values() if (found := heads_of(one, best)) is not None]
     if heads:
         best = _search(
             best, HEAD_STEPS, lambda one: float(np.mean([of.error(one) for of in heads])), progress
         )
     progress("spread")
-    found = {name: outcomes(of, best) for name, of in recordings.items()}
-    best = _fit_spread(list(found.values()), best)
-    best = _fit_scene_prior(recordings, found, best, progress)
+    came = {name: outcomes(of, best) for name, of in recordings.items()}
+    best = _fit_spread(list(came.values()), best)
+    best = _fit_scene_prior(recordings, came, best, progress)
     return ForecastFit(
         parameters=best,
         start=before,
-        errors={name: relative_errors(one.error, one.straight) for name, one in found.items()},
-        density={name: (density(one, before), density(one, best)) for name, one in found.items()},
+        errors={name: relative_errors(one.error, one.straight) for name, one in came.items()},
+        density={name: (density(one, before), density(one, best)) for name, one in came.items()},
     )
 
 
@@ -458,12 +449,6 @@ class Heads:
         turned = lead(self.angle, self.sure, parameters)[:, None] * mean_turn(_HEAD_TIMES, parameters)
         going = self.velocity[:, None] * _HEAD_TIMES * np.exp(1j * turned)
         return float(np.abs(self.moved - going).mean())
-
-
-def head_recording(tracks: TrackSet) -> Recording | None:
-    """Those whose head is seen; None: there is none."""
-    seen = [one for one in tracks if one.head is not None]
-    return recording(seen, _HEAD_TIMES) if seen else None
 
 
 def heads_of(of: Recording, parameters: ForecastParameters) -> Heads | None:

@@ -79,15 +79,9 @@ def fit_facing(
 def _features(people: People, evidence: PairEvidence, stride: float) -> FloatArray:
     """(n, directions, 2·rings): how many companions, and others, are how far from the o-space there."""
     together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds))
-    columns = []
-    for place in range(2 * len(RINGS)):
-        one = np.zeros(2 * len(RINGS))
-        one[place] = 1.0
-        weights = one.reshape(2, len(RINGS))
-        columns.append(
-            facing_scores(people.position, evidence.left, evidence.right, together, weights, stride)
-        )
-    return np.stack(columns, axis=2)
+    units = np.eye(2 * len(RINGS)).reshape(-1, 2, len(RINGS))
+    scene = people.position, evidence.left, evidence.right, together
+    return np.stack([facing_scores(*scene, weights, stride) for weights in units], axis=2)
 
 
 _LEAST = 20
@@ -128,12 +122,10 @@ def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupPa
     return replace(start, **values)
 
 
-_APART = 12.0
-"""Seconds between the frames that are learned from: those between say the same again."""
+_APART = 12.0  # seconds between the frames that are learned from: those between say the same again
 _CAUTION = np.arange(-2.0, 2.01, 0.5)
 _BLOCKS = 4
-_CLEAR = 0.5
-"""Length of the expected direction of bodies from which facing is learned."""
+_CLEAR = 0.5  # length of the expected direction of bodies from which facing is learned
 _SIGNS = np.array([1.0, -1.0, -1.0, -1.0, 1.0])
 """Which way each feature can only speak: see `ConversationWeights`."""
 
@@ -304,12 +296,9 @@ def _caution(
     return float(good[np.argmin(np.abs(good))])
 
 
-_STEP = 0.5
-"""Of the first simplex, in logarithms of parameters."""
-_WIDE = 2.0
-"""1-σ of the logarithm of a parameter about where it started: a look's worth of belief."""
-_MOST = 300
-"""Evaluations."""
+_STEP = 0.5  # of the first simplex, in logarithms of parameters
+_WIDE = 2.0  # 1-σ of the logarithm of a parameter about where it started: a look's worth of belief
+_MOST = 300  # evaluations
 
 
 @dataclass(frozen=True)
@@ -358,11 +347,16 @@ def fit_attention(
     def cost(free: FloatArray) -> float:
         told = attention(tracks, parameters=_parameters(free), groups=found)
         belief = 0.5 * float(np.sum(((free - begin) / _WIDE) ** 2)) / max(looks, 1)
-        return belief - _log_score(told, labels, split)
+        logs = [
+            np.log(np.maximum(one.probability[rows][true], LEAST))[one.t[rows] <= split]
+            for one, rows, true in true_shares(told, labels)
+        ]
+        return belief - float(np.concatenate(logs).mean())
 
     simplex = begin + np.vstack([np.zeros(len(begin)), _STEP * np.eye(len(begin))])
     options = {"maxfev": _MOST, "initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4}
-    parameters = _rounded(_parameters(minimize(cost, begin, method="Nelder-Mead", options=options).x))
+    best = _parameters(minimize(cost, begin, method="Nelder-Mead", options=options).x)
+    parameters = AttentionParameters(*(float(f"{value:.3g}") for value in astuple(best)))
     told = attention(tracks, parameters=parameters, groups=found)
     after = (labelled > split).any()
     held = score_looks(told, labels, (split, np.inf)) if after else None
@@ -389,14 +383,6 @@ def _looks(found: list[Attention], labels: LookLabels, split: float) -> int:
     return count
 
 
-def _log_score(found: list[Attention], labels: LookLabels, split: float) -> float:
-    logs = [
-        np.log(np.maximum(one.probability[rows][true], LEAST))[one.t[rows] <= split]
-        for one, rows, true in true_shares(found, labels)
-    ]
-    return float(np.concatenate(logs).mean())
-
-
 def _free(parameters: AttentionParameters) -> FloatArray:
     """(6,) logarithms, and log odds of the share."""
     values = {name: max(value, 1e-6) for name, value in vars(parameters).items()}
@@ -413,7 +399,3 @@ def _parameters(free: FloatArray) -> AttentionParameters:
         low, high = one.metadata["range"]
         values[one.name] = min(max(values[one.name], low), high)
     return AttentionParameters(**values)
-
-
-def _rounded(parameters: AttentionParameters) -> AttentionParameters:
-    return AttentionParameters(*(float(f"{value:.3g}") for value in astuple(parameters)))

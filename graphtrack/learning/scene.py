@@ -186,8 +186,7 @@ class _Explained:
     @property
     def std(self) -> NDArray[np.float64]:
         """(n,) metres that detections say themselves; NaN: they do not."""
-        own = self.detections.channels.get("position_std")
-        return np.full(len(self.detections), np.nan) if own is None else own
+        return self.detections.channels.get("position_std", np.full(len(self.detections), np.nan))
 
     def chains(self, scene: SceneParameters) -> Chains:
         """The tracks, linked; not filtered yet."""
@@ -233,8 +232,7 @@ def _split(recording: Detections, hold_out: float) -> tuple[NDArray[np.int64], N
     return (before, after) if enough else (np.arange(len(step)), after[:0])
 
 
-_FEWEST = 10
-"""Frames that a part of a recording has at least."""
+_FEWEST = 10  # frames that a part of a recording has at least
 
 
 def _climbed(explained: _Explained, start: SceneParameters) -> SceneParameters:

@@ -8,7 +8,6 @@ same to the other side; later behaviours turn further and faster.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -107,22 +106,10 @@ class Corpus:
     def __len__(self) -> int:
         return len(self.truth)
 
-    def detected(
-        self,
-        rate: float,
-        rng: np.random.Generator,
-        *,
-        head: Literal["with position", "always"] = "with position",
-    ) -> Corpus:
+    def detected(self, rate: float, rng: np.random.Generator) -> Corpus:
         """The same people, detected at a share ``rate`` of the steps, chosen evenly; the first one always.
 
-        Raise InputError if the rate is out of range.
-
-        Parameters
-        ----------
-        rate : in (0, 1]
-        head : "with position": who is not detected shows no head either; "always": the head is seen all the
-            time
+        Who is not detected shows no head either. Raise InputError unless the rate is in (0, 1].
         """
         if not 0.0 < rate <= 1.0:
             raise InputError(f"rate = {rate!r}", "a share in (0, 1]")
@@ -131,7 +118,7 @@ class Corpus:
         return replace(
             self,
             position=np.where(lost[..., None], np.nan, self.position),
-            head=np.where(lost, np.nan, self.head) if head == "with position" else self.head,
+            head=np.where(lost, np.nan, self.head),
         )
 
     def tracks(self, count: int | None = None) -> TrackSet:

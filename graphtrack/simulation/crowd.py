@@ -19,11 +19,9 @@ from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_numbers, number
 
-_GRID = 0.1
-"""Seconds a step of the walks."""
+_GRID = 0.1  # seconds a step of the walks
 
-_SHORTEST = 4.0
-"""Metres between the ends of a walk."""
+_SHORTEST = 4.0  # metres between the ends of a walk
 
 
 @dataclass(frozen=True)
@@ -140,11 +138,9 @@ def _seen(path: FloatArray, start: float, identity: int, seconds: float, fps: fl
     return Track(identity, frame, frame / fps, position)
 
 
-_STROLLER_GRID = 0.02
-"""Seconds between samples of a path before it is observed."""
+_STROLLER_GRID = 0.02  # seconds between samples of a path before it is observed
 
-_FARTHEST = np.radians(120.0)
-"""Of a turn on the spot: the other way round would be as likely beyond."""
+_FARTHEST = np.radians(120.0)  # of a turn on the spot: the other way round would be as likely beyond
 
 
 @dataclass(frozen=True)
@@ -217,23 +213,17 @@ def strollers(
     truth = TrackSet(tuple(_stroll(k + 1, habits, seconds, fps, rng) for k in range(people)))
     body_kappa, head_kappa = (None if std is None else 1.0 / std**2 for std in (body_std, head_std))
     noisy = add_noise(truth, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)
-    return noisy.map(
-        lambda track: _observed(track, body_std is not None, head_std is not None, turned, declared, rng)
-    )
 
+    def observed(track: Track) -> Track:
+        changed: dict[str, Any] = {}
+        for name, std in (("body", body_std), ("head", head_std)):
+            over = np.pi * (rng.random(len(track)) < turned)
+            changed[name] = None if std is None else wrap(getattr(track, name) + over)
+            if std is None or not declared:
+                changed[f"{name}_kappa"] = None
+        return replace(track, **changed)
 
-def _observed(
-    track: Track, body: bool, head: bool, turned: float, declared: bool, rng: np.random.Generator
-) -> Track:
-    """The track with some angles turned, and without those that are not observed."""
-    changed: dict[str, Any] = {}
-    for name, seen in (("body", body), ("head", head)):
-        angles = getattr(track, name)
-        over = np.pi * (rng.random(len(track)) < turned)
-        changed[name] = wrap(angles + over) if seen else None
-        if not (seen and declared):
-            changed[f"{name}_kappa"] = None
-    return replace(track, **changed)
+    return noisy.map(observed)
 
 
 def full_turns_too_many(estimate: Track, truth: Track, seconds: float = 1.0) -> tuple[int, int]:

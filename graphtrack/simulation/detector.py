@@ -133,11 +133,12 @@ def detect(
         exact = sampled(exact, every)
     noisy = add_noise(exact, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)
     hidden = _hidden(noisy, detector, rng)
-    people = [_unseen(track, detector.missed, hidden, rng) for track in noisy]
-    return Detected(
-        noisy.with_tracks([*people, *_false_detections(noisy, people, detector, rng)]),
-        exact.map(_as_truth),
-    )
+    people = []
+    for track in noisy:
+        window = rng.random(len(track)) < detector.missed
+        people.append(withhold(track, window | hidden.get(track.track_id, False), OBSERVED))
+    false = _false_detections(noisy, people, detector, rng)
+    return Detected(noisy.with_tracks([*people, *false]), exact.map(_as_truth))
 
 
 def sampled(tracks: TrackSet, every: float) -> TrackSet:
@@ -220,13 +221,6 @@ def _hidden(tracks: TrackSet, detector: Detector, rng: np.random.Generator) -> M
         window[[0, -1]] = False
         windows[track.track_id] = window
     return windows
-
-
-def _unseen(track: Track, missed: float, hidden: Mapping[int, BoolArray], rng: np.random.Generator) -> Track:
-    window = rng.random(len(track)) < missed
-    if track.track_id in hidden:
-        window |= hidden[track.track_id]
-    return withhold(track, window, OBSERVED)
 
 
 def _false_detections(

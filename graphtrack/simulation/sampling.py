@@ -106,13 +106,16 @@ def simulate(
     model = Model.named(model)
     if model.has_term(PlacePrior):
         raise InputError("the term PlacePrior, which cannot be sampled", "a model without a place")
-    _check(n_tracks, n_steps, fps, missing)
+    check_count("n_tracks", n_tracks)
+    check_count("n_steps", n_steps)
+    check_frame_rate(fps)
+    if not 0.0 <= missing < 1.0:
+        raise InputError(f"missing = {missing!r}", "a probability in [0, 1)")
     likelihood = model.parameters.likelihood
     position_std = likelihood.position_std if position_std is None else position_std
-    kappas = {
-        "body": likelihood.body_kappa if body_kappa is None else body_kappa,
-        "head": likelihood.head_kappa if head_kappa is None else head_kappa,
-    }
+    body_kappa = likelihood.body_kappa if body_kappa is None else body_kappa
+    head_kappa = likelihood.head_kappa if head_kappa is None else head_kappa
+    kappas = {"body": body_kappa, "head": head_kappa}
     if not (np.isfinite(position_std) and position_std > 0.0):
         raise InputError(f"position_std = {position_std!r}", "a positive number of metres")
     for name, kappa in kappas.items():
@@ -200,14 +203,9 @@ def sample_states(
             modes = sample_modes(t, n_tracks, gait, rng)
             share = np.where(np.ones(steps, bool) if seen is None else seen[:, 1:], gait.head_rate_seen, 1.0)
             rate = rate * share * modes.ahead[:, :-1]
+        held = model.has_term(HeadFollowsBody)
         velocity = sample_coupled_velocity(
-            t,
-            modes,
-            model.parameters,
-            rng,
-            pace=pace,
-            rate=rate,
-            head_coupled=model.has_term(HeadFollowsBody),
+            t, modes, model.parameters, rng, pace=pace, rate=rate, head_coupled=held
         )
         states["body"], states["head"] = sample_orientations(t, velocity, model, rng, modes=modes, rate=rate)
     position = sample_positions(t, velocity, motion, rng, head=states.get("head"), rate=rate)
@@ -218,11 +216,3 @@ def _missing(rng: np.random.Generator, n_tracks: int, n_steps: int, probability:
     lost = rng.random((n_tracks, n_steps)) < probability
     lost[:, 0] = False
     return lost
-
-
-def _check(n_tracks: int, n_steps: int, fps: float, missing: float) -> None:
-    for name, count in (("n_tracks", n_tracks), ("n_steps", n_steps)):
-        check_count(name, count)
-    check_frame_rate(fps)
-    if not 0.0 <= missing < 1.0:
-        raise InputError(f"missing = {missing!r}", "a probability in [0, 1)")
