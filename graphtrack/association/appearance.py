@@ -67,14 +67,9 @@ class AppearanceModel:
     ) -> AppearanceModel:
         """The model of a recording, from pairs of its detections; one that says nothing if they are too few.
 
-        Raise InputError for arrays of other shapes, or rows that are not there.
-
-        Parameters
-        ----------
-        descriptors : (n, k), NaN where one is missing
-        same : (m, 2) rows of pairs that are thought to show one person, such as neighbours in tracklets.
-            Looks drift apart: the model holds for pairs as far apart in time as these are.
-        different : (l, 2) rows of pairs that show two people, such as those of one frame
+        ``descriptors``: (n, k), NaN where one is missing. ``same``, ``different``: (m, 2) rows of pairs that
+        show one person, such as neighbours in tracklets, and two people, such as those of one frame. The
+        model holds for pairs as far apart in time as these. Raise InputError for other shapes or rows.
         """
         values = np.asarray(descriptors, float)
         if values.ndim != 2 or not values.shape[1]:
@@ -198,13 +193,7 @@ _BINS = 6  # into which scores are put, as many in each
 
 
 def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray) -> AppearanceModel:
-    """Learn the appearance model of a recording from neighbours in its tracks and from pairs of one frame.
-
-    Parameters
-    ----------
-    identity : (n,) of each detection; −1: false
-    descriptors : (n, d), NaN where one is missing
-    """
+    """Learn the appearance model of a recording from neighbours in its tracks and from pairs of one frame."""
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     earlier = chains.preceding[later]
     near = chains.t[later] - chains.t[earlier] <= _TAUGHT_SECONDS
@@ -220,16 +209,10 @@ def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray
 
 
 def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray) -> float:
-    """Log ratio that looks bring on average where nobody changed; at least 0.
+    """Mean log ratio of looks along tracks, at least 0, by which the gain of detections is lowered.
 
-    What is false resembles itself from frame to frame as much as a person does, when it is a thing or a part
-    of somebody: looks tell who is who, and not whether there is anybody. So a detection with a descriptor
-    has as much less to gain.
-
-    Parameters
-    ----------
-    identity : (n,) of each detection; −1: false
-    model, descriptors : what looks say, and the (n, d) descriptors, NaN where one is missing
+    A false detection of a thing resembles itself from frame to frame as much as a person does: looks tell who
+    is who, and not whether there is anybody. ``identity``: (n,), −1: false; ``descriptors``: (n, d), or NaN.
     """
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     ratios = model.log_ratio(descriptors[chains.preceding[later]], descriptors[later])
@@ -241,12 +224,9 @@ def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descri
 def resemblance_of_false_ones(
     chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray
 ) -> float:
-    """Log ratio that looks bring on average where a false detection follows a near one; at least 0.
+    """`constancy` for online use: the mean log ratio where a false detection follows a near one, at least 0.
 
-    Detections have as much less to gain: `constancy`, as who decides at once can measure it. There
-    links are made because looks agree, so that the mean of those of people would rise by itself.
-
-    ``chains``: the detections, in the order of time
+    Online, links are made because looks agree, so that the mean along tracks would rise by itself.
     """
     false = np.flatnonzero((identity < 0) & has_descriptor(descriptors))
     if not len(false):
@@ -285,13 +265,7 @@ class ScoreRatio:
 
     @classmethod
     def learned(cls, score: FloatArray, identity: IntArray) -> ScoreRatio:
-        """By shares of those who are thought to be either, with as much doubt as a few detections outweigh.
-
-        Parameters
-        ----------
-        score : (n,), NaN where there is none
-        identity : (n,) of each detection; −1: false
-        """
+        """Learn from scores (n,), or NaN, and identities (n,), −1: false, with three counts a bin to begin."""
         known = np.isfinite(score)
         if known.sum() < 10 * _BINS or np.ptp(score[known]) == 0.0:
             return cls()
@@ -339,10 +313,7 @@ class Looks:
         return chains._replace(looks=np.ascontiguousarray(self.model.whitened(descriptors)))
 
     def gain(self, descriptors: FloatArray, score: FloatArray) -> FloatArray:
-        """(n,) what detections gain as a person's, beside their places, by what they show.
-
-        ``descriptors``, ``score``: (n, d) and (n,), NaN where one is missing
-        """
+        """(n,) log gain of detections as a person's by descriptors (n, d) and scores (n,); NaN: none."""
         less = 0.0 if self.model is None else self.constancy
         return self.scores.of(score) - less * has_descriptor(descriptors)
 

@@ -179,13 +179,10 @@ def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
 def see_angle(
     angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
 ) -> float:
-    """Take an observed angle into the direction at ``place`` of a state; its log ratio to one by chance.
+    """Take an observed angle (rad, or NaN) into the direction at ``place`` of a state; return its log ratio.
 
-    Parameters
-    ----------
-    angle : radians; NaN: not observed
-    prior_x, prior_y : the direction that is expected, with its concentration
-    outliers : share of observations that have nothing to do with the direction; 1: none is looked at
+    ``prior_x``, ``prior_y``: expected direction, as long as its concentration; ``outliers``: share of random
+    angles, 1: angles are not used.
     """
     if outliers >= 1.0 or math.isnan(angle):
         return 0.0
@@ -203,11 +200,7 @@ def see_angle(
 
 @compiled
 def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
-    """Take body and head of a later detection into the state; their log likelihood ratio.
-
-    They turn little since the earlier one, where the state was ``before``, and the body faces where the
-    person goes, who moves as the state says, and is then taken to go more as body and head point.
-    """
+    """Take body and head of a later detection into the state; return their log likelihood ratio."""
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
     dt = later.t - earlier.t
@@ -231,15 +224,10 @@ def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state
 
 @compiled
 def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> None:
-    """Turn the velocity of a state towards an observed angle, as far as that says where the person goes.
+    """Turn the velocity of a state towards an observed angle (rad, or NaN): an extended Kalman update.
 
-    The update of an extended Kalman filter: the velocity across is speed · sin(deviation), says the angle.
-
-    Parameters
-    ----------
-    angle : radians, of body or head; NaN: not observed
-    variance : of the angle about the direction of travel
-    outliers : share of angles that have nothing to do with it
+    The observation is the velocity across, speed · sin(deviation). ``variance`` is of the angle about the
+    direction of travel, ``outliers`` the share of random angles.
     """
     speed = math.hypot(state[2], state[3])
     if outliers >= 1.0 or math.isnan(angle) or speed < 1e-2:
@@ -278,12 +266,9 @@ def missed(frames: int, scene: Scene) -> float:
 
 @compiled
 def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
-    """The state after a later detection of somebody whose state was ``before`` at an earlier one.
+    """Fill the state after a later detection; return the log density of its position.
 
-    The place may have jumped, after which nothing is known of the velocity: of the two states after that, the
-    one that has their mean and covariance.
-
-    Returns the log density of the detection's place.
+    The position may have jumped, after which the velocity is unknown: both states are moment-matched.
     """
     dt, q = later.t - earlier.t, scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
@@ -340,13 +325,9 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 def is_within(
     off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, scene: Scene
 ) -> bool:
-    """Return whether a detection is within the gate about a predicted position.
+    """Return whether a detection is within the gate, ``off_x``, ``off_y`` metres from the predicted position.
 
-    Parameters
-    ----------
-    off_x, off_y : metres from the predicted place
-    dt : seconds since p, pv and v were the person's covariance on each axis
-    variance : of the detection, m²
+    ``dt``: seconds since p, pv and v were the covariance on each axis; ``variance``: of the detection, m²
     """
     spread = p + 2.0 * dt * pv + dt * dt * v + scene.density * dt**3 / 3.0 + variance
     if scene.jump_probability > 0.0:
@@ -375,10 +356,7 @@ def near_ones(
 
 @allocating
 def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
-    """Evidence of what follows detection k in its chain, whose state there is given; it is changed.
-
-    After ``look_ahead`` detections what is remembered is taken: nothing is left of where the track came from.
-    """
+    """Evidence of what follows detection k in its chain, from ``look_ahead`` detections on as remembered."""
     total, seen, here = 0.0, 0, np.empty(STATE)
     m = chains.rows[k].following
     while m >= 0 and seen < scene.look_ahead:

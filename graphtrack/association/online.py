@@ -59,28 +59,16 @@ NOBODY = -1
 
 @dataclass
 class Notes:
-    """Attributes of n detections alongside their chains.
+    """Attributes of n detections alongside their chains."""
 
-    Attributes
-    ----------
-    std : metres that a detection says itself; NaN: it does not
-    place : of it in its update
-    said : track id that was last said of it
-    number : track id of the track that begins with it, once there is one
-    before : detections of its track that are forgotten by now
-    clutter : how many times the mean rate detections are false there
-    score : the detector's own; NaN: none
-    descriptor : (n, d) of looks, NaN where one is missing; d is 0 until the first one comes
-    """
-
-    std: FloatArray
-    place: IntArray
-    said: IntArray
-    number: IntArray
-    before: IntArray
-    clutter: FloatArray
-    score: FloatArray
-    descriptor: FloatArray
+    std: FloatArray  # declared noise, metres, or NaN
+    place: IntArray  # in its update
+    said: IntArray  # track id that was last reported
+    number: IntArray  # track id of the track that begins with it, once there is one
+    before: IntArray  # detections of its track that are forgotten by now
+    clutter: FloatArray  # density of false detections there, over its mean
+    score: FloatArray  # the detector's, or NaN
+    descriptor: FloatArray  # (n, d), NaN where one is missing; d is 0 until the first one comes
 
     @classmethod
     def of(cls, std: FloatArray, clutter: FloatArray, score: FloatArray, descriptor: FloatArray) -> Notes:
@@ -188,8 +176,7 @@ REVISED_FRAMES = 8
 """Frames in which decisions may change: as many detections as say whose they are."""
 
 AGES = {0.1: tuple(range(REVISED_FRAMES - 1, -1, -1)), 0.0: (7, 3, 1, 0)}
-"""Seconds between frames, at least → how many frames ago those are that are decided anew. Where frames follow
-each other fast some are enough: all others will be as old, or were."""
+"""Least seconds between frames → ages of the frames that are decided again; at high rates some are enough."""
 
 
 @dataclass(frozen=True)

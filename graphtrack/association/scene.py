@@ -35,13 +35,8 @@ def duplicate_density(
 ) -> FloatArray:
     """Return the expected density of duplicates of other people at each detection, (n,) 1/m².
 
-    A person counts for those who were detected less often: of two who walk in each other's place the one with
-    more detections is the person.
-
-    Parameters
-    ----------
-    frame, position : (n,) and (n, 2) of the detections
-    identity : (n,) as they are thought to be; −1: false
+    Of two who walk in each other's place the one with more detections is the person. ``identity``: (n,), −1:
+    false.
     """
     times = np.bincount(identity[identity >= 0], minlength=1)
     return duplicate_density_of(duplicate_pairs(frame, position, scene), identity, scene, times)
@@ -55,13 +50,7 @@ def duplicate_pairs(frame: NDArray[np.int64], position: FloatArray, scene: Scene
 def duplicate_density_of(
     pairs: Pairs, identity: NDArray[np.int64], scene: SceneParameters, times: NDArray[np.int64]
 ) -> FloatArray:
-    """`duplicate_density` where the pairs are known.
-
-    Parameters
-    ----------
-    identity : (n,) as they are thought to be; −1: false
-    times : identity → how often it was detected
-    """
+    """`duplicate_density` given the pairs; ``times`` has the number of detections of each identity."""
     first, second, square = pairs
     strength = np.where(identity >= 0, times[np.maximum(identity, 0)], 0)
     counts = (identity[second] >= 0) & (identity[first] != identity[second])
@@ -91,10 +80,7 @@ def learn_duplicates(
     scene: SceneParameters,
     known: Known = NOTHING,
 ) -> SceneParameters:
-    """The scene with rate and spread of duplicates from the false detections around people.
-
-    Those of the two that are known are kept.
-    """
+    """The scene with rate and spread of duplicates, unless known, from the false detections around people."""
     first, second, square = pairs_within(frame, position, 2.0)
     counts = (identity[first] < 0) & (identity[second] >= 0)
     first, square = first[counts], square[counts]
@@ -319,8 +305,7 @@ SPREAD = 2.0
 """Metres, standard deviation of the blur: who comes in at one place may come in so far beside it."""
 
 AHEAD = 2.0
-"""Seconds. Whether somebody has left who is not seen is judged by where they would be by then: of two people
-in one place at the border, one may just have come in."""
+"""Seconds ahead of the last position at which the map of deaths is read: who has just come in stays."""
 
 _CELL = 0.5 * SPREAD
 _REACH = 4.0 * SPREAD
@@ -408,10 +393,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
 
 
 def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`learn_places` and asked at the detections that it is learned from, (n,) each.
-
-    Of each detection, what its own track has done does not count: it would speak for itself.
-    """
+    """Rates of `learn_places` at its own detections, (n,) each, without the events of their own tracks."""
     position, person = chains.position, identity >= 0
     first, last = _events(chains, identity)
     came, left = (_of_own(position, identity, events) for events in (first, last))

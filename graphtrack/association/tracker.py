@@ -117,22 +117,10 @@ class PersonEstimate(Estimate):
 
 
 class DetectionTracker:
-    """Track everybody in a scene online, from detections that do not say of whom they are.
+    """Track everybody in a scene online from detections without identities; see `OnlineTracker`.
 
-    Who is who is said at once; while later detections can tell better, it is revised, and the estimates with
-    it. New people are told once they are more probable than false detections.
-
-    Parameters
-    ----------
-    model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
-    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
-        names. The others are as the model has them, else learned from what is seen
-    groups : source of the input `GROUP` of everybody's observations; None: the detections' own
-
-    Attributes
-    ----------
-    revised : what the last update took back of what was said before
-    newest : observations of the last update
+    ``groups``: source of the input `GROUP` of everybody's observations; None: the detections' own.
+    ``revised`` is what the last update took back, ``newest`` its observations.
     """
 
     def __init__(
@@ -371,12 +359,9 @@ UNSAID = "of whom nothing was said at once"
 def track_rows(
     rows: Rows, tracker: DetectionTracker, advance: Callable[[int], None] = lambda rows: None
 ) -> TrackSet:
-    """Give a tracker the detections of a file, frame by frame; what it said of them.
+    """Track the detections of a file online; their own identities are not read.
 
-    Parameters
-    ----------
-    rows : on the ground, with times; their own identities do not matter
-    advance : is told of detections that were taken in
+    ``advance`` is called with the number of detections of each frame.
     """
     rows = usable(rows)
     channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}

@@ -43,13 +43,7 @@ class Expected:
 def together(
     position: ComplexArray, velocity: ComplexArray, others: NDArray[np.int64], parameters: ForecastParameters
 ) -> ComplexArray:
-    """Velocities (n,) of people who keep together with whoever is near and goes as they do.
-
-    Parameters
-    ----------
-    position, velocity : (n,) of people on their own
-    others : (m,) which of them count as others
-    """
+    """Velocities (n,) of people who keep together with those of ``others`` (m,) who are near and go alike."""
     near, alike = parameters.companion_distance, parameters.companion_velocity
     points, ways = (np.ascontiguousarray(one).view(float).reshape(-1, 2) for one in (position, velocity))
     found = kernel_means(points, ways, others, near, alike, parameters.companion_weight)
@@ -73,10 +67,7 @@ def spreads(
 def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
     """Return the angle (n,) by which the motion will turn to the head, radians.
 
-    Parameters
-    ----------
-    angle : (n,) from the direction of motion to the head
-    sure : (n,) 1 for a head that was seen and holds still, 0 for one that was not
+    ``angle``: (n,) from the motion to the head; ``sure``: (n,) 1: seen and still, 0: not seen
     """
     counts = sure * np.exp(-((angle / parameters.head_limit) ** 2))
     turn: FloatArray = parameters.head_share * counts * angle

@@ -197,14 +197,7 @@ class Places:
         was: ComplexArray,
         position: ComplexArray,
     ) -> None:
-        """People were seen again: their open anchors learn where they went.
-
-        Parameters
-        ----------
-        owner : (n,) who
-        before, was : (n,) when and where they had been seen before
-        t, position : when, and (n,) where they are seen now
-        """
+        """Open anchors of people ``owner`` (n,) learn where they went, from time ``before`` at ``was`` to now."""
         active = self._active
         if not len(active) or not len(owner):
             return

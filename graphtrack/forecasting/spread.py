@@ -49,13 +49,7 @@ def _table(level: float, share: float, wide: float) -> FloatArray:
 def radius(
     level: float, longer: FloatArray, shorter: FloatArray, parameters: ForecastParameters
 ) -> FloatArray:
-    """Radius of the circle about the mean that holds a share of the probability.
-
-    Parameters
-    ----------
-    level : the share
-    longer, shorter : 1-σ along the axes of the ellipse, of any one shape
-    """
+    """Radius of the circle about the mean that holds the share ``level``, given 1-σ along both axes."""
     table = _table(level, float(parameters.tail_share), float(parameters.tail_scale))
     relative: FloatArray = np.interp(shorter / longer, _RATIOS, table)
     return relative * longer
@@ -87,12 +81,9 @@ def offsets(
     parameters: ForecastParameters,
     random: np.random.Generator,
 ) -> NDArray[np.complex128]:
-    """Samples (n, count, A) of what people are off the mean; whoever is fast stays fast.
+    """Samples (n, count, A) of offsets from the mean, given 1-σ (n, A) along and across ``direction`` (n,).
 
-    Parameters
-    ----------
-    std_along, std_across : (n, A)
-    direction : (n,) of unit length
+    Whoever is fast stays fast.
     """
     size = (len(direction), count)
     shares, scales = shares_and_scales(parameters)

@@ -115,14 +115,10 @@ def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> Float
 def counts_after(
     before: FloatArray, toward: FloatArray, dt: FloatArray, correlation_time: float
 ) -> FloatArray:
-    """How much of their lengths directions count, (n,), 0 to 1, after those of a frame before.
+    """How much of their lengths directions (n, 2) count, (n,), 0 to 1, ``dt`` (n,) s after those before.
 
-    One that is new counts in full, later on dt/correlation_time times: deviations from it persist.
-
-    Parameters
-    ----------
-    before, toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
-    dt : (n,) seconds between them
+    One that is new counts in full, later on dt/correlation_time times: deviations from it persist. Vectors
+    are as long as directions are sure; NaN: nothing is known.
     """
     before, toward = np.nan_to_num(before), np.nan_to_num(toward)
     length, old = np.linalg.norm(toward, axis=1), np.linalg.norm(before, axis=1)
@@ -161,10 +157,9 @@ class Conversations:
         self._people: dict[int, Numbers] = {}
 
     def observed(self, track_id: int, observation: Observation) -> Observation:
-        """An observation with what is told of the person's conversation, for `OnlineSmoother.update`.
+        """An observation with the person's group, unless it has one or is out of sequence, for the smoother.
 
-        One that says it itself, or comes late, stays as it is. Raise InputError if it cannot be used. Nothing
-        has changed then.
+        Raise InputError if it cannot be used; nothing has changed then.
         """
         observation = checked(observation)
         self.begin(observation.t, observation.frame)

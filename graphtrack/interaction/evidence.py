@@ -123,15 +123,9 @@ def of_frames(
 
 
 def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """The pairs within `REACH` in each frame, and their features.
+    """Rows (n,) of the two people of each pair within `REACH`, frame by frame, and its `FEATURES` (n, 5).
 
-    Directions count by their expected vectors, so that the o-space of somebody whose body is unknown is where
-    they stand.
-
-    ``stride``: metres from somebody to the o-space ahead of them
-
-    Returns rows of the one and of the other person in ``people``, (n,) each, frame by frame; (n, 5) as
-    `FEATURES`.
+    ``stride``: metres to the o-space ahead of somebody; where the body is unknown, it is where they stand
     """
     # A pair at the very edge may be counted and not found, as sums are reordered: there is room for more.
     count = _near_pairs(people.position, people.first) + len(people.frame)
@@ -202,10 +196,7 @@ def facing_scores(
 def facing(
     position: FloatArray, left: IntArray, right: IntArray, odds: FloatArray, parameters: GroupParameters
 ) -> FloatArray:
-    """(n, 2) expected unit vectors of bodies by where the others stand; 0 where nobody is near.
-
-    The parameters are as those of `facing_scores`, but for the log odds of pairs.
-    """
+    """(n, 2) expected unit vectors of bodies by where the others stand, given log odds of pairs; or 0."""
     weights = np.stack([parameters.companions.of_rings, parameters.others.of_rings])
     together = 0.5 * (1.0 + np.tanh(0.5 * odds))
     score = facing_scores(position, left, right, together, weights, parameters.stride)
@@ -229,16 +220,10 @@ FORGOTTEN = 5.0
 def averaged(
     pair: IntArray, t: FloatArray, values: FloatArray, seconds: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Averages (n, k) with weights exp(−|Δt|/seconds) within each pair, and the sum of the weights, (n,) s.
+    """Averages (n, k) with weights exp(−|Δt|/seconds) within each pair (n,), and the sums of weights (n,) s.
 
     Each frame counts for the time about it, so that the frame rate is without effect, but no frame for more
     than `seconds`. Without averaging (0 s) the values stay, and the sums are 0.
-
-    Parameters
-    ----------
-    pair : (n,) which pair a value is of
-    t : (n,) seconds
-    values : (n, k)
     """
     if seconds <= 0.0 or not len(pair):
         return values, np.zeros(len(pair))
@@ -423,13 +408,9 @@ def walking_odds(people: People, left: IntArray, right: IntArray, parameters: Gr
 def encounter_odds(share: FloatArray, seconds: FloatArray, parameters: GroupParameters) -> FloatArray:
     """Log odds, (n,), against a conversation of two who met a short time ago: strangers soon part.
 
-    They are encounter_odds · exp(−share · seconds/encounter_seconds). Two who were together for as long as
-    they were seen near each other may have met long before: for them there are none.
-
-    Parameters
-    ----------
-    share : (n,) of the time for which two were near each other that they stood, or walked together
-    seconds : (n,) that time, weighted by exp(−|Δt|/look_seconds)
+    encounter_odds · exp(−share · seconds/encounter_seconds), and none for two who were together for as long
+    as they were near each other, since they may have met before. ``share``: (n,) of the ``seconds`` (n,) near
+    each other, weighted by exp(−|Δt|/look_seconds), in which they stood or walked together.
     """
     met = np.minimum((1.0 - share) / _CAME, 1.0)
     decay = np.exp(-share * seconds / parameters.encounter_seconds)

@@ -50,11 +50,7 @@ def fit_facing(
 ) -> tuple[FacingWeights, FacingWeights]:
     """Learn the weights of companions and of others by the likelihood of bodies, with a ridge.
 
-    Parameters
-    ----------
-    evidence : of the same people, of whom more or less was known: each counts
-    used : (n,) rows to learn from, with a body
-    parameters : of which the weights are not read
+    ``evidence``: of the same people, of whom more or less was known; ``used``: (n,) rows with a body
     """
     from scipy.optimize import minimize
 
@@ -89,15 +85,10 @@ _LEAST = 20
 
 
 def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupParameters) -> GroupParameters:
-    """Learn how far apart and how alike two walk who do so together, and others who walk near each other.
+    """Learn distances and velocities of labelled pairs who walk together, and of others who walk near.
 
-    Means and standard deviations of labelled pairs of walkers within reach; others are anywhere in it.
-
-    Parameters
-    ----------
-    label : (n,) numbers that those of a group share within a frame, −1 for those alone
-    used : (n,) rows that are labelled and learned from
-    start : what is returned where there are too few such pairs
+    ``label``: (n,) numbers that those of a group share within a frame, −1: alone; ``used``: (n,) rows to
+    learn from; ``start`` is returned where there are too few pairs.
     """
     left, right, _ = pair_features(people, start.stride)
     walk = walks(people, start)

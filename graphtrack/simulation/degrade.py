@@ -202,12 +202,8 @@ def turning(track: Track, turn_seconds: float = TURN_SECONDS) -> FloatArray:
 def confusion_matrix(n_classes: int, *, flipped: float = 0.2, at_random: float = 0.1) -> FloatArray:
     """Probability (n, n) of each answer (column) to each true class (row).
 
-    Raise InputError for an odd number of classes, or shares that are none.
-
-    Parameters
-    ----------
-    flipped : share of the answers that take front for back
-    at_random : share that is any class
+    ``flipped``: share of the answers that take front for back; ``at_random``: share that is any class. Raise
+    InputError for an odd number of classes, or shares that are none.
     """
     if n_classes < 2 or n_classes % 2:
         raise InputError(f"{n_classes} classes", "an even number of them")
@@ -228,14 +224,9 @@ def add_class_likelihoods(
     """Observe the orientations of tracks by classifiers whose confusion is known.
 
     In each frame in which an orientation is known, its class (the nearest centre, 360·k/n degrees) is
-    answered as the confusion matrix has it, and the likelihoods are those of that answer: calibrated, and as
-    far as one answer tells. The orientations become the truth unless there is one. Raise InputError for a
-    matrix of another shape, or one whose rows are no distributions.
-
-    Parameters
-    ----------
-    body : (8, 8) confusion of the body's classes, rows true classes; None: `confusion_matrix`
-    head : (12, 12) of the head's
+    answered as the confusion matrix has it, and the likelihoods are those of that answer. The orientations
+    become the truth unless there is one. ``body`` (8, 8), ``head`` (12, 12): confusions, rows true classes;
+    None: `confusion_matrix`. Raise InputError for another shape, or rows that are no distributions.
     """
     confusions = {
         name: confusion_matrix(n) if given is None else _checked(name, given, n)

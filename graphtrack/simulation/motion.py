@@ -35,11 +35,7 @@ def sample_motion(
     *,
     pace: float | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions and velocities (n_tracks, n, 2) of white-noise acceleration at the times ``t`` (n,) seconds.
-
-    Without a ``pace`` in m/s exact: each step has the covariance Q(Δt) of the model's term `Motion`,
-    whatever Δt.
-    """
+    """Positions and velocities (n_tracks, n, 2) at the times ``t`` (n,) s; exact without a ``pace`` (m/s)."""
     velocity = sample_velocity(t, n_tracks, parameters.motion, rng, pace=pace)
     return sample_positions(t, velocity, parameters.motion, rng), velocity
 
@@ -158,11 +154,8 @@ _MEMORY = 2**28  # bytes of messages that are held at a time
 def sample_course(t: FloatArray, diffusion: float, pull: np.ndarray, rng: np.random.Generator) -> FloatArray:
     """Angles (n_tracks, n) in radians, in (−π, π], at the times ``t`` (n,) seconds.
 
-    Parameters
-    ----------
-    diffusion : rad²/s; the concentration of a step of Δt is 1/(diffusion·Δt)
-    pull : (n_tracks, n) complex: concentration times e^{i·angle} of the von Mises that pulls each frame; 0:
-        nothing does. Without any the first angle is uniform
+    ``diffusion``: rad²/s; ``pull``: (n_tracks, n) complex, concentration · e^{i·angle} of the von Mises that
+    pulls each frame. Without any pull the first angle is uniform.
     """
     n_tracks, n = pull.shape
     kappa = 1.0 / (diffusion * np.diff(t))
