@@ -265,7 +265,7 @@ class ScoreRatio:
 
     @classmethod
     def learned(cls, score: FloatArray, identity: IntArray) -> ScoreRatio:
-        """Learn from scores (n,), or NaN, and identities (n,), −1: false, with three counts a bin to begin."""
+        """Learn from scores (n,), or NaN, and identities (n,), −1: false, from three counts a bin."""
         known = np.isfinite(score)
         if known.sum() < 10 * _BINS or np.ptp(score[known]) == 0.0:
             return cls()

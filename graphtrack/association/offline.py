@@ -184,20 +184,13 @@ _JOINED_FRAMES = 16
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Identities of a recording's detections.
+    """Identities of a recording's detections."""
 
-    Attributes
-    ----------
-    identity : (n,) of each detection, from 0 in the order of first appearance; −1: false
-    probability : (n,) that the detection is of the same person as the one before it in its track; 1 at first
-    scene : the parameters that it was found with
-    evidence : log of how much more probable than that all detections are false
-    """
-
-    identity: NDArray[np.int64]
+    identity: NDArray[np.int64]  # (n,) of each detection, from 0 in the order of first appearance; −1: false
+    # (n,) that the detection is of the same person as the one before it in its track; 1 at first
     probability: FloatArray
-    scene: SceneParameters
-    evidence: float
+    scene: SceneParameters  # the parameters that it was found with
+    evidence: float  # log of how much more probable than that all detections are false
 
 
 def associate_detections(

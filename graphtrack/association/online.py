@@ -181,35 +181,23 @@ AGES = {0.1: tuple(range(REVISED_FRAMES - 1, -1, -1)), 0.0: (7, 3, 1, 0)}
 
 @dataclass(frozen=True)
 class Revision:
-    """A detection that is now somebody else's than was said.
+    """A detection that changes its track; −1: none."""
 
-    Attributes
-    ----------
-    t, frame, detection : which one: seconds, the number of its update, and its place therein
-    before, after : track ids; −1: nobody's
-    """
-
-    t: float
-    frame: int
-    detection: int
-    before: int
-    after: int
+    t: float  # seconds
+    frame: int  # the number of its update
+    detection: int  # its place in that
+    before: int  # track id
+    after: int  # track id
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """Assignment of a frame's n detections.
+    """Assignment of a frame's n detections."""
 
-    Attributes
-    ----------
-    identity : (n,) track ids, from 1; −1: nobody's so far
-    probability : (n,) that each is of the same person as the track's detection before; 1 for a first one
-    revised : what was said of earlier ones, and no longer holds
-    """
-
-    identity: IntArray
+    identity: IntArray  # (n,) track ids, from 1; −1: nobody's so far
+    # (n,) that each is of the same person as the track's detection before; 1 for a first one
     probability: FloatArray
-    revised: tuple[Revision, ...]
+    revised: tuple[Revision, ...]  # what was said of earlier ones, and no longer holds
 
 
 class OnlineAssociation(Moves):

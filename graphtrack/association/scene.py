@@ -215,25 +215,16 @@ def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Events:
-    """Counts of births, deaths, gaps and exposure in a recording.
+    """Counts of births, deaths, gaps and exposure in a recording."""
 
-    Attributes
-    ----------
-    gaps : frames of each gap within a track
-    seen, links : detections of people, and pairs of them that follow each other
-    born, left : people who came into view and who left
-    in_view : seconds that people were there
-    exposure, open_exposure : m² and frames in which detections can be false, m² s in which people can come
-    """
-
-    gaps: FloatArray
-    seen: int
-    links: int
-    born: int
-    left: int
-    in_view: float
-    exposure: float
-    open_exposure: float
+    gaps: FloatArray  # frames of each gap within a track
+    seen: int  # detections of people
+    links: int  # pairs of these that follow each other
+    born: int  # people who came into view
+    left: int  # people who left
+    in_view: float  # seconds that people were there
+    exposure: float  # m² · frames in which detections can be false
+    open_exposure: float  # m² · s in which people can come
 
     @classmethod
     def of(cls, chains: Chains, identity: NDArray[np.int64], seconds: float) -> _Events:

@@ -22,22 +22,14 @@ _WALKING = 0.3  # speed, m/s, at which people half count as walking
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """The parts of a forecast of n people at A times: for `Forecaster`, and for learning.
+    """The parts of a forecast of n people at A times: for `Forecaster`, and for learning."""
 
-    Attributes
-    ----------
-    mean : (n, A) complex
-    direction, speed : (n,) of motion, of unit length and m/s
-    estimate : (n, A) variance on each axis of where people would be if they went straight on, m²
-    weight, square : (n, A) of what was seen in the place, about the mean; m² on each axis
-    """
-
-    mean: ComplexArray
-    direction: ComplexArray
-    speed: FloatArray
-    estimate: FloatArray
-    weight: FloatArray
-    square: FloatArray
+    mean: ComplexArray  # (n, A)
+    direction: ComplexArray  # (n,) of motion, of unit length
+    speed: FloatArray  # (n,) m/s
+    estimate: FloatArray  # (n, A) variance on each axis of where people would be going straight on, m²
+    weight: FloatArray  # (n, A) of what was seen in the place
+    square: FloatArray  # (n, A) of that about the mean, m² on each axis
 
 
 def together(

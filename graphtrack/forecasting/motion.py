@@ -107,17 +107,11 @@ _HABIT_PRIOR = 2.0  # people that a belief about a scene is worth before anybody
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Positions and velocities of n people, all beliefs together.
+    """Positions and velocities of n people, all beliefs together."""
 
-    Attributes
-    ----------
-    position, velocity : (n,) complex, m and m/s
-    variance : (n, 3) of a position, between it and the velocity, and of a velocity, on each axis
-    """
-
-    position: ComplexArray
-    velocity: ComplexArray
-    variance: FloatArray
+    position: ComplexArray  # (n,) m
+    velocity: ComplexArray  # (n,) m/s
+    variance: FloatArray  # (n, 3) of a position, between it and the velocity, and of a velocity, on each axis
 
 
 def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:

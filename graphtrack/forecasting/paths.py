@@ -99,18 +99,11 @@ _LONGEST_GAP = 1.0  # seconds without a person beyond which nobody knows where t
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Deviations of earlier people near n people, at each of `LAGS`.
+    """Deviations of earlier people near n people, at each of `LAGS`."""
 
-    Attributes
-    ----------
-    weight : (n, G) how many anchors count
-    deviation : (n, G) complex, their mean deviation from going straight on, m
-    square : (n, G) their mean squared deviation, m²
-    """
-
-    weight: FloatArray
-    deviation: ComplexArray
-    square: FloatArray
+    weight: FloatArray  # (n, G) how many anchors count
+    deviation: ComplexArray  # (n, G) complex, their mean deviation from going straight on, m
+    square: FloatArray  # (n, G) their mean squared deviation, m²
 
 
 class Places:
@@ -197,7 +190,7 @@ class Places:
         was: ComplexArray,
         position: ComplexArray,
     ) -> None:
-        """Open anchors of people ``owner`` (n,) learn where they went, from time ``before`` at ``was`` to now."""
+        """Open anchors of people ``owner`` (n,) learn where they went, from ``was`` to now."""
         active = self._active
         if not len(active) or not len(owner):
             return

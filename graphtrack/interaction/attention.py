@@ -213,20 +213,13 @@ def attention_columns(found: Sequence[Attention]) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class LookSummary:
-    """Expected seconds.
+    """Expected seconds of looks."""
 
-    Attributes
-    ----------
-    people, targets : names of rows and columns; the last column is nothing
-    matrix : (people, targets) seconds that each looks at each target
-    mutual : (a, b) → seconds in which both look at each other
-    dwell : place → person → seconds, and the intervals (from, to) in which a look at it is likelier than not
-    """
-
-    people: tuple[int, ...]
-    targets: tuple[str, ...]
-    matrix: FloatArray
-    mutual: dict[tuple[int, int], float]
+    people: tuple[int, ...]  # rows
+    targets: tuple[str, ...]  # columns; the last one is nothing
+    matrix: FloatArray  # (people, targets) seconds that each looks at each target
+    mutual: dict[tuple[int, int], float]  # (a, b) → seconds in which both look at each other
+    # place → person → seconds, and the intervals (from, to) in which a look at it is likelier than not
     dwell: dict[str, dict[int, tuple[float, list[tuple[float, float]]]]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -345,24 +338,16 @@ class Looks:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """State of p people when each was last seen; the fields of `Looks`, and:
-
-    Attributes
-    ----------
-    t : (p,) seconds
-    head : (p, 2) direction, rad, and its variance, rad²; infinite where it was unknown
-    bearing : (k,) of those who were near, rad
-    place_bearing : (p, places) radians
-    """
+    """State of p people when each was last seen; see also `Looks`."""
 
     track_id: IntArray
-    t: FloatArray
-    head: FloatArray
+    t: FloatArray  # (p,) seconds
+    head: FloatArray  # (p, 2) direction, rad, and its variance, rad²; infinite where it was unknown
     first: IntArray
     target: IntArray
-    bearing: FloatArray
+    bearing: FloatArray  # (k,) of those who were near, rad
     person: FloatArray
-    place_bearing: FloatArray
+    place_bearing: FloatArray  # (p, places) radians
     place: FloatArray
 
     def of(self, rows: IntArray) -> _Known:

@@ -352,23 +352,14 @@ _UNSURE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PairEvidence:
-    """Pairs of people near each other, frame by frame.
+    """Pairs of people near each other, frame by frame."""
 
-    Attributes
-    ----------
-    left, right : (n,) rows in `People`
-    start : (k + 1,) first pair of each frame
-    odds : (n,) log odds that they are of one group, averaged over time
-    caution : (n,) to be taken from them before people are parted
-    walking : (n,) how much both walk, 0 to 1, averaged over time
-    """
-
-    left: IntArray
-    right: IntArray
-    start: IntArray
-    odds: FloatArray
-    caution: FloatArray
-    walking: FloatArray
+    left: IntArray  # (n,) rows in `People`
+    right: IntArray  # (n,) rows in `People`
+    start: IntArray  # (k + 1,) first pair of each frame
+    odds: FloatArray  # (n,) log odds that they are of one group, averaged over time
+    caution: FloatArray  # (n,) to be taken from them before people are parted
+    walking: FloatArray  # (n,) how much both walk, 0 to 1, averaged over time
 
 
 def with_bodies(people: People, spread: float) -> People:

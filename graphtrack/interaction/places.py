@@ -18,18 +18,11 @@ from graphtrack.tracks.validation import LARGEST_METRES
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A disc about a point, or a polygon.
+    """A disc about a point, or a polygon."""
 
-    Attributes
-    ----------
-    name : for people to read, and of its own
-    outline : (k, 2) metres, the corners; one point for a disc
-    radius : metres; 0 for a polygon
-    """
-
-    name: str
-    outline: FloatArray
-    radius: float = 0.0
+    name: str  # for people to read, and of its own
+    outline: FloatArray  # (k, 2) metres, the corners; one point for a disc
+    radius: float = 0.0  # metres; 0 for a polygon
 
     @property
     def centre(self) -> FloatArray:

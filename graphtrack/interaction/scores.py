@@ -135,22 +135,14 @@ def _pairs(found: Sequence[Group], known: Sequence[Group]) -> tuple[int, int, in
 
 @dataclass(frozen=True)
 class LookScore:
-    """Probabilities of looks beside the truth.
+    """Probabilities of looks beside the truth."""
 
-    Attributes
-    ----------
-    frames : of people, that are labelled
-    right : share in which the likeliest target is the true one
-    log_score : mean logarithm of the probability of the true target
-    calibration_error : expected calibration error of the likeliest target (Naeini et al. 2015, 15 bins)
-    target_calibration_error : that of all people and targets together
-    """
-
-    frames: int
-    right: float
-    log_score: float
+    frames: int  # of people, that are labelled
+    right: float  # share in which the likeliest target is the true one
+    log_score: float  # mean logarithm of the probability of the true target
+    # expected calibration error of the likeliest target (Naeini et al. 2015, 15 bins)
     calibration_error: float
-    target_calibration_error: float
+    target_calibration_error: float  # that of all people and targets together
 
     def shown(self) -> list[dict[str, object]]:
         """Rows of a table."""

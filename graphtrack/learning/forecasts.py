@@ -32,38 +32,24 @@ _LEAST = np.float32(-40.0)
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A scene, and what came of its people.
+    """A scene, and what came of its people."""
 
-    Attributes
-    ----------
-    frames : who was seen when
-    actual : of each frame, where its n people were (n, G) at the times ahead, complex; NaN: not known
-    straight : and where the velocity of the last step would have led them
-    """
-
-    frames: tuple[SeenFrame, ...]
+    frames: tuple[SeenFrame, ...]  # who was seen when
+    # of each frame, where its n people were (n, G) at the times ahead, complex; NaN: not known
     actual: tuple[ComplexArray, ...]
-    straight: tuple[ComplexArray, ...]
+    straight: tuple[ComplexArray, ...]  # and where the velocity of the last step would have led them
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """All people at all times `EVERY` seconds apart, in the order of time.
+    """All people at all times `EVERY` seconds apart, in the order of time."""
 
-    Attributes
-    ----------
-    t : (N,) seconds
-    position, velocity : (N,) complex, of people on their own
-    actual, straight : (N, G) complex, as of a `Recording`
-    judged : (N,) whether they had been seen for long enough
-    """
-
-    t: FloatArray
-    position: ComplexArray
-    velocity: ComplexArray
-    actual: ComplexArray
-    straight: ComplexArray
-    judged: NDArray[np.bool_]
+    t: FloatArray  # (N,) seconds
+    position: ComplexArray  # (N,) of people on their own
+    velocity: ComplexArray  # (N,)
+    actual: ComplexArray  # (N, G) as of a `Recording`
+    straight: ComplexArray  # (N, G)
+    judged: NDArray[np.bool_]  # (N,) whether they had been seen for long enough
 
 
 def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
@@ -227,36 +213,23 @@ _ROUNDS = 3  # times that the lists are gone through, at most
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Forecasts of a scene and what came of them.
+    """Forecasts of a scene and what came of them."""
 
-    Attributes
-    ----------
-    expected : of n forecasts at `LAGS`
-    error : (n, G) complex, from the mean to where people were; NaN where they were not seen any more
-    straight : (n, G) error of the last step's velocity
-    """
-
-    expected: Expected
+    expected: Expected  # of n forecasts at `LAGS`
+    # (n, G) complex, from the mean to where people were; NaN where they were not seen any more
     error: ComplexArray
-    straight: ComplexArray
+    straight: ComplexArray  # (n, G) error of the last step's velocity
 
 
 @dataclass(frozen=True)
 class ForecastFit:
-    """Learned parameters, and the errors of their forecasts.
+    """Learned parameters, and the errors of their forecasts."""
 
-    Attributes
-    ----------
-    parameters : what was learned
-    start : the defaults
-    errors : scene → mean error over all times ahead and at the last, over those of the last step's velocity
-    density : scene → mean log density before and after
-    """
-
-    parameters: ForecastParameters
-    start: ForecastParameters
+    parameters: ForecastParameters  # what was learned
+    start: ForecastParameters  # the defaults
+    # scene → mean error over all times ahead and at the last, over those of the last step's velocity
     errors: Mapping[str, tuple[float, float]]
-    density: Mapping[str, tuple[float, float]]
+    density: Mapping[str, tuple[float, float]]  # scene → mean log density before and after
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -430,19 +403,12 @@ def _fit_scene_prior(
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """People who walk and whose head is seen.
+    """People who walk and whose head is seen."""
 
-    Attributes
-    ----------
-    velocity : (n,) complex
-    angle, sure : (n,) as `lead` takes them
-    moved : (n, H) complex, where they went from where they were, at the times that are judged
-    """
-
-    velocity: ComplexArray
-    angle: FloatArray
-    sure: FloatArray
-    moved: ComplexArray
+    velocity: ComplexArray  # (n,)
+    angle: FloatArray  # (n,) as `lead` takes it
+    sure: FloatArray  # (n,) as `lead` takes it
+    moved: ComplexArray  # (n, H) displacements at `_HEAD_TIMES`
 
     def error(self, parameters: ForecastParameters) -> float:
         """Mean error, metres."""

@@ -79,18 +79,11 @@ def climb(
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Curvature of a log density, for each block of independent data and with the prior.
+    """Curvature of a log density, for each block of independent data and with the prior."""
 
-    Attributes
-    ----------
-    total : (p, p) minus the Hessian of the sum with the prior
-    slopes : (blocks, p) of each block
-    blocks : (blocks, p, p) minus the Hessian of each block
-    """
-
-    total: FloatArray
-    slopes: FloatArray
-    blocks: FloatArray
+    total: FloatArray  # (p, p) minus the Hessian of the sum with the prior
+    slopes: FloatArray  # (blocks, p) of each block
+    blocks: FloatArray  # (blocks, p, p) minus the Hessian of each block
 
 
 def curvature(values: Blocks, x: FloatArray, prior: FloatArray) -> Curvature:

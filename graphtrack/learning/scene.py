@@ -54,20 +54,14 @@ class LearnedOfScene:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a recording, and what was made of it.
-
-    Attributes
-    ----------
-    detections, false, people, seconds : how many, and how long it is
-    before, after : log density a detection, with the parameters at the start and with those learned
-    """
+    """Numbers of a part of a recording, and its log density."""
 
     detections: int
     false: int
     people: int
     seconds: float
-    before: float
-    after: float
+    before: float  # log density a detection with the parameters at the start
+    after: float  # and with those learned
 
 
 @dataclass(frozen=True, eq=False)

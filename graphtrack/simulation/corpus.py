@@ -82,26 +82,15 @@ class CorpusParameters:
 
 @dataclass(frozen=True, eq=False)
 class Corpus:
-    """The tracks of one behaviour, as arrays: m tracks of n steps.
+    """The tracks of one behaviour, as arrays: m tracks of n steps."""
 
-    Attributes
-    ----------
-    behaviour : 0 … 6
-    name : its numeral and what it is
-    truth : (m, n, 2) metres
-    position : (m, n, 2) observed; NaN where nobody was detected
-    travel : (m, n) radians, the direction from t to t + look_ahead that the head follows
-    head : (m, n) observed, radians; NaN where it was not detected
-    parameters : what it was made with
-    """
-
-    behaviour: int
-    name: str
-    truth: FloatArray
-    position: FloatArray
-    travel: FloatArray
-    head: FloatArray
-    parameters: CorpusParameters
+    behaviour: int  # 0 … 6
+    name: str  # its numeral and what it is
+    truth: FloatArray  # (m, n, 2) metres
+    position: FloatArray  # (m, n, 2) observed; NaN where nobody was detected
+    travel: FloatArray  # (m, n) radians, the direction from t to t + look_ahead that the head follows
+    head: FloatArray  # (m, n) observed, radians; NaN where it was not detected
+    parameters: CorpusParameters  # what it was made with
 
     def __len__(self) -> int:
         return len(self.truth)

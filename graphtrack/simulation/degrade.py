@@ -97,17 +97,11 @@ def motion(track: Track) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Occlusion:
-    """Tracks with a window withheld.
+    """Tracks with a window withheld."""
 
-    Attributes
-    ----------
-    tracks : those in which a window found room
-    windows : track_id → (n,) bool, true at the withheld frames
-    left_out : track_id → why the track is not among ``tracks``
-    """
-
-    tracks: TrackSet
-    windows: Mapping[int, BoolArray]
+    tracks: TrackSet  # those in which a window found room
+    windows: Mapping[int, BoolArray]  # track_id → (n,) bool, true at the withheld frames
+    # track_id → why the track is not among ``tracks``
     left_out: Mapping[int, str] = field(default_factory=dict)
 
 

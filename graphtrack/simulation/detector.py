@@ -68,17 +68,11 @@ class Detector:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """Detections of a recording.
+    """Detections of a recording."""
 
-    Attributes
-    ----------
-    observed : every person with what was seen of them, NaN where they were not detected, the truth beside;
-        after them the false detections, each a track of its own with one row and the label `FALSE`
-    truth : where everybody is in the same frames, whether detected or not
-    """
-
+    # People, NaN where they were not detected; then false detections, tracks of one row with the label `FALSE`.
     observed: TrackSet
-    truth: TrackSet
+    truth: TrackSet  # where everybody is in the same frames, whether detected or not
 
     @property
     def false(self) -> int:

@@ -241,22 +241,13 @@ _SWEEPS = 2
 
 @dataclass(frozen=True, eq=False)
 class ModeCourse:
-    """Modes of one coupling, frame by frame.
+    """Modes of one coupling, frame by frame."""
 
-    Attributes
-    ----------
-    aligned : (n_tracks, n) whether the coupling rests near 0
-    glancing : (n_tracks, n) whether it rests at the angle of a glance
-    offset : (n_tracks, n) radians at which it rests
-    strength : (n_tracks, n) multiple of its κ
-    lead : seconds by which it looks ahead
-    """
-
-    aligned: np.ndarray
-    glancing: np.ndarray
-    offset: FloatArray
-    strength: FloatArray
-    lead: float
+    aligned: np.ndarray  # (n_tracks, n) whether the coupling rests near 0
+    glancing: np.ndarray  # (n_tracks, n) whether it rests at the angle of a glance
+    offset: FloatArray  # (n_tracks, n) radians at which it rests
+    strength: FloatArray  # (n_tracks, n) multiple of its κ
+    lead: float  # seconds by which it looks ahead
 
 
 class Modes(NamedTuple):

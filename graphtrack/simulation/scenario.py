@@ -213,18 +213,11 @@ _APART = 3.0  # metres between the centres of conversations
 
 @dataclass(frozen=True, eq=False)
 class Party:
-    """People without noise, and what they do.
+    """People without noise, and what they do."""
 
-    Attributes
-    ----------
-    tracks : with their truth
-    group : (people, n) number of the conversation that each is in; −1: alone, or on the way
-    look : (people, n) id of whom each looks at; `NOTHING`
-    """
-
-    tracks: TrackSet
-    group: IntArray
-    look: IntArray
+    tracks: TrackSet  # with their truth
+    group: IntArray  # (people, n) number of the conversation that each is in; −1: alone, or on the way
+    look: IntArray  # (people, n) id of whom each looks at; `NOTHING`
 
     def group_columns(self) -> dict[str, IntArray]:
         """``frame, t, track_id, group``, a row for each person and frame."""
