@@ -52,11 +52,6 @@ class AppearanceModel:
     slope: float = 0.0
     outlier: float = _OUTLIER
 
-    @property
-    def bound(self) -> float:
-        """The largest and, negated, the least log ratio."""
-        return float(np.log((1.0 - self.outlier) / self.outlier))
-
     @classmethod
     def learned(
         cls,

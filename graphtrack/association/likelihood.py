@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 from graphtrack.geometry.angles import FloatArray, class_centres
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 
 IntArray = NDArray[np.int64]
@@ -147,6 +148,13 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
     for name in ("given", "following", "preceding"):
         rows[name] = -1
     return Chains(rows, np.zeros((len(t), STATE)), np.empty((len(t), 0)))
+
+
+def chains_of(detections: Detections) -> Chains:
+    """Detections that are nobody's yet, with their observed angles."""
+    angles = observed_angles(detections.channels, len(detections))
+    position = np.ascontiguousarray(detections.position)
+    return unlinked(detections.t, detections.step, position, angles)
 
 
 def link_by(chains: Chains, identity: IntArray) -> None:

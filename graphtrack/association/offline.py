@@ -20,17 +20,16 @@ from graphtrack.association.likelihood import (
     Chains,
     IntArray,
     Scene,
+    chains_of,
     gains_of_detections,
     gains_of_links,
     learn_orientation,
     link_by,
-    observed_angles,
     only_pairs,
     probabilities_of_links,
     refresh,
     remember_rest,
     roots,
-    unlinked,
 )
 from graphtrack.association.scene import (
     duplicate_density,
@@ -271,8 +270,7 @@ class _Search(Moves):
         scene = replace(first_guess(detections) if start is None else start, **known)
         channels = detections.channels
         self._std = channels.get("position_std", np.full(n, np.nan))
-        angles = observed_angles(channels, n)
-        chains = unlinked(detections.t, detections.step, np.ascontiguousarray(detections.position), angles)
+        chains = chains_of(detections)
         super().__init__(chains, Scene(*scene.packed(detections.step_seconds)))
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)

@@ -371,8 +371,10 @@ def groups_of(
     size = np.bincount(label, minlength=len(people))[label]
     within = label[evidence.left] == label[evidence.right]
     kind = np.where(size > 1, 1, 0)
-    walking = _per_label(label, evidence, within, evidence.walking)
-    kind[(size > 1) & (walking > 0.5)] = 2
+    of = label[evidence.left[within]]
+    total = np.bincount(of, evidence.walking[within], minlength=len(label))
+    count = np.bincount(of, minlength=len(label))
+    kind[(size > 1) & ((total / np.maximum(count, 1))[label] > 0.5)] = 2
     frame_of = people.frame_of
     return Groups(
         people.frame[frame_of],
@@ -383,15 +385,6 @@ def groups_of(
         _probability(people, evidence, within, size, parameters.apart),
         _centres(with_bodies(people, parameters.head_spread), label, size, kind, parameters.stride),
     )
-
-
-def _per_label(label: IntArray, evidence: PairEvidence, within: np.ndarray, values: FloatArray) -> FloatArray:
-    """(rows,) mean of a pair's value over the pairs of each group."""
-    of = label[evidence.left[within]]
-    total = np.bincount(of, values[within], minlength=len(label))
-    count = np.bincount(of, minlength=len(label))
-    mean: FloatArray = (total / np.maximum(count, 1))[label]
-    return mean
 
 
 def _probability(

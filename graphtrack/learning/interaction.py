@@ -147,9 +147,7 @@ class _Pairs:
     t: FloatArray
 
 
-def fit_groups(
-    tracks: TrackSet, labels: GroupLabels, start: GroupParameters | None = None, *, hold_out: float = 0.25
-) -> GroupFit:
+def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25) -> GroupFit:
     """Learn the weights of conversations by the likelihood of labelled pairs, and the caution by F1.
 
     Weights are of one sign each, pulled to 0 (ridge), and learned from a frame in `_APART` seconds. The
@@ -159,21 +157,20 @@ def fit_groups(
 
     ``hold_out``: share of the recording's end that only judges
     """
-    start = DEFAULT if start is None else start
     people = people_of(tracks)
     label = labels.labels(*_rows(people))
     t = people.t[people.frame_of]
     labelled = label != UNLABELLED
     low, high = float(t[labelled].min()), float(t[labelled].max())
     split = high - hold_out * (high - low) if hold_out > 0.0 else np.inf
-    parameters = walked = fit_walking(people, label, np.asarray(labelled & (t <= split)), start)
+    parameters = walked = fit_walking(people, label, np.asarray(labelled & (t <= split)), DEFAULT)
     for name, hide in _HIDDEN.items():
-        shown = with_bodies(people_of(hide(track) for track in tracks), start.head_spread)
+        shown = with_bodies(people_of(hide(track) for track in tracks), DEFAULT.head_spread)
         if (name == "heads" and not shown.head.any()) or (name != "places" and not shown.body.any()):
             continue
         pairs = _pairs(shown, label, parameters)
         used = np.isin(pairs.t, _chosen(pairs.t, split))
-        if walked != start and not pairs.together[used].any():  # they all walk
+        if walked != DEFAULT and not pairs.together[used].any():  # they all walk
             continue
         weights = _weights(pairs, used)
         caution = _caution(shown, label, pairs, parameters, name, split)
@@ -182,7 +179,7 @@ def fit_groups(
     before, after = (label.copy() for _ in range(2))
     before[t > split], after[t <= split] = UNLABELLED, UNLABELLED
     held = _scored(people, parameters, after) if (after != UNLABELLED).any() else None
-    return GroupFit(parameters, start, _scored(people, parameters, before), held)
+    return GroupFit(parameters, DEFAULT, _scored(people, parameters, before), held)
 
 
 def _rows(people: People) -> tuple[IntArray, FloatArray, IntArray]:

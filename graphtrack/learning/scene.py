@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.associate import detections_of, rows_of
-from graphtrack.association.likelihood import Chains, learn_orientation, link_by, observed_angles, unlinked
+from graphtrack.association.likelihood import Chains, chains_of, learn_orientation, link_by
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.scene import (
     first_guess,
@@ -184,9 +184,7 @@ class _Explained:
 
     def chains(self, scene: SceneParameters) -> Chains:
         """The tracks, linked; not filtered yet."""
-        seen = self.detections
-        angles = observed_angles(seen.channels, len(seen))
-        chains = unlinked(seen.t, seen.step, np.ascontiguousarray(seen.position), angles)
+        chains = chains_of(self.detections)
         chains.gain[:] = 0.0
         chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
         link_by(chains, self.identity)

@@ -226,18 +226,17 @@ def strollers(
     return noisy.map(observed)
 
 
-def full_turns_too_many(estimate: Track, truth: Track, seconds: float = 1.0) -> tuple[int, int]:
+def full_turns_too_many(estimate: Track, truth: Track) -> tuple[int, int]:
     """Stops over which the estimated body turns by 180° more than in truth, and all stops.
 
-    From ``seconds`` before a stop to as many after, each turn unwrapped from frame to frame. Without a body,
-    or a truth of it, there are none.
+    From a second before a stop to one after, unwrapped from frame to frame; none without a body or its truth.
     """
     if estimate.body is None or truth.true_body is None:
         return 0, 0
     found, true, t, wrong = np.unwrap(estimate.body), np.unwrap(truth.true_body), truth.t, 0
     stops = standing(truth)
     for begin, end in stops:
-        first, last = np.searchsorted(t, [t[begin] - seconds, t[end - 1] + seconds])
+        first, last = np.searchsorted(t, [t[begin] - 1.0, t[end - 1] + 1.0])
         last = min(last, len(t) - 1)
         wrong += abs(found[last] - found[first]) - abs(true[last] - true[first]) > np.pi
     return int(wrong), len(stops)

@@ -70,7 +70,7 @@ class Detector:
 class Detected:
     """Detections of a recording."""
 
-    # People, NaN where they were not detected; then false detections, tracks of one row with the label `FALSE`.
+    # People, NaN where they were not detected; then false detections, one row each, labelled `FALSE`.
     observed: TrackSet
     truth: TrackSet  # where everybody is in the same frames, whether detected or not
 

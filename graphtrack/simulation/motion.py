@@ -27,19 +27,6 @@ PACE_RATE = 0.7  # 1/s at which a speed returns to the person's own pace: slowly
 _SUBSTEP = 0.05
 
 
-def sample_motion(
-    t: FloatArray,
-    n_tracks: int,
-    parameters: Parameters,
-    rng: np.random.Generator,
-    *,
-    pace: float | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Positions and velocities (n_tracks, n, 2) at the times ``t`` (n,) s; exact without a ``pace`` (m/s)."""
-    velocity = sample_velocity(t, n_tracks, parameters.motion, rng, pace=pace)
-    return sample_positions(t, velocity, parameters.motion, rng), velocity
-
-
 def sample_velocity(
     t: FloatArray,
     n_tracks: int,

@@ -19,13 +19,11 @@ from graphtrack.simulation.motion import (
     sample_coupled_velocity,
     sample_course,
     sample_modes,
-    sample_motion,
     sample_orientations,
     sample_positions,
     sample_velocity,
     without_modes,
 )
-from graphtrack.simulation.scenario import scenario
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_count, check_frame_rate
 
@@ -50,9 +48,6 @@ def sample_glances(t: FloatArray, n_tracks: int, per_minute: float, rng: np.rand
             share = np.minimum(since, 2.0 * rise + hold - since) / rise
             row += peak * 0.5 * (1.0 - np.cos(np.pi * np.clip(share, 0.0, 1.0)))
     return aside
-
-
-__all__ = ["sample_motion", "sample_orientations", "sample_states", "scenario", "simulate"]
 
 
 def simulate(
