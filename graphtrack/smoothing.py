@@ -2,8 +2,6 @@
 
 In this order: read files, find identities, insert missing frames, check the declared noise, find groups
 (with a model that has them), and solve with an engine.
-
-`OnlineTracker`: online tracking of a scene from detections, with groups and forecasts.
 """
 
 from __future__ import annotations
@@ -32,8 +30,7 @@ from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.result import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.inference.state import Estimate, as_track
 from graphtrack.inference.warm import make_all_ready
-from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
-from graphtrack.kernels.compilation import make_ready
+from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.faces_group import GROUP
@@ -113,8 +110,6 @@ def solve_tracks(
     )
     if not (model.has_groups and lacks_groups(tracks)):
         return each(tracks)
-    from graphtrack.interaction.coupled import solve_in_turn
-
     return solve_in_turn(tracks, each, model.parameters.social.correlation_time)
 
 
@@ -278,8 +273,6 @@ def _by_itself(track: Track, model: Model, options: Options, progress: Progress)
 
 def _in_step(scene: TrackSet, model: Model, options: Options, progress: Progress) -> TrackSet:
     """Everybody frame by frame, each told of the conversations of the frames before."""
-    from graphtrack.interaction.coupled import Conversations
-
     conversations = Conversations(model)
     people = [OnlineSmoother(model, **options) for _ in scene]
     found: list[list[Estimate]] = [[] for _ in scene]
@@ -314,14 +307,13 @@ def warm_up(
         `engine.LARGE` person-frames and more calls that
     """
     if behaviour:
-        from graphtrack.interaction.attention import FORECASTS, ONLINE, forecast_rehearsal, online_rehearsal
+        from graphtrack.interaction.attention import make_behaviour_ready
 
-        make_ready(f"{ONLINE}, {FORECASTS}", online_rehearsal(), forecast_rehearsal())
+        make_behaviour_ready(forecasts=True)
     make_all_ready(Model.named(model), engine, large=large)
 
 
-_UNASKED = 1500
-"""Frames that are kept for forecasts until one is asked for."""
+_UNASKED = 1500  # frames that are kept for forecasts until one is asked for
 
 _KNOWN_HEAD = 0.6
 """Standard deviation of a head's direction, rad, above which it says nothing of where somebody goes."""

@@ -1,14 +1,8 @@
-"""Appearance: a calibrated likelihood ratio of two descriptors under one person and under two.
+"""Appearance and detection scores as calibrated likelihood ratios, learned from tracks.
 
-Differences are whitened by those within people, as in KISSME (Köstinger, Hirzer, Wohlhart, Roth & Bischof,
-Large scale metric learning from equivalence constraints, CVPR 2012). Its own ratio, of two Gaussians, is far
-too sharp, for looks have heavy tails; here it is a logistic function of the logarithm of the whitened
-distance (Platt, Probabilistic outputs for support vector machines, 1999), learned on people whom the
-whitening has not seen.
-
-Learning the likelihood ratios of appearance and of detection scores from tracks.
-
-Evidence of appearance and detection scores, as it is learned from tracks.
+Differences of descriptors are whitened by those within people, as in KISSME (Köstinger et al., CVPR 2012).
+The ratio is a logistic function of the logarithm of the whitened distance (Platt 1999), learned on people
+whom the whitening has not seen: a ratio of two Gaussians would be far too sharp, for looks have heavy tails.
 """
 
 from __future__ import annotations
@@ -26,20 +20,13 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import csgraph, optimize, sparse, spatial
 from graphtrack.saved import packed, unpacked
 
-_LEAST = 1e-12
-"""Squared distances below it are that."""
-_STEEPEST = 5.0
-"""1-σ of what the slope is thought to be before anything is seen; people see it to be near 4."""
-_SHRINKAGE = 0.3
-"""Share of the within-person covariance that is taken to be the same in all directions."""
-_OUTLIER = 0.02
-"""Least probability that looks say nothing; it bounds the ratio."""
-_FOLDS = 5
-"""Groups of people that are held out in turn, to calibrate on."""
-_LEAST_PEOPLE = 4
-"""Below which nothing is learned, and looks do not count."""
-_MOST_PAIRS = 20_000
-"""Pairs of either kind that are looked at."""
+_LEAST = 1e-12  # squared distances below it are that
+_STEEPEST = 5.0  # 1-σ of what the slope is thought to be before anything is seen; people see it to be near 4
+_SHRINKAGE = 0.3  # share of the within-person covariance that is taken to be the same in all directions
+_OUTLIER = 0.02  # least probability that looks say nothing; it bounds the ratio
+_FOLDS = 5  # groups of people that are held out in turn, to calibrate on
+_LEAST_PEOPLE = 4  # below which nothing is learned, and looks do not count
+_MOST_PAIRS = 20_000  # pairs of either kind that are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +49,6 @@ class AppearanceModel:
     slope: float = 0.0
     outlier: float = _OUTLIER
 
-    @property
-    def bound(self) -> float:
-        """The largest and, negated, the least log ratio."""
-        return float(np.log((1.0 - self.outlier) / self.outlier))
-
     @classmethod
     def learned(
         cls,
@@ -77,14 +59,9 @@ class AppearanceModel:
     ) -> AppearanceModel:
         """The model of a recording, from pairs of its detections; one that says nothing if they are too few.
 
-        Raise InputError for arrays of other shapes, or rows that are not there.
-
-        Parameters
-        ----------
-        descriptors : (n, k), NaN where one is missing
-        same : (m, 2) rows of pairs that are thought to show one person, such as neighbours in tracklets.
-            Looks drift apart: the model holds for pairs as far apart in time as these are.
-        different : (l, 2) rows of pairs that show two people, such as those of one frame
+        ``descriptors``: (n, k), NaN where one is missing. ``same``, ``different``: (m, 2) rows of pairs that
+        show one person, such as neighbours in tracklets, and two people, such as those of one frame. The
+        model holds for pairs as far apart in time as these. Raise InputError for other shapes or rows.
         """
         values = np.asarray(descriptors, float)
         if values.ndim != 2 or not values.shape[1]:
@@ -203,24 +180,14 @@ def _logistic(same: FloatArray, different: FloatArray, people: int) -> tuple[flo
     return float(offset), float(slope)
 
 
-_TAUGHT_SECONDS = 0.6
-"""Two detections of one person teach what stays the same if they are no further apart."""
-_APART = 1.0
-"""Metres between two detections of a frame beyond which they show two people."""
-_PRIOR = 5.0
-"""Pairs of false detections that looks tell nothing of, until more are seen."""
-_BINS = 6
-"""Into which scores are put, as many in each."""
+_TAUGHT_SECONDS = 0.6  # two detections of one person teach what stays the same if they are no further apart
+_APART = 1.0  # metres between two detections of a frame beyond which they show two people
+_PRIOR = 5.0  # pairs of false detections that looks tell nothing of, until more are seen
+_BINS = 6  # into which scores are put, as many in each
 
 
 def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray) -> AppearanceModel:
-    """Learn the appearance model of a recording from neighbours in its tracks and from pairs of one frame.
-
-    Parameters
-    ----------
-    identity : (n,) of each detection; −1: false
-    descriptors : (n, d), NaN where one is missing
-    """
+    """Learn the appearance model of a recording from neighbours in its tracks and from pairs of one frame."""
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     earlier = chains.preceding[later]
     near = chains.t[later] - chains.t[earlier] <= _TAUGHT_SECONDS
@@ -236,16 +203,10 @@ def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray
 
 
 def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray) -> float:
-    """Log ratio that looks bring on average where nobody changed; at least 0.
+    """Mean log ratio of looks along tracks, at least 0, by which the gain of detections is lowered.
 
-    What is false resembles itself from frame to frame as much as a person does, when it is a thing or a part
-    of somebody: looks tell who is who, and not whether there is anybody. So a detection with a descriptor
-    has as much less to gain.
-
-    Parameters
-    ----------
-    identity : (n,) of each detection; −1: false
-    model, descriptors : what looks say, and the (n, d) descriptors, NaN where one is missing
+    A false detection of a thing resembles itself from frame to frame as much as a person does: looks tell who
+    is who, and not whether there is anybody. ``identity``: (n,), −1: false; ``descriptors``: (n, d), or NaN.
     """
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     ratios = model.log_ratio(descriptors[chains.preceding[later]], descriptors[later])
@@ -257,14 +218,9 @@ def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descri
 def resemblance_of_false_ones(
     chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray
 ) -> float:
-    """Log ratio that looks bring on average where a false detection follows a near one; at least 0.
+    """`constancy` for online use: the mean log ratio where a false detection follows a near one, at least 0.
 
-    Detections have as much less to gain: `constancy`, as who decides at once can measure it. There
-    links are made because looks agree, so that the mean of those of people would rise by itself.
-
-    Parameters
-    ----------
-    chains : the detections, in the order of time
+    Online, links are made because looks agree, so that the mean along tracks would rise by itself.
     """
     false = np.flatnonzero((identity < 0) & has_descriptor(descriptors))
     if not len(false):
@@ -303,13 +259,7 @@ class ScoreRatio:
 
     @classmethod
     def learned(cls, score: FloatArray, identity: IntArray) -> ScoreRatio:
-        """By shares of those who are thought to be either, with as much doubt as a few detections outweigh.
-
-        Parameters
-        ----------
-        score : (n,), NaN where there is none
-        identity : (n,) of each detection; −1: false
-        """
+        """Learn from scores (n,), or NaN, and identities (n,), −1: false, from three counts a bin."""
         known = np.isfinite(score)
         if known.sum() < 10 * _BINS or np.ptp(score[known]) == 0.0:
             return cls()
@@ -357,10 +307,7 @@ class Looks:
         return chains._replace(looks=np.ascontiguousarray(self.model.whitened(descriptors)))
 
     def gain(self, descriptors: FloatArray, score: FloatArray) -> FloatArray:
-        """(n,) what detections gain as a person's, beside their places, by what they show.
-
-        ``descriptors``, ``score``: (n, d) and (n,), NaN where one is missing
-        """
+        """(n,) log gain of detections as a person's by descriptors (n, d) and scores (n,); NaN: none."""
         less = 0.0 if self.model is None else self.constancy
         return self.scores.of(score) - less * has_descriptor(descriptors)
 

@@ -1,9 +1,4 @@
-"""Rows without identities, as readers make them, become rows of tracks.
-
-`associate`: whatever holds detections becomes tracks.
-
-Reading of files, tables and other libraries' detections whose rows may have no identities.
-"""
+"""Tracks from files, tables and other libraries' detections whose rows may have no identities."""
 
 from __future__ import annotations
 
@@ -168,9 +163,7 @@ def detections_of(rows: Rows) -> tuple[Rows, Detections]:
 def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.longest_filled) -> TrackSet:
     """Tracks with an empty row for each frame in which somebody was not seen, in gaps that are short.
 
-    Parameters
-    ----------
-    longest_filled : seconds of a gap that is filled
+    ``longest_filled``: seconds of a gap that is filled
     """
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
     t = np.concatenate([track.t for track in tracks])[first]
@@ -234,9 +227,7 @@ def rows_of(
 
     Raise InputError if the input cannot be read.
 
-    Parameters
-    ----------
-    format : of a file; None: recognised by its content
+    ``format``: of a file; None: recognised by its content
     """
     if isinstance(detections, str | Path):
         return rows_of_file(detections, format, ReadOptions(fps=fps, **options))
@@ -248,10 +239,7 @@ def rows_of(
 def has_detections(rows: Rows, options: ReadOptions) -> bool:
     """Return whether rows of a file have to be associated.
 
-    Raises
-    ------
-    InputError
-        If they have to, and ``options.associate`` forbids it.
+    Raise InputError if they have to, and ``options.associate`` forbids it.
     """
     if options.associate == "never":
         check_identities(rows)
@@ -305,15 +293,12 @@ def tracks_of(
 ) -> TrackSet:
     """Return tracks, a track, several of them, files or a table as a set of tracks.
 
+    Raise InputError for anything else, and for a file or table that cannot be read.
+
     Parameters
     ----------
     associate, scene : for rows without identities, as in `read`
     **reading : other options of `read`, for paths and tables
-
-    Raises
-    ------
-    InputError
-        For anything else, and for a file or table that cannot be read.
     """
     return tracks_given(given, partial(read, associate=associate, scene=scene), **reading)
 

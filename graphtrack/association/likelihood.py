@@ -1,13 +1,8 @@
-"""Detections chained to tracks, and a scene's parameters, as compiled functions read them.
+"""Log likelihood of tracks as chains of detections, compiled: motion, misses, angles and appearance.
 
-Likelihood of two detections' angles and appearance if they are one person's.
-
-Evidence that detections are one person's, compiled: filters of white-noise acceleration along chains.
-
-A track is a chain: each detection knows the one after it (−1: none). Its evidence is the log density of its
-detections, of how it was missed between them, and of its birth, over that of false detections.
-
-Evidence of observed body and head angles for data association, with parameters learned from tracks.
+Each detection of a chain has the index of the next one (−1: none) and a filtered state of white-noise
+acceleration. The evidence of a track is the log density of its detections, of the gaps between them and of
+its birth, over that of false detections.
 """
 
 from __future__ import annotations
@@ -24,6 +19,7 @@ from graphtrack.geometry.angles import FloatArray, class_centres
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.packages import optimize
+from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 
 IntArray = NDArray[np.int64]
@@ -31,8 +27,7 @@ IntArray = NDArray[np.int64]
 STATE = 11
 """Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
 and head as vectors (x, y) whose length is their concentration; 0: not known."""
-BODY, HEAD = 7, 9
-"""Places of the last two."""
+BODY, HEAD = 7, 9  # places of the last two
 
 
 class Scene(NamedTuple):
@@ -86,16 +81,12 @@ DETECTION = np.dtype(
 )
 """A detection as kernels read it: one record, since each array that they are handed costs some time."""
 
-
 Row: TypeAlias = Any
 """One record of `DETECTION`, as kernels read it; type checkers know nothing of its fields."""
 
 
 class Chains(NamedTuple):
-    """n detections in the order of time, and the tracks that they are chained to.
-
-    What is asked of all records at once is an attribute, (n,): ``chains.following``; it is a view of them.
-    """
+    """n detections in the order of time, and the tracks that they are chained to; attributes are views."""
 
     rows: NDArray[np.void]  # (n,) of DETECTION
     state: FloatArray  # (n, STATE) filtered there, see `STATE`
@@ -120,21 +111,6 @@ class Chains(NamedTuple):
     def gain(self) -> FloatArray:
         """(n,) see `DETECTION`."""
         return self.rows["gain"]
-
-    @property
-    def birth(self) -> FloatArray:
-        """(n,) log of a rate."""
-        return self.rows["birth"]
-
-    @property
-    def death(self) -> FloatArray:
-        """(n,) log of a rate."""
-        return self.rows["death"]
-
-    @property
-    def given(self) -> IntArray:
-        """(n,) identities, or −1."""
-        return self.rows["given"]
 
     @property
     def following(self) -> IntArray:
@@ -174,6 +150,13 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
     return Chains(rows, np.zeros((len(t), STATE)), np.empty((len(t), 0)))
 
 
+def chains_of(detections: Detections) -> Chains:
+    """Detections that are nobody's yet, with their observed angles."""
+    angles = observed_angles(detections.channels, len(detections))
+    position = np.ascontiguousarray(detections.position)
+    return unlinked(detections.t, detections.step, position, angles)
+
+
 def link_by(chains: Chains, identity: IntArray) -> None:
     """Chain the detections of each identity in the order of time; of two in a frame only one; −1: none."""
     order = np.lexsort((np.arange(len(identity)), identity))
@@ -204,13 +187,10 @@ def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
 def see_angle(
     angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
 ) -> float:
-    """Take an observed angle into the direction at ``place`` of a state; its log ratio to one by chance.
+    """Take an observed angle (rad, or NaN) into the direction at ``place`` of a state; return its log ratio.
 
-    Parameters
-    ----------
-    angle : radians; NaN: not observed
-    prior_x, prior_y : the direction that is expected, with its concentration
-    outliers : share of observations that have nothing to do with the direction; 1: none is looked at
+    ``prior_x``, ``prior_y``: expected direction, as long as its concentration; ``outliers``: share of random
+    angles, 1: angles are not used.
     """
     if outliers >= 1.0 or math.isnan(angle):
         return 0.0
@@ -228,11 +208,7 @@ def see_angle(
 
 @compiled
 def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
-    """Take body and head of a later detection into the state; their log likelihood ratio.
-
-    They turn little since the earlier one, where the state was ``before``, and the body faces where the
-    person goes, who moves as the state says, and is then taken to go more as body and head point.
-    """
+    """Take body and head of a later detection into the state; return their log likelihood ratio."""
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
     dt = later.t - earlier.t
@@ -256,15 +232,10 @@ def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state
 
 @compiled
 def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> None:
-    """Turn the velocity of a state towards an observed angle, as far as that says where the person goes.
+    """Turn the velocity of a state towards an observed angle (rad, or NaN): an extended Kalman update.
 
-    The update of an extended Kalman filter: the velocity across is speed · sin(deviation), says the angle.
-
-    Parameters
-    ----------
-    angle : radians, of body or head; NaN: not observed
-    variance : of the angle about the direction of travel
-    outliers : share of angles that have nothing to do with it
+    The observation is the velocity across, speed · sin(deviation). ``variance`` is of the angle about the
+    direction of travel, ``outliers`` the share of random angles.
     """
     speed = math.hypot(state[2], state[3])
     if outliers >= 1.0 or math.isnan(angle) or speed < 1e-2:
@@ -287,10 +258,8 @@ def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> 
     state[6] -= 0.5 * v_gain * state[6]
 
 
-IMPOSSIBLE = -1e9
-"""The gain of what cannot be."""
-GATE = 6.0
-"""Standard deviations beyond which a detection is nobody's."""
+IMPOSSIBLE = -1e9  # the gain of what cannot be
+GATE = 6.0  # standard deviations beyond which a detection is nobody's
 
 
 @compiled
@@ -305,12 +274,9 @@ def missed(frames: int, scene: Scene) -> float:
 
 @compiled
 def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
-    """The state after a later detection of somebody whose state was ``before`` at an earlier one.
+    """Fill the state after a later detection; return the log density of its position.
 
-    The place may have jumped, after which nothing is known of the velocity: of the two states after that, the
-    one that has their mean and covariance.
-
-    Returns the log density of the detection's place.
+    The position may have jumped, after which the velocity is unknown: both states are moment-matched.
     """
     dt, q = later.t - earlier.t, scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
@@ -367,13 +333,9 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 def is_within(
     off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, scene: Scene
 ) -> bool:
-    """Return whether a detection is within the gate about a predicted position.
+    """Return whether a detection is within the gate, ``off_x``, ``off_y`` metres from the predicted position.
 
-    Parameters
-    ----------
-    off_x, off_y : metres from the predicted place
-    dt : seconds since p, pv and v were the person's covariance on each axis
-    variance : of the detection, m²
+    ``dt``: seconds since p, pv and v were the covariance on each axis; ``variance``: of the detection, m²
     """
     spread = p + 2.0 * dt * pv + dt * dt * v + scene.density * dt**3 / 3.0 + variance
     if scene.jump_probability > 0.0:
@@ -385,10 +347,7 @@ def is_within(
 def near_ones(
     chains: Chains, state: FloatArray, t: float, others: IntArray, scene: Scene, found: IntArray
 ) -> int:
-    """Put into ``found`` the places in ``others`` of detections that somebody may be at; how many they are.
-
-    One call for many: what a problem's arrays cost when they are handed on is more than the question.
-    """
+    """Put into ``found`` the places in ``others`` of detections somebody may be at; return their number."""
     count = 0
     for j in range(len(others)):
         other = chains.rows[others[j]]
@@ -405,10 +364,7 @@ def near_ones(
 
 @allocating
 def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
-    """Evidence of what follows detection k in its chain, whose state there is given; it is changed.
-
-    After ``look_ahead`` detections what is remembered is taken: nothing is left of where the track came from.
-    """
+    """Evidence of what follows detection k in its chain, from ``look_ahead`` detections on as remembered."""
     total, seen, here = 0.0, 0, np.empty(STATE)
     m = chains.rows[k].following
     while m >= 0 and seen < scene.look_ahead:
@@ -470,9 +426,8 @@ def gains_of_detections(
 ) -> FloatArray:
     """Return the gain in evidence (tracks, detections) of a frame's detection in a track that spans it.
 
-    Parameters
-    ----------
-    heads, tails : (tracks,) the last detection before the frame and the first after it, linked; −1: none
+    ``heads``, ``tails``: (tracks,) the last detection before the frame and the first after it, linked; −1:
+    none
     """
     gains, state, here = np.full((len(heads), len(detections)), IMPOSSIBLE), np.empty(STATE), np.empty(STATE)
     alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)
@@ -531,11 +486,7 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
 
 @allocating
 def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
-    """Return the innovation likelihood of all linked detections, which are filtered again.
-
-    Returns the log density of their places, the sum of the log likelihood ratios of their angles, and their
-    number.
-    """
+    """Filter all linked detections; return the log densities of places and of angles, and their number."""
     places, angles, count = 0.0, 0.0, 0
     for m in range(len(chains.rows)):
         k = chains.rows[m].preceding
@@ -631,19 +582,15 @@ def only_pairs(gains: FloatArray, rows: IntArray, columns: IntArray) -> int:
     return count
 
 
-_LEAST = 20
-"""Neighbours in tracks below which angles say nothing."""
-_OUTLIERS = (0.02, 0.9)
-"""Shares of outliers that can be learned: angles are never thought sure."""
+_LEAST = 20  # neighbours in tracks below which angles say nothing
+_OUTLIERS = (0.02, 0.9)  # shares of outliers that can be learned: angles are never thought sure
 
 
 def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     """Observed body and head of each detection, (n, 2) radians; NaN where there is none.
 
-    Parameters
-    ----------
-    channels : by the names of a track's attributes; where there is no angle, class likelihoods are taken by
-        their circular mean
+    ``channels``: by the names of a track's attributes; where there is no angle, class likelihoods are taken
+    by their circular mean
     """
     found = np.full((n, 2), np.nan)
     for column, name in enumerate(("body", "head")):
@@ -660,12 +607,7 @@ def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
 def learn_orientation(
     chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
 ) -> SceneParameters:
-    """The parameters of angles under which the tracks' are most probable.
-
-    Parameters
-    ----------
-    chains : the tracks; their states are filtered anew
-    """
+    """The parameters of angles under which the tracks' are most probable; the tracks are filtered again."""
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
     neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}

@@ -1,18 +1,15 @@
-"""Moves that better an explanation: tracks are cut and joined anew, a frame's detections matched anew.
+"""Offline data association: block-wise maximisation of the evidence of a whole recording.
 
-The most probable explanation of a whole recording, by assigning anew at every cut and in every frame.
-
-At each time all tracks are cut: what came before (heads) and what comes after (tails) are matched anew, a
-link being worth the evidence of the joined track over that of both alone. In each frame its detections are
-matched anew to the tracks that span it, everything else staying. Each is the best of its block, so that the
-evidence only rises; a few sweeps over the recording suffice.
+At each time all tracks are cut: heads (what came before) and tails (what comes after) are matched again, a
+link being worth the evidence of the joined track over that of both alone. In each frame the detections are
+matched again to the tracks that span it. Each match is the best of its block, so that the evidence only
+rises; a few sweeps suffice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +19,16 @@ from graphtrack.association.likelihood import (
     Chains,
     IntArray,
     Scene,
+    chains_of,
     gains_of_detections,
     gains_of_links,
     learn_orientation,
     link_by,
-    observed_angles,
     only_pairs,
     probabilities_of_links,
     refresh,
     remember_rest,
     roots,
-    unlinked,
 )
 from graphtrack.association.scene import (
     duplicate_density,
@@ -175,36 +171,22 @@ def match(gains: FloatArray) -> tuple[IntArray, IntArray]:
     )
 
 
-SWEEPS = 6
-"""Over the recording at most, for one set of parameters."""
-
+SWEEPS = 6  # over the recording at most, for one set of parameters
+ROUNDS = 4  # alternations of finding tracks and learning the scene's parameters from them
+TRUST = 4.0  # log odds that a tracker's next detection is of the same person: it jumps at one in fifty
 _JOINED_FRAMES = 16
 """Frames that the first sweep looks ahead: nothing is linked yet, and all that comes is a candidate."""
-
-ROUNDS = 4
-"""Times that the scene's parameters are learned from the tracks, which are found anew with them."""
-
-
-TRUST = 4.0
-"""Log odds that a tracker's next detection of somebody is of the same person: it jumps at one in fifty."""
 
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Identities of a recording's detections.
+    """Identities of a recording's detections."""
 
-    Attributes
-    ----------
-    identity : (n,) of each detection, from 0 in the order of first appearance; −1: false
-    probability : (n,) that the detection is of the same person as the one before it in its track; 1 at first
-    scene : the parameters that it was found with
-    evidence : log of how much more probable than that all detections are false
-    """
-
-    identity: NDArray[np.int64]
+    identity: NDArray[np.int64]  # (n,) of each detection, from 0 in the order of first appearance; −1: false
+    # (n,) that the detection is of the same person as the one before it in its track; 1 at first
     probability: FloatArray
-    scene: SceneParameters
-    evidence: float
+    scene: SceneParameters  # the parameters that it was found with
+    evidence: float  # log of how much more probable than that all detections are false
 
 
 def associate_detections(
@@ -229,14 +211,9 @@ def associate_detections(
         if k:
             search.adopt(search.learned())
         search.join_generously()
-        search.settle(partial(_told, progress, k, rounds))
+        search.settle(progress, k * SWEEPS, rounds * SWEEPS)
     progress(rounds * SWEEPS, rounds * SWEEPS)
-    identity = search.identities()
-    return Association(identity, search.probabilities(), search.scene, search.evidence())
-
-
-def _told(progress: Callable[[int, int], None], done: int, rounds: int, sweep: int) -> None:
-    progress(done * SWEEPS + sweep, rounds * SWEEPS)
+    return search.found(search.identities())
 
 
 def repair_detections(
@@ -261,8 +238,7 @@ def repair_detections(
         search.adopt(search.learned())
         search.settle()
     root, _ = search.roots()
-    identity = _renamed(root, given)
-    return Association(identity, search.probabilities(), search.scene, search.evidence())
+    return search.found(_renamed(root, given))
 
 
 def _renamed(track: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -289,11 +265,9 @@ class _Search(Moves):
         n = len(detections)
         self.detections, self._known = detections, known
         scene = replace(first_guess(detections) if start is None else start, **known)
-        std = detections.channels.get("position_std")
-        self._std = np.full(n, np.nan) if std is None else std
         channels = detections.channels
-        angles = observed_angles(channels, n)
-        chains = unlinked(detections.t, detections.step, np.ascontiguousarray(detections.position), angles)
+        self._std = channels.get("position_std", np.full(n, np.nan))
+        chains = chains_of(detections)
         super().__init__(chains, Scene(*scene.packed(detections.step_seconds)))
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
@@ -306,7 +280,7 @@ class _Search(Moves):
     def begin_with(self, given: NDArray[np.int64]) -> None:
         """Start from the tracks of somebody's identities (n,), from 0, and trust them; −1: none."""
         link_by(self.chains, given)
-        self.chains.given[:] = given
+        self.chains.rows["given"] = given
         self._trust = TRUST
         self.adopt(self.scene)
 
@@ -322,7 +296,7 @@ class _Search(Moves):
         self.chains = self._looks.in_chains(self.chains, self._descriptors)
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
         births, deaths, clutter = seen_from_within(self.chains, identity)
-        self.chains.birth[:], self.chains.death[:] = np.log(births), np.log(deaths)
+        self.chains.rows["birth"], self.chains.rows["death"] = np.log(births), np.log(deaths)
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
         model, each = self._looks.model, 0.0
@@ -359,11 +333,13 @@ class _Search(Moves):
         self.packed = packed
         self.filter_from(0)
 
-    def settle(self, progress: Callable[[int], None] = lambda sweep: None) -> None:
-        """Sweep until nothing changes, or often enough; ``progress`` is told of each sweep, from 0."""
+    def settle(
+        self, progress: Callable[[int, int], None] = lambda done, total: None, done: int = 0, total: int = 0
+    ) -> None:
+        """Sweep until nothing changes, or often enough; report the sweeps ``done`` before and since."""
         changed = None
         for sweep in range(SWEEPS):
-            progress(sweep)
+            progress(done + sweep, total)
             changed = self.sweep(changed)
             if not len(changed):
                 break
@@ -399,11 +375,8 @@ class _Search(Moves):
         numbers[alive] = np.searchsorted(roots, root[alive])
         return numbers
 
-    def probabilities(self) -> FloatArray:
-        """(n,) as in `Association`."""
-        return np.where(self.chains.preceding < 0, 1.0, self.link_p)
-
-    def evidence(self) -> float:
-        """The sum over the tracks that are kept."""
+    def found(self, identity: NDArray[np.int64]) -> Association:
+        """The result, with the evidence of the tracks that are kept."""
         _, value = self.roots()
-        return float(value[value > 0.0].sum())
+        probability = np.where(self.chains.preceding < 0, 1.0, self.link_p)
+        return Association(identity, probability, self.scene, float(value[value > 0.0].sum()))

@@ -1,11 +1,8 @@
-"""Attributes of open detections alongside their chains.
+"""Online data association with a revision window.
 
-The newest final decisions of online association, from which the scene's parameters are learned.
-
-Online data association with a revision window.
-
-The moves are those of a whole recording (`moves`), made in the newest frames alone. What lies further back is
-as it was decided; of it only the last detection of each track is kept, for it may be found again.
+The moves of `offline` are made in the newest frames alone. Older decisions are final; of them the last
+detection of each track is kept, for it may be found again, and the newest ones, to learn the scene's
+parameters from.
 """
 
 from __future__ import annotations
@@ -62,28 +59,16 @@ NOBODY = -1
 
 @dataclass
 class Notes:
-    """Attributes of n detections alongside their chains.
+    """Attributes of n detections alongside their chains."""
 
-    Attributes
-    ----------
-    std : metres that a detection says itself; NaN: it does not
-    place : of it in its update
-    said : track id that was last said of it
-    number : track id of the track that begins with it, once there is one
-    before : detections of its track that are forgotten by now
-    clutter : how many times the mean rate detections are false there
-    score : the detector's own; NaN: none
-    descriptor : (n, d) of looks, NaN where one is missing; d is 0 until the first one comes
-    """
-
-    std: FloatArray
-    place: IntArray
-    said: IntArray
-    number: IntArray
-    before: IntArray
-    clutter: FloatArray
-    score: FloatArray
-    descriptor: FloatArray
+    std: FloatArray  # declared noise, metres, or NaN
+    place: IntArray  # in its update
+    said: IntArray  # track id that was last reported
+    number: IntArray  # track id of the track that begins with it, once there is one
+    before: IntArray  # detections of its track that are forgotten by now
+    clutter: FloatArray  # density of false detections there, over its mean
+    score: FloatArray  # the detector's, or NaN
+    descriptor: FloatArray  # (n, d), NaN where one is missing; d is 0 until the first one comes
 
     @classmethod
     def of(cls, std: FloatArray, clutter: FloatArray, score: FloatArray, descriptor: FloatArray) -> Notes:
@@ -107,11 +92,8 @@ class Notes:
 LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
 """Detections after which the scene's parameters are learned; then after as many more as the last."""
 
-REMEMBERED = 3200
-"""Detections, decided upon, that parameters are learned from."""
-
-GUESS_SECONDS = 10.0
-"""Time that the first guess of how people turn counts for: at first they all may walk straight."""
+REMEMBERED = 3200  # decided detections that parameters are learned from
+GUESS_SECONDS = 10.0  # weight of the first guess of how people turn: at first they all may walk straight
 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
 """Parameters of turning, and the power of each that is a variance."""
@@ -129,18 +111,10 @@ class History:
 
     def add(self, chains: Chains, notes: Notes, owner: IntArray, first: int, end: int) -> None:
         """Remember the detections ``first`` up to ``end``, and forget as many where there are too many."""
-        new = {
-            "t": chains.t,
-            "std": notes.std,
-            "score": notes.score,
-            "descriptor": notes.descriptor,
-            "position": chains.position,
-            "facing": chains.facing,
-            "frame": chains.frame,
-            "owner": owner,
-        }
+        new = {name: getattr(chains, name) for name in ("t", "position", "facing", "frame")}
+        new |= {name: getattr(notes, name) for name in ("std", "score", "descriptor")}
         self.descriptor = widened(self.descriptor, notes.descriptor.shape[1])
-        for name, values in new.items():
+        for name, values in {**new, "owner": owner}.items():
             setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
         self.count += end - first
         self.since = float(chains.t[first]) if self.since is None else self.since
@@ -165,11 +139,7 @@ class History:
     def learned(
         self, scene: SceneParameters, step_seconds: float, known: Known
     ) -> tuple[SceneParameters, Places, Looks]:
-        """Learn from the remembered tracks.
-
-        Returns the parameters that they speak for but those known, where people come and go, and what looks
-        and scores are worth.
-        """
+        """Learn the parameters that are not known, the maps of rates, and the worth of looks and scores."""
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
         chains.gain[:] = 0.0
@@ -200,48 +170,34 @@ TOLD = 0.45
 """How probable somebody has to be, and that who is not seen is still there, to be told. What makes an
 F-measure greatest is half of it (Lipton et al. 2014, ECML PKDD), and IDF1 of made-up crowds is 0.9."""
 
-_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))
-"""The same of a track's value."""
+_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))  # the same of a track's value
 
 REVISED_FRAMES = 8
 """Frames in which decisions may change: as many detections as say whose they are."""
 
 AGES = {0.1: tuple(range(REVISED_FRAMES - 1, -1, -1)), 0.0: (7, 3, 1, 0)}
-"""Seconds between frames, at least → how many frames ago those are that are decided anew. Where frames follow
-each other fast some are enough: all others will be as old, or were."""
+"""Least seconds between frames → ages of the frames that are decided again; at high rates some are enough."""
 
 
 @dataclass(frozen=True)
 class Revision:
-    """A detection that is now somebody else's than was said.
+    """A detection that changes its track; −1: none."""
 
-    Attributes
-    ----------
-    t, frame, detection : which one: seconds, the number of its update, and its place therein
-    before, after : track ids; −1: nobody's
-    """
-
-    t: float
-    frame: int
-    detection: int
-    before: int
-    after: int
+    t: float  # seconds
+    frame: int  # the number of its update
+    detection: int  # its place in that
+    before: int  # track id
+    after: int  # track id
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """Assignment of a frame's n detections.
+    """Assignment of a frame's n detections."""
 
-    Attributes
-    ----------
-    identity : (n,) track ids, from 1; −1: nobody's so far
-    probability : (n,) that each is of the same person as the track's detection before; 1 for a first one
-    revised : what was said of earlier ones, and no longer holds
-    """
-
-    identity: IntArray
+    identity: IntArray  # (n,) track ids, from 1; −1: nobody's so far
+    # (n,) that each is of the same person as the track's detection before; 1 for a first one
     probability: FloatArray
-    revised: tuple[Revision, ...]
+    revised: tuple[Revision, ...]  # what was said of earlier ones, and no longer holds
 
 
 class OnlineAssociation(Moves):
@@ -304,10 +260,7 @@ class OnlineAssociation(Moves):
     def from_state(cls, state: Mapping[str, Any]) -> OnlineAssociation:
         """One that goes on where `state` was taken, to the last bit.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError, InputError
-            If the state is damaged.
+        Raise KeyError, TypeError, ValueError or InputError if the state is damaged.
         """
         found = cls(state["known"], np.inf if state["lag"] is None else state["lag"])
         found.scene = SceneParameters(**state["scene"])
@@ -344,11 +297,7 @@ class OnlineAssociation(Moves):
         return sorted(number[last[self._still_there(last, now) > TOLD]].tolist())
 
     def _still_there(self, last: IntArray, now: int) -> FloatArray:
-        """Return the probability (n,) that those last seen at these detections have not left by a frame.
-
-        They may have left after any frame since, the likelier the more people did who went where they go, and
-        the sooner the less often they must have been missed.
-        """
+        """Return the probability (n,) that those last seen at these detections have not left by a frame."""
         chains, frames = self.chains, now - self.chains.frame[last]
         longest = int(frames.max(initial=0))
         often = np.exp([missed(k, self.packed) for k in range(longest + 1)])
@@ -380,6 +329,9 @@ class OnlineAssociation(Moves):
     ) -> Decision:
         """Take in a frame's detections.
 
+        Raise InputError if time does not increase, a position is not finite or descriptors have another size
+        than before. Nothing has changed then.
+
         Parameters
         ----------
         t : seconds, after those of the update before
@@ -388,32 +340,24 @@ class OnlineAssociation(Moves):
         facing : (n, 2) radians, body and head as they were observed; NaN: not observed
         score : (n,) how sure the detector was, in its own units; NaN: it does not say
         descriptor : (n, d) what each looks like, NaN where that is not known; d is the same in all frames
-
-        Raises
-        ------
-        InputError
-            If time does not increase, a position is not finite or descriptors have another size than before.
-            Nothing has changed then.
         """
         position = np.asarray(position, float).reshape(-1, 2)
         self.check_time(t)
         if not np.isfinite(position).all():
             raise InputError("a detection without a position", "both of its coordinates")
         n = len(position)
-        shown = (
-            np.full((n, self.descriptor_size), np.nan)
-            if descriptor is None
-            else np.asarray(descriptor, float)
-        )
+        nothing = np.full(n, np.nan)
+        shown = np.full((n, self.descriptor_size), np.nan) if descriptor is None else descriptor
+        shown = np.asarray(shown, float)
         if shown.ndim != 2 or shown.shape[1] != (self.descriptor_size or shown.shape[1]):
             raise InputError(f"descriptors of shape {shown.shape}", f"(n, {self.descriptor_size or 'd'})")
         if self.updates:
             self._intervals = [*self._intervals[-24:], t - self._last]
         self._last = t
         self._forget(t)
-        std = np.full(n, np.nan) if std is None else np.asarray(std, float)
+        std = nothing if std is None else np.asarray(std, float)
         angles = np.full((n, 2), np.nan) if facing is None else np.asarray(facing, float)
-        scores = np.full(n, np.nan) if score is None else np.asarray(score, float)
+        scores = nothing if score is None else np.asarray(score, float)
         first = self._append(t, position, angles, Notes.of(std, np.ones(n), scores, shown))
         self.updates += 1
         self._learn()
@@ -445,7 +389,7 @@ class OnlineAssociation(Moves):
         new = self._looks.in_chains(new, notes.descriptor)
         if self._places is not None:
             births, deaths, notes.clutter = self._places.at(position)
-            new.birth[:], new.death[:] = np.log(births), np.log(deaths)
+            new.rows["birth"], new.rows["death"] = np.log(births), np.log(deaths)
         self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
         self.link_p = np.concatenate([self.link_p, np.ones(n)])
         self._notes.descriptor = widened(self._notes.descriptor, notes.descriptor.shape[1])
@@ -526,16 +470,9 @@ class OnlineAssociation(Moves):
         changed = np.flatnonzero(owner[:first] != self._notes.said[:first])
         changed = changed[changed >= (self._first[0] if self._first else 0)]
         chains = self.chains
-        revised = tuple(
-            Revision(
-                float(chains.t[k]),
-                int(chains.frame[k]),
-                int(self._notes.place[k]),
-                int(self._notes.said[k]),
-                int(owner[k]),
-            )
-            for k in changed.tolist()
-        )
+        columns = chains.t, chains.frame, self._notes.place, self._notes.said, owner
+        rows = zip(*(values[changed].tolist() for values in columns), strict=True)
+        revised = tuple(Revision(*row) for row in rows)
         self._notes.said = owner
         sure = np.where(chains.preceding < 0, 1.0, self.link_p)
         return Decision(owner[first:], sure[first:], revised)

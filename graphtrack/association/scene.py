@@ -1,11 +1,8 @@
-"""Several detections of one person in a frame: the others are not people of their own.
+"""Parameters of a scene, learned from detections and their tracks (expectation maximisation).
 
-The scene's parameters from the detections alone: expectation and maximisation around the association.
-
-Birth, death and clutter rates, learned as maps over the ground plane.
-
-Each is a rate over the ground, as many times the scene's mean: events are counted on a grid, blurred, and
-compared with as many as there would be if they happened alike wherever they could.
+Rates of misses, occlusions, duplicates, births, deaths and clutter, and the motion. Births, deaths and
+clutter also have maps over the ground plane: events are counted on a grid, blurred, and divided by as many
+as there would be if they happened alike everywhere.
 """
 
 from __future__ import annotations
@@ -22,9 +19,7 @@ from graphtrack.packages import ndimage, optimize, spatial
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 
-_DUPLICATE_REACH = 3.0
-"""Spreads within which a detection may be a duplicate."""
-
+_DUPLICATE_REACH = 3.0  # spreads within which a detection may be a duplicate
 
 Pairs: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
 """Two detections each, and their squared distances (m²)."""
@@ -38,13 +33,8 @@ def duplicate_density(
 ) -> FloatArray:
     """Return the expected density of duplicates of other people at each detection, (n,) 1/m².
 
-    A person counts for those who were detected less often: of two who walk in each other's place the one with
-    more detections is the person.
-
-    Parameters
-    ----------
-    frame, position : (n,) and (n, 2) of the detections
-    identity : (n,) as they are thought to be; −1: false
+    Of two who walk in each other's place the one with more detections is the person. ``identity``: (n,), −1:
+    false.
     """
     times = np.bincount(identity[identity >= 0], minlength=1)
     return duplicate_density_of(duplicate_pairs(frame, position, scene), identity, scene, times)
@@ -58,13 +48,7 @@ def duplicate_pairs(frame: NDArray[np.int64], position: FloatArray, scene: Scene
 def duplicate_density_of(
     pairs: Pairs, identity: NDArray[np.int64], scene: SceneParameters, times: NDArray[np.int64]
 ) -> FloatArray:
-    """`duplicate_density` where the pairs are known.
-
-    Parameters
-    ----------
-    identity : (n,) as they are thought to be; −1: false
-    times : identity → how often it was detected
-    """
+    """`duplicate_density` given the pairs; ``times`` has the number of detections of each identity."""
     first, second, square = pairs
     strength = np.where(identity >= 0, times[np.maximum(identity, 0)], 0)
     counts = (identity[second] >= 0) & (identity[first] != identity[second])
@@ -94,10 +78,7 @@ def learn_duplicates(
     scene: SceneParameters,
     known: Known = NOTHING,
 ) -> SceneParameters:
-    """The scene with rate and spread of duplicates from the false detections around people.
-
-    Those of the two that are known are kept.
-    """
+    """The scene with rate and spread of duplicates, unless known, from the false detections around people."""
     first, second, square = pairs_within(frame, position, 2.0)
     counts = (identity[first] < 0) & (identity[second] >= 0)
     first, square = first[counts], square[counts]
@@ -120,15 +101,12 @@ def learn_duplicates(
     return replace(scene, **{name: found[name] for name in free})
 
 
-_EDGE = 3
-"""Frames at either end of a recording in which somebody may have been missed who was there."""
+_EDGE = 3  # frames at either end of a recording in which somebody may have been missed who was there
 
-_PRIOR_EVENTS = 2.0
-"""Events that the first guess counts for."""
+_PRIOR_EVENTS = 2.0  # events that the first guess counts for
 
 _FIRST_STD = 0.3
-"""Metres of noise at first: more than most detectors have. Too little makes people of false detections, which
-teach it to stay little; too much is unlearned in a round."""
+"""Metres of noise at first, more than most detectors have: too much is unlearned, too little is not."""
 
 
 def edge_of(frames: int) -> int:
@@ -205,10 +183,7 @@ def learn_scene(
 def scene_log_density(
     chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, seconds: float
 ) -> float:
-    """Return the log density of detections and their tracks, which `learn_scene` maximises with priors.
-
-    Log of a density in 1/m² for each detection, relative to any angle; where people come and go and
-    detections are false is taken to be the same everywhere.
+    """Return the log density (1/m² a detection, uniform rates) that `learn_scene` maximises with priors.
 
     Parameters
     ----------
@@ -238,25 +213,16 @@ def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Events:
-    """Counts of births, deaths, gaps and exposure in a recording.
+    """Counts of births, deaths, gaps and exposure in a recording."""
 
-    Attributes
-    ----------
-    gaps : frames of each gap within a track
-    seen, links : detections of people, and pairs of them that follow each other
-    born, left : people who came into view and who left
-    in_view : seconds that people were there
-    exposure, open_exposure : m² and frames in which detections can be false, m² s in which people can come
-    """
-
-    gaps: FloatArray
-    seen: int
-    links: int
-    born: int
-    left: int
-    in_view: float
-    exposure: float
-    open_exposure: float
+    gaps: FloatArray  # frames of each gap within a track
+    seen: int  # detections of people
+    links: int  # pairs of these that follow each other
+    born: int  # people who came into view
+    left: int  # people who left
+    in_view: float  # seconds that people were there
+    exposure: float  # m² · frames in which detections can be false
+    open_exposure: float  # m² · s in which people can come
 
     @classmethod
     def of(cls, chains: Chains, identity: NDArray[np.int64], seconds: float) -> _Events:
@@ -330,16 +296,13 @@ SPREAD = 2.0
 """Metres, standard deviation of the blur: who comes in at one place may come in so far beside it."""
 
 AHEAD = 2.0
-"""Seconds. Whether somebody has left who is not seen is judged by where they would be by then: of two people
-in one place at the border, one may just have come in."""
+"""Seconds ahead of the last position at which the map of deaths is read: who has just come in stays."""
 
 _CELL = 0.5 * SPREAD
 _REACH = 4.0 * SPREAD
-_LARGEST = 1000
-"""Corners along an axis: a kilometre; what lies beyond is counted at the edge."""
+_LARGEST = 1000  # corners along an axis: a kilometre; what lies beyond is counted at the edge
 _PEAK = 1.0 / (2.0 * np.pi * SPREAD**2)
-_PRIOR = 2.0 * _PEAK
-"""Events per square metre that the mean rate counts for: two on the spot."""
+_PRIOR = 2.0 * _PEAK  # events per square metre that the mean rate counts for: two on the spot
 
 
 @dataclass(frozen=True, eq=False)
@@ -421,10 +384,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
 
 
 def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`learn_places` and asked at the detections that it is learned from, (n,) each.
-
-    Of each detection, what its own track has done does not count: it would speak for itself.
-    """
+    """Rates of `learn_places` at its own detections, (n,) each, without the events of their own tracks."""
     position, person = chains.position, identity >= 0
     first, last = _events(chains, identity)
     came, left = (_of_own(position, identity, events) for events in (first, last))

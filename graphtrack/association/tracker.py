@@ -1,9 +1,4 @@
-"""Angles, scores and descriptors of observations as arrays; NaN where one has none.
-
-`DetectionTracker`: a frame's detections in, an estimate of everybody out.
-
-Recorded detections online: who was who, and where, as it was said at each frame.
-"""
+"""`DetectionTracker`: from the detections of a frame to estimates of everybody, online."""
 
 from __future__ import annotations
 
@@ -42,7 +37,7 @@ def facing_of(seen: Sequence[Observation]) -> FloatArray:
     channels: dict[str, FloatArray] = {}
     for name in ("body", "head"):
         angles = [getattr(one, name) for one in seen]
-        channels[name] = np.array([math.nan if angle is None else angle for angle in angles])
+        channels[name] = np.array(angles, float)  # None becomes NaN
         classes = [getattr(one, f"{name}_likelihood") for one in seen]
         size = next((len(one) for one in classes if one is not None), 0)
         if size:
@@ -51,19 +46,12 @@ def facing_of(seen: Sequence[Observation]) -> FloatArray:
     return observed_angles(channels, len(seen))
 
 
-def scores_of(seen: Sequence[Observation]) -> FloatArray:
-    """Return the detector's scores, (n,)."""
-    return np.array([math.nan if one.score is None else one.score for one in seen])
-
-
 def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
     """Return the descriptors of observations, (n, d): their input `APPEARANCE`.
 
     Raise InputError for a descriptor that has another size.
 
-    Parameters
-    ----------
-    size : d as it was before; 0: that of the first one
+    ``size``: d as it was before; 0: that of the first one
     """
     given = [one.inputs.get(APPEARANCE) for one in seen]
     rows = [None if one is None else np.atleast_1d(np.asarray(one, float)) for one in given]
@@ -129,22 +117,10 @@ class PersonEstimate(Estimate):
 
 
 class DetectionTracker:
-    """Track everybody in a scene online, from detections that do not say of whom they are.
+    """Track everybody in a scene online from detections without identities; see `OnlineTracker`.
 
-    Who is who is said at once; while later detections can tell better, it is revised, and the estimates with
-    it. New people are told once they are more probable than false detections.
-
-    Parameters
-    ----------
-    model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
-    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
-        names. The others are as the model has them, else learned from what is seen
-    groups : source of the input `GROUP` of everybody's observations; None: the detections' own
-
-    Attributes
-    ----------
-    revised : what the last update took back of what was said before
-    newest : observations of the last update
+    ``groups``: source of the input `GROUP` of everybody's observations; None: the detections' own.
+    ``revised`` is what the last update took back, ``newest`` its observations.
     """
 
     def __init__(
@@ -186,28 +162,24 @@ class DetectionTracker:
     ) -> list[PersonEstimate]:
         """Take in a frame's detections; what is known of everybody who is there, in the order of track ids.
 
-        Those are told, too, who were not seen and more probably were missed than left.
+        Those are told, too, who were not seen and more probably were missed than left. Raise InputError if
+        time does not increase, a detection has no position or cannot be used, or a descriptor of looks has
+        another size than before. Nothing has changed then.
 
         Parameters
         ----------
         t : seconds, after those of the update before; any step
         detections : observations, whose own times do not matter, or positions (n, 2) in metres; none is fine.
             What they look like is their input ``appearance``, of one size in all frames
-
-        Raises
-        ------
-        InputError
-            If time does not increase, a detection has no position or cannot be used, or a descriptor of
-            looks has another size than before. Nothing has changed then.
         """
         seen = [self.on_the_ground(one, t) for one in detections]
         position = np.array([one.position for one in seen], float).reshape(-1, 2)
         descriptors = descriptors_of(seen, self.descriptor_size)
-        std = [math.nan if one.position_std is None else one.position_std for one in seen]
-        association, noise = self._association, self.scene.position_std
-        decision = association.update(
-            t, position, np.array(std), facing_of(seen), scores_of(seen), descriptors
+        std, score = (
+            np.array([getattr(one, name) for one in seen], float) for name in ("position_std", "score")
         )
+        association, noise = self._association, self.scene.position_std
+        decision = association.update(t, position, std, facing_of(seen), score, descriptors)
         number = association.updates - 1
         # Nobody knows better how noisy they are than who saw them follow each other.
         self._seen |= {(number, place): to_smooth(one, noise) for place, one in enumerate(seen)}
@@ -240,10 +212,7 @@ class DetectionTracker:
     ) -> Self:
         """A tracker that goes on where `state` was taken, given the same model and options.
 
-        Raises
-        ------
-        InputError
-            If the state is damaged, or of a model with other terms.
+        Raise InputError if the state is damaged, or of a model with other terms.
         """
         tracker = cls(model, **options)
         try:
@@ -278,7 +247,7 @@ class DetectionTracker:
         """Have every person's smoother see the detections that are the person's by now."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
         if self._groups is not None:
-            self._groups.begin(self._time((number, UNSEEN)), number)
+            self._groups.begin(self._seen[number, UNSEEN].t, number)
         for key, track_id in owners:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
@@ -327,7 +296,7 @@ class DetectionTracker:
             same += 1
         new = [self._seen_by(person, key) for key in keys[same:]]
         if same < len(person.keys):
-            since = min(self._time(key) for key in (person.keys[same], *keys[same : same + 1]))
+            since = min(self._seen[key].t for key in (person.keys[same], *keys[same : same + 1]))
             person.estimate = person.smoother.revise(since, new)
             if person.estimate is None:
                 person.smoother = self._smoother()
@@ -340,9 +309,6 @@ class DetectionTracker:
     def _seen_by(self, person: _Person, key: Key) -> Observation:
         """An observation, with what the person was told of their conversation then."""
         return with_group_at(self._seen[key], person.told.get(key[0]))
-
-    def _time(self, key: Key) -> float:
-        return self._seen[key].t
 
     def _told(self, decision: Decision, hidden: list[int]) -> list[PersonEstimate]:
         told = {int(one): place for place, one in enumerate(decision.identity.tolist()) if one > 0}
@@ -364,10 +330,7 @@ class DetectionTracker:
     def on_the_ground(self, detection: Any, t: float) -> Observation:
         """A detection as an observation at the time, with the camera's position where it has none.
 
-        Raises
-        ------
-        InputError
-            If it has none at all, or cannot be used.
+        Raise InputError if it has none at all, or cannot be used.
         """
         if not isinstance(detection, Observation):
             x, y = (float(value) for value in detection)
@@ -382,8 +345,7 @@ class DetectionTracker:
 
 @dataclass
 class _Person:
-    """A person's smoother, which of the detections that can still be revised it has seen, and what it was
-    told of conversations in their updates."""
+    """A person's smoother, the revisable detections that it has seen, and the groups that it was given."""
 
     smoother: OnlineSmoother
     estimate: Estimate | None = None
@@ -397,12 +359,9 @@ UNSAID = "of whom nothing was said at once"
 def track_rows(
     rows: Rows, tracker: DetectionTracker, advance: Callable[[int], None] = lambda rows: None
 ) -> TrackSet:
-    """Give a tracker the detections of a file, frame by frame; what it said of them.
+    """Track the detections of a file online; their own identities are not read.
 
-    Parameters
-    ----------
-    rows : on the ground, with times; their own identities do not matter
-    advance : is told of detections that were taken in
+    ``advance`` is called with the number of detections of each frame.
     """
     rows = usable(rows)
     channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}

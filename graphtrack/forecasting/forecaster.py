@@ -1,7 +1,4 @@
-"""The parts of a forecast, and how far from its mean people are expected to be.
-
-`Forecaster`: predict people's positions online, from the frames seen so far.
-"""
+"""`Forecaster`: predict people's positions online, from the frames seen so far."""
 
 from __future__ import annotations
 
@@ -20,40 +17,25 @@ from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import real, whole
 
-_WALKING = 0.3
-"""Speed, m/s, at which people half count as walking."""
+_WALKING = 0.3  # speed, m/s, at which people half count as walking
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """The parts of a forecast of n people at A times: for `Forecaster`, and for learning.
+    """The parts of a forecast of n people at A times: for `Forecaster`, and for learning."""
 
-    Attributes
-    ----------
-    mean : (n, A) complex
-    direction, speed : (n,) of motion, of unit length and m/s
-    estimate : (n, A) variance on each axis of where people would be if they went straight on, m²
-    weight, square : (n, A) of what was seen in the place, about the mean; m² on each axis
-    """
-
-    mean: ComplexArray
-    direction: ComplexArray
-    speed: FloatArray
-    estimate: FloatArray
-    weight: FloatArray
-    square: FloatArray
+    mean: ComplexArray  # (n, A)
+    direction: ComplexArray  # (n,) of motion, of unit length
+    speed: FloatArray  # (n,) m/s
+    estimate: FloatArray  # (n, A) variance on each axis of where people would be going straight on, m²
+    weight: FloatArray  # (n, A) of what was seen in the place
+    square: FloatArray  # (n, A) of that about the mean, m² on each axis
 
 
 def together(
     position: ComplexArray, velocity: ComplexArray, others: NDArray[np.int64], parameters: ForecastParameters
 ) -> ComplexArray:
-    """Velocities (n,) of people who keep together with whoever is near and goes as they do.
-
-    Parameters
-    ----------
-    position, velocity : (n,) of people on their own
-    others : (m,) which of them count as others
-    """
+    """Velocities (n,) of people who keep together with those of ``others`` (m,) who are near and go alike."""
     near, alike = parameters.companion_distance, parameters.companion_velocity
     points, ways = (np.ascontiguousarray(one).view(float).reshape(-1, 2) for one in (position, velocity))
     found = kernel_means(points, ways, others, near, alike, parameters.companion_weight)
@@ -77,10 +59,7 @@ def spreads(
 def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
     """Return the angle (n,) by which the motion will turn to the head, radians.
 
-    Parameters
-    ----------
-    angle : (n,) from the direction of motion to the head
-    sure : (n,) 1 for a head that was seen and holds still, 0 for one that was not
+    ``angle``: (n,) from the motion to the head; ``sure``: (n,) 1: seen and still, 0: not seen
     """
     counts = sure * np.exp(-((angle / parameters.head_limit) ** 2))
     turn: FloatArray = parameters.head_share * counts * angle
@@ -101,17 +80,11 @@ def between_lags(ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
     return weights, ahead / inner
 
 
-LONGEST_HORIZON = 60.0
-"""Seconds ahead beyond which nothing of a person's motion is left to forecast from."""
-MOST_TIMES = 1000
-"""Times ahead of one forecast."""
-
-_FORGOTTEN = 10.0
-"""Seconds after which people who were not seen again are forgotten."""
-_HEAD_SECONDS = 0.3
-"""Time constant over which directions of the head are averaged."""
-JUDGED = 2.8
-"""Seconds that somebody must have been seen for, for the outcome of a forecast to tell about others."""
+LONGEST_HORIZON = 60.0  # seconds ahead beyond which nothing of a person's motion is left to forecast from
+MOST_TIMES = 1000  # times ahead of one forecast
+_FORGOTTEN = 10.0  # seconds after which people who were not seen again are forgotten
+_HEAD_SECONDS = 0.3  # time constant over which directions of the head are averaged
+JUDGED = 2.8  # seconds that somebody must have been seen for, for an outcome to tell about others
 _OF_A_PLACE = (
     *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
     *("_moved", "_looked", "_now", "_variance", "_seen"),
@@ -437,7 +410,9 @@ class Forecaster:
         position, velocity, variance = self._going(at)
         speed = np.abs(velocity)
         direction = np.where(speed > 1e-6, velocity / np.maximum(speed, 1e-6), 1.0)
-        turned = np.exp(1j * self._lead(at, velocity)[:, None] * mean_turn(ahead, self.parameters))
+        head = self._head[at]
+        led = lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
+        turned = np.exp(1j * led[:, None] * mean_turn(ahead, self.parameters))
         straight = velocity[:, None] * ahead * turned
         seen = self._near(at, position, velocity)
         prior = seen.weight / (seen.weight + self.parameters.place_prior)
@@ -454,11 +429,6 @@ class Forecaster:
             weight=seen.weight @ interpolate.T,
             square=(np.maximum(about, 0.0) / 2 / LAGS**2) @ interpolate.T * ahead**2,
         )
-
-    def _lead(self, at: NDArray[np.int64], velocity: ComplexArray) -> FloatArray:
-        """How far the head leads the motion, as far as that counts (n,), radians."""
-        head = self._head[at]
-        return lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
 
 
 def _plane(points: ComplexArray) -> FloatArray:

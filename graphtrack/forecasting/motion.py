@@ -1,12 +1,8 @@
-"""Parameters of forecasts, with units and ranges, and their file.
+"""Parameters of forecasts, and Kalman filters under several beliefs about the noise of positions.
 
-Positions and velocities of many people at once, under several beliefs about how noisy positions are.
-
-For each person a Kalman filter (white-noise acceleration, the model's term `Motion`) runs under each of
-`BELIEFS`; how well it predicted the next position says which holds (a static multiple model: Magill, IEEE TAC
-10(4), 1965). Annotators' splines and detectors' jitter differ by two orders of magnitude, and a filter that
-is wrong about them either lags or shakes. Points of the plane are complex numbers: both axes share their
-gains. (The filter of data association takes one belief and jumps, one detection at a time, compiled.)
+For each person a filter (white-noise acceleration) runs under each of `BELIEFS`, weighed by how well it
+predicted (a static multiple model: Magill, IEEE TAC 10(4), 1965), since annotators' splines and detectors'
+jitter differ by two orders of magnitude. Points of the plane are complex: both axes share their gains.
 """
 
 from __future__ import annotations
@@ -103,29 +99,19 @@ ComplexArray = NDArray[np.complex128]
 BELIEFS = np.array([(s, q) for s in (0.003, 0.02, 0.06, 0.2) for q in (0.005, 0.05)])
 """(K, 2): 1-σ of positions on each axis, m, and the density q of the acceleration, m²/s³."""
 
-_SPEED_VARIANCE = 1.0
-"""Of a velocity that nothing is known of, on each axis, (m/s)²."""
-_EVIDENCE_SECONDS = 10.0
-"""After which what was learned of a person's noise has faded to 1/e."""
-_FARTHEST = 25.0
-"""Squared distance, in variances, beyond which a position is a jump and not an error."""
-_HABIT_PRIOR = 2.0
-"""People that a belief about a scene is worth before anybody was seen there."""
+_SPEED_VARIANCE = 1.0  # of a velocity that nothing is known of, on each axis, (m/s)²
+_EVIDENCE_SECONDS = 10.0  # after which what was learned of a person's noise has faded to 1/e
+_FARTHEST = 25.0  # squared distance, in variances, beyond which a position is a jump and not an error
+_HABIT_PRIOR = 2.0  # people that a belief about a scene is worth before anybody was seen there
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Positions and velocities of n people, all beliefs together.
+    """Positions and velocities of n people, all beliefs together."""
 
-    Attributes
-    ----------
-    position, velocity : (n,) complex, m and m/s
-    variance : (n, 3) of a position, between it and the velocity, and of a velocity, on each axis
-    """
-
-    position: ComplexArray
-    velocity: ComplexArray
-    variance: FloatArray
+    position: ComplexArray  # (n,) m
+    velocity: ComplexArray  # (n,) m/s
+    variance: FloatArray  # (n, 3) of a position, between it and the velocity, and of a velocity, on each axis
 
 
 def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:

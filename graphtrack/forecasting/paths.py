@@ -1,10 +1,8 @@
-"""Gaussian kernel sums, compiled, and the paths of a scene that they are taken over.
-
-Paths of a scene, learned online: deviations of earlier people of the same place and velocity.
+"""Paths of a scene, learned online: deviations of earlier people of the same place and velocity.
 
 Every so often a person's position and velocity become an anchor, which is filled with where the person went
-instead of straight on, as that is seen. A forecast is corrected by the anchors near it (a kernel regression:
-Nadaraya, Theory Probab. Appl. 9(1), 1964), weighed against people who went straight on.
+instead of straight on. A forecast is corrected by the anchors near it (kernel regression: Nadaraya, Theory
+Probab. Appl. 9(1), 1964), weighed against people who went straight on.
 """
 
 from __future__ import annotations
@@ -93,28 +91,19 @@ LAGS: FloatArray = 0.4 * np.arange(1.0, 13.0)
 EVERY = 0.4
 """Seconds between two anchors of a person."""
 
-_CAPACITY = 4096
-"""Anchors that are kept; when there are more, new ones take the places of any."""
+_CAPACITY = 4096  # anchors that are kept; when there are more, new ones take the places of any
 _OF_ALL = ("_position", "_velocity", "_outcome")
 _OF_OPEN = ("_t", "_owner", "_next", "_expected", "_spread")
-_LONGEST_GAP = 1.0
-"""Seconds without a person beyond which nobody knows where the person was in between."""
+_LONGEST_GAP = 1.0  # seconds without a person beyond which nobody knows where the person was in between
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Deviations of earlier people near n people, at each of `LAGS`.
+    """Deviations of earlier people near n people, at each of `LAGS`."""
 
-    Attributes
-    ----------
-    weight : (n, G) how many anchors count
-    deviation : (n, G) complex, their mean deviation from going straight on, m
-    square : (n, G) their mean squared deviation, m²
-    """
-
-    weight: FloatArray
-    deviation: ComplexArray
-    square: FloatArray
+    weight: FloatArray  # (n, G) how many anchors count
+    deviation: ComplexArray  # (n, G) complex, their mean deviation from going straight on, m
+    square: FloatArray  # (n, G) their mean squared deviation, m²
 
 
 class Places:
@@ -201,14 +190,7 @@ class Places:
         was: ComplexArray,
         position: ComplexArray,
     ) -> None:
-        """People were seen again: their open anchors learn where they went.
-
-        Parameters
-        ----------
-        owner : (n,) who
-        before, was : (n,) when and where they had been seen before
-        t, position : when, and (n,) where they are seen now
-        """
+        """Open anchors of people ``owner`` (n,) learn where they went, from ``was`` to now."""
         active = self._active
         if not len(active) or not len(owner):
             return

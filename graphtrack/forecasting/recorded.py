@@ -1,7 +1,4 @@
-"""Forecasts for recorded tracks: each from what had been seen when it was made.
-
-Tables of forecasts: recognised by their columns, and read.
-"""
+"""Forecasts for recorded tracks, each from the frames before it, and their tables."""
 
 from __future__ import annotations
 
@@ -37,13 +34,7 @@ _MOST_ROWS = 20_000_000
 
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
-    """People seen at a time.
-
-    Attributes
-    ----------
-    t, frame : seconds, and the number of the frame
-    track_id, position, std, head : as `Forecaster.update` takes them
-    """
+    """People seen in a frame at ``t`` seconds, as `Forecaster.update` takes them."""
 
     t: float
     frame: int
@@ -278,7 +269,5 @@ def _names(source: Source) -> list[str]:
             return list(pq.read_schema(io.BytesIO(source.data)).names)
     first = next((line for line in source.head.decode("utf-8", "replace").splitlines() if line.strip()), "")
     if _is_json(source):
-        return [name for name in _TELLING if f'"{name}"' in first] + [
-            name for name in COLUMNS if name not in _TELLING and f'"{name}"' in first
-        ]
+        return [name for name in COLUMNS if f'"{name}"' in first]
     return [name.strip().strip('"') for name in first.removeprefix("\ufeff").split(",")]

@@ -1,10 +1,8 @@
-"""Spread of forecasts: a mixture of an elliptical Gaussian and a wider one of the same shape.
+"""Spread of forecasts: a mixture of an elliptical Gaussian and a wider one, and its calibration.
 
-Calibration of forecasts by the scene's own errors so far (conformal prediction with a prior).
-
-Of every forecast whose outcome was seen the error over the expected spread is counted, by time ahead, beside
-what would be expected of `ForecastParameters.scene_prior` forecasts. The quantiles of both together stretch
-the circles (conformal prediction, with a prior).
+Of every forecast whose outcome was seen, the error over the expected spread is counted by time ahead,
+together with what is expected of `ForecastParameters.scene_prior` forecasts. The quantiles of both stretch
+the circles (conformal prediction with a prior).
 """
 
 from __future__ import annotations
@@ -21,8 +19,7 @@ from graphtrack.geometry.angles import FloatArray
 LEVELS = (0.5, 0.9)
 """Probabilities of the circles of a forecast."""
 
-_RATIOS = np.linspace(0.05, 1.0, 20)
-"""Shorter over longer axis, for which radii are tabulated."""
+_RATIOS = np.linspace(0.05, 1.0, 20)  # shorter over longer axis, for which radii are tabulated
 _ANGLES = (np.arange(64) + 0.5) * np.pi / 64
 
 
@@ -52,13 +49,7 @@ def _table(level: float, share: float, wide: float) -> FloatArray:
 def radius(
     level: float, longer: FloatArray, shorter: FloatArray, parameters: ForecastParameters
 ) -> FloatArray:
-    """Radius of the circle about the mean that holds a share of the probability.
-
-    Parameters
-    ----------
-    level : the share
-    longer, shorter : 1-σ along the axes of the ellipse, of any one shape
-    """
+    """Radius of the circle about the mean that holds the share ``level``, given 1-σ along both axes."""
     table = _table(level, float(parameters.tail_share), float(parameters.tail_scale))
     relative: FloatArray = np.interp(shorter / longer, _RATIOS, table)
     return relative * longer
@@ -90,12 +81,9 @@ def offsets(
     parameters: ForecastParameters,
     random: np.random.Generator,
 ) -> NDArray[np.complex128]:
-    """Samples (n, count, A) of what people are off the mean; whoever is fast stays fast.
+    """Samples (n, count, A) of offsets from the mean, given 1-σ (n, A) along and across ``direction`` (n,).
 
-    Parameters
-    ----------
-    std_along, std_across : (n, A)
-    direction : (n,) of unit length
+    Whoever is fast stays fast.
     """
     size = (len(direction), count)
     shares, scales = shares_and_scales(parameters)

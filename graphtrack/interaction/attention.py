@@ -1,11 +1,4 @@
-"""Attention: how probably each person looks at each other one, at a place, or at nothing of these.
-
-Summaries of attention: tables, looks at each target, dwell times, mutual gaze.
-
-`OnlineAttention`: a frame's people in, what each of them looks at out, from what was seen until then.
-
-Machine code of online groups, attention and forecasts before it is needed.
-"""
+"""Visual attention: how probably each person looks at each other one, at a place, or at nothing of these."""
 
 from __future__ import annotations
 
@@ -29,8 +22,7 @@ from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
 
-_EXACT = 200.0
-"""Concentration of a head that comes with none."""
+_EXACT = 200.0  # concentration of a head that comes with none
 
 
 @dataclass(frozen=True)
@@ -152,8 +144,7 @@ def _of_one(
 def _others(
     one: Track, everybody: Sequence[Track], number: Mapping[int, IntArray]
 ) -> tuple[list[Track], FloatArray, np.ndarray]:
-    """Who is ever near somebody, where they are in the frames of that one, (n, p, 2), NaN: not there; and
-    whether they are in one group, (n, p)."""
+    """Others who are ever near, their positions in the person's frames (n, p, 2), shared groups (n, p)."""
     found, where, fellow = [], [], []
     for other in everybody:
         if other is one or not len(other):
@@ -207,9 +198,8 @@ def attention_columns(found: Sequence[Attention]) -> dict[str, np.ndarray]:
 
     Those of one person and frame sum to 1 but for what is left out.
     """
-    parts: dict[str, list[np.ndarray]] = {
-        name: [] for name in ("frame", "t", "track_id", "kind", "target", "probability")
-    }
+    names_of = ("frame", "t", "track_id", "kind", "target", "probability")
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in names_of}
     for one in found:
         kinds, names = (np.array(part, dtype=object) for part in zip(*one.targets, strict=True))
         keep = one.probability >= LEAST
@@ -223,20 +213,13 @@ def attention_columns(found: Sequence[Attention]) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class LookSummary:
-    """Expected seconds.
+    """Expected seconds of looks."""
 
-    Attributes
-    ----------
-    people, targets : names of rows and columns; the last column is nothing
-    matrix : (people, targets) seconds that each looks at each target
-    mutual : (a, b) → seconds in which both look at each other
-    dwell : place → person → seconds, and the intervals (from, to) in which a look at it is likelier than not
-    """
-
-    people: tuple[int, ...]
-    targets: tuple[str, ...]
-    matrix: FloatArray
-    mutual: dict[tuple[int, int], float]
+    people: tuple[int, ...]  # rows
+    targets: tuple[str, ...]  # columns; the last one is nothing
+    matrix: FloatArray  # (people, targets) seconds that each looks at each target
+    mutual: dict[tuple[int, int], float]  # (a, b) → seconds in which both look at each other
+    # place → person → seconds, and the intervals (from, to) in which a look at it is likelier than not
     dwell: dict[str, dict[int, tuple[float, list[tuple[float, float]]]]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -309,8 +292,7 @@ def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
     return result
 
 
-_FORGOTTEN = 40.0
-"""Looks that end on average, after which nothing is left of what somebody looked at."""
+_FORGOTTEN = 40.0  # looks that end on average, after which nothing is left of what somebody looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,24 +338,16 @@ class Looks:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """State of p people when each was last seen; the fields of `Looks`, and:
-
-    Attributes
-    ----------
-    t : (p,) seconds
-    head : (p, 2) direction, rad, and its variance, rad²; infinite where it was unknown
-    bearing : (k,) of those who were near, rad
-    place_bearing : (p, places) radians
-    """
+    """State of p people when each was last seen; see also `Looks`."""
 
     track_id: IntArray
-    t: FloatArray
-    head: FloatArray
+    t: FloatArray  # (p,) seconds
+    head: FloatArray  # (p, 2) direction, rad, and its variance, rad²; infinite where it was unknown
     first: IntArray
     target: IntArray
-    bearing: FloatArray
+    bearing: FloatArray  # (k,) of those who were near, rad
     person: FloatArray
-    place_bearing: FloatArray
+    place_bearing: FloatArray  # (p, places) radians
     place: FloatArray
 
     def of(self, rows: IntArray) -> _Known:
@@ -523,23 +497,11 @@ class OnlineAttention:
         return found
 
 
-ONLINE, FORECASTS = "groups and looks", "forecasts"
-"""What is compiled here, in words."""
-
-
-def online_rehearsal() -> Rehearsal:
-    """What online groups and attention call."""
-    return Rehearsal("groups and looks", _rehearse, 12.0)
-
-
-def make_behaviour_ready() -> None:
-    """Compile or load what groups and attention call; the log reports a long wait before and after."""
-    make_ready(ONLINE, online_rehearsal())
-
-
-def forecast_rehearsal() -> Rehearsal:
-    """What forecasts call."""
-    return Rehearsal("forecasts", _rehearse_forecast, 1.0)
+def make_behaviour_ready(*, groups: bool = True, forecasts: bool = False) -> None:
+    """Compile or load what groups and attention, or forecasts, call; the log reports a long wait."""
+    rehearsals = [Rehearsal("groups and looks", _rehearse, 12.0)] * groups
+    rehearsals += [Rehearsal("forecasts", _rehearse_forecast, 1.0)] * forecasts
+    make_ready(", ".join(one.name for one in rehearsals), *rehearsals)
 
 
 def _rehearse() -> None:

@@ -28,13 +28,10 @@ from graphtrack.model.terms.faces_group import GROUP, Group, with_group_at
 from graphtrack.saved import from_text, real, to_text, whole
 from graphtrack.tracks.track import STATE, Track, TrackSet
 
-ROUNDS = 4
-"""Times that groups and states are found at most."""
+ROUNDS = 4  # times that groups and states are found at most
 LEAST = 0.1
-"""Probability of a conversation below which nothing is told of it: of angles that nobody saw it would be
-all that is known."""
-CONVERSATIONS = "conversations"
-"""What they are called among the members of a stream whose states are kept."""
+"""Least probability of a conversation that is used: of unobserved angles it would be all that is known."""
+CONVERSATIONS = "conversations"  # key among the saved states of the members of a stream
 
 _MOTION = [STATE.index("vx"), STATE.index("vy")]
 
@@ -110,13 +107,7 @@ def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
 
 
 def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> FloatArray:
-    """How much of its length each of successive directions counts, (n,), 0 to 1; as `counts_after`.
-
-    Parameters
-    ----------
-    toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
-    dt : (n,) seconds since the frame before
-    """
+    """`counts_after` of successive directions (n, 2), each ``dt`` (n,) seconds after the frame before."""
     before = np.vstack([np.zeros((1, 2)), toward[:-1]])
     return counts_after(before, toward, dt, correlation_time)
 
@@ -124,14 +115,10 @@ def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> Float
 def counts_after(
     before: FloatArray, toward: FloatArray, dt: FloatArray, correlation_time: float
 ) -> FloatArray:
-    """How much of their lengths directions count, (n,), 0 to 1, after those of a frame before.
+    """How much of their lengths directions (n, 2) count, (n,), 0 to 1, ``dt`` (n,) s after those before.
 
-    One that is new counts in full, later on dt/correlation_time times: deviations from it persist.
-
-    Parameters
-    ----------
-    before, toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
-    dt : (n,) seconds between them
+    One that is new counts in full, later on dt/correlation_time times: deviations from it persist. Vectors
+    are as long as directions are sure; NaN: nothing is known.
     """
     before, toward = np.nan_to_num(before), np.nan_to_num(toward)
     length, old = np.linalg.norm(toward, axis=1), np.linalg.norm(before, axis=1)
@@ -170,14 +157,9 @@ class Conversations:
         self._people: dict[int, Numbers] = {}
 
     def observed(self, track_id: int, observation: Observation) -> Observation:
-        """An observation with what is told of the person's conversation, for `OnlineSmoother.update`.
+        """An observation with the person's group, unless it has one or is out of sequence, for the smoother.
 
-        One that says it itself, or comes late, stays as it is.
-
-        Raises
-        ------
-        InputError
-            If it cannot be used. Nothing has changed then.
+        Raise InputError if it cannot be used; nothing has changed then.
         """
         observation = checked(observation)
         self.begin(observation.t, observation.frame)

@@ -1,10 +1,7 @@
-"""Features of a pair of people that tell conversations: positions, o-spaces, crowding and gaze, compiled.
+"""Log odds that two people are of one group, frame by frame and averaged over time.
 
-Expected body orientation from where the others stand: an o-space is empty, with companions about it.
-
-Evidence of pairs of people in one group: from each frame, averaged over time.
-
-Log odds that two people are of one group, in each frame in which they are near each other.
+Features of a pair are positions, o-spaces, crowding and gaze; unknown bodies are taken to face where the
+others stand, for an o-space is empty, with companions about it.
 """
 
 from __future__ import annotations
@@ -23,22 +20,13 @@ from graphtrack.interaction.people import IntArray, People
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.saved import from_text, to_text
 
-FEATURES = ("shared", "crowd", "far", "rank", "look")
-"""The numbers, in order; `ConversationWeights` says what each is."""
-
-REACH = 4.0
-"""Metres: people further apart are in no group by themselves, only through others."""
-
-_SHARED = 0.6
-"""Metres over which two o-spaces count as one."""
-_CROWD = 1.0
-"""Metres over which somebody counts for the crowd about a place."""
-_SOFT = 0.2
-"""Metres of distance that make somebody clearly nearer than another."""
-_LOOK = 0.5
-"""Radians, 1-σ of where a head points about what is looked at."""
-_NOTHING = 0.05
-"""Weight of looks at nobody, where that of a look straight at somebody near is 1."""
+FEATURES = ("shared", "crowd", "far", "rank", "look")  # in order, as in `ConversationWeights`
+REACH = 4.0  # metres: people further apart are in no group by themselves, only through others
+_SHARED = 0.6  # metres over which two o-spaces count as one
+_CROWD = 1.0  # metres over which somebody counts for the crowd about a place
+_SOFT = 0.2  # metres of distance that make somebody clearly nearer than another
+_LOOK = 0.5  # radians, 1-σ of where a head points about what is looked at
+_NOTHING = 0.05  # weight of looks at nobody, where that of a look straight at somebody near is 1
 
 
 @allocating
@@ -135,15 +123,9 @@ def of_frames(
 
 
 def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """The pairs within `REACH` in each frame, and their features.
+    """Rows (n,) of the two people of each pair within `REACH`, frame by frame, and its `FEATURES` (n, 5).
 
-    Directions count by their expected vectors, so that the o-space of somebody whose body is unknown is where
-    they stand.
-
-    ``stride``: metres from somebody to the o-space ahead of them
-
-    Returns rows of the one and of the other person in ``people``, (n,) each, frame by frame; (n, 5) as
-    `FEATURES`.
+    ``stride``: metres to the o-space ahead of somebody; where the body is unknown, it is where they stand
     """
     # A pair at the very edge may be counted and not found, as sums are reordered: there is room for more.
     count = _near_pairs(people.position, people.first) + len(people.frame)
@@ -156,10 +138,8 @@ def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, Fl
 
 DIRECTIONS: FloatArray = 2.0 * np.pi * np.arange(36) / 36
 """Radians, of the bodies that are compared."""
-_WIDTH = 0.2
-"""Metres, 1-σ of a ring."""
-_FARTHEST = 2.5
-"""Metres from an o-space beyond which somebody tells nothing of it."""
+_WIDTH = 0.2  # metres, 1-σ of a ring
+_FARTHEST = 2.5  # metres from an o-space beyond which somebody tells nothing of it
 
 
 @allocating
@@ -216,10 +196,7 @@ def facing_scores(
 def facing(
     position: FloatArray, left: IntArray, right: IntArray, odds: FloatArray, parameters: GroupParameters
 ) -> FloatArray:
-    """(n, 2) expected unit vectors of bodies by where the others stand; 0 where nobody is near.
-
-    The parameters are as those of `facing_scores`, but for the log odds of pairs.
-    """
+    """(n, 2) expected unit vectors of bodies by where the others stand, given log odds of pairs; or 0."""
     weights = np.stack([parameters.companions.of_rings, parameters.others.of_rings])
     together = 0.5 * (1.0 + np.tanh(0.5 * odds))
     score = facing_scores(position, left, right, together, weights, parameters.stride)
@@ -235,8 +212,7 @@ def probabilities(score: FloatArray) -> FloatArray:
     return np.asarray(likelihood / likelihood.sum(axis=1, keepdims=True))
 
 
-_BEGINNING = 0.5
-"""Seconds that the first frame counts for where nobody knows when the next one will come."""
+_BEGINNING = 0.5  # seconds that the first frame counts for where nobody knows when the next one will come
 FORGOTTEN = 5.0
 """Times of averaging after which, where the past alone counts, two who meet again meet for the first time."""
 
@@ -244,16 +220,10 @@ FORGOTTEN = 5.0
 def averaged(
     pair: IntArray, t: FloatArray, values: FloatArray, seconds: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Averages (n, k) with weights exp(−|Δt|/seconds) within each pair, and the sum of the weights, (n,) s.
+    """Averages (n, k) with weights exp(−|Δt|/seconds) within each pair (n,), and the sums of weights (n,) s.
 
     Each frame counts for the time about it, so that the frame rate is without effect, but no frame for more
     than `seconds`. Without averaging (0 s) the values stay, and the sums are 0.
-
-    Parameters
-    ----------
-    pair : (n,) which pair a value is of
-    t : (n,) seconds
-    values : (n, k)
     """
     if seconds <= 0.0 or not len(pair):
         return values, np.zeros(len(pair))
@@ -370,12 +340,10 @@ def merged(
 
 SLOW = np.array([False, True, False, False, True])
 """Mask of the features that are averaged over ``look_seconds``."""
-_SPEED_STEP = 0.1
-"""m/s over which standing becomes walking."""
+_SPEED_STEP = 0.1  # m/s over which standing becomes walking
 ALONG = 1.5
 """Those who walk together are side by side: a metre along their way counts as so many across it."""
-_MOST = 6.0
-"""Log odds that one frame of walking says at most."""
+_MOST = 6.0  # log odds that one frame of walking says at most
 _CAME = 0.1
 """Share of the time near each other, not spent together, from which two are known to have met in sight."""
 _UNSURE = 0.01
@@ -384,23 +352,14 @@ _UNSURE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PairEvidence:
-    """Pairs of people near each other, frame by frame.
+    """Pairs of people near each other, frame by frame."""
 
-    Attributes
-    ----------
-    left, right : (n,) rows in `People`
-    start : (k + 1,) first pair of each frame
-    odds : (n,) log odds that they are of one group, averaged over time
-    caution : (n,) to be taken from them before people are parted
-    walking : (n,) how much both walk, 0 to 1, averaged over time
-    """
-
-    left: IntArray
-    right: IntArray
-    start: IntArray
-    odds: FloatArray
-    caution: FloatArray
-    walking: FloatArray
+    left: IntArray  # (n,) rows in `People`
+    right: IntArray  # (n,) rows in `People`
+    start: IntArray  # (k + 1,) first pair of each frame
+    odds: FloatArray  # (n,) log odds that they are of one group, averaged over time
+    caution: FloatArray  # (n,) to be taken from them before people are parted
+    walking: FloatArray  # (n,) how much both walk, 0 to 1, averaged over time
 
 
 def with_bodies(people: People, spread: float) -> People:
@@ -412,36 +371,15 @@ def with_bodies(people: People, spread: float) -> People:
     return replace(people, body=np.where(unseen[:, None], turned, people.body))
 
 
-def known_shares(people: People, left: IntArray, right: IntArray) -> FloatArray:
-    """(n, 3) how much a pair is one of which positions alone, bodies too, and heads too are known."""
-    body, head = (np.linalg.norm(vector, axis=1) for vector in (people.body, people.head))
-    bodies, heads = body[left] * body[right], head[left] * head[right]
-    return np.column_stack([1.0 - bodies, bodies * (1.0 - heads), bodies * heads])
-
-
-def conversation_odds(
-    shares: FloatArray, features: FloatArray, parameters: GroupParameters
-) -> tuple[FloatArray, FloatArray]:
-    """Return the log odds of each pair by features, (n,): over a short time, and over a long one."""
-    quick, slow = np.zeros(len(features)), np.zeros(len(features))
-    for share, weights in zip(shares.T, parameters.conversations, strict=True):
-        terms = weights.of_features
-        quick += share * (weights.bias + features @ np.where(SLOW, 0.0, terms))
-        slow += share * (features @ np.where(SLOW, terms, 0.0))
-    return quick, slow
-
-
 def abreast(people: People, left: IntArray, right: IntArray) -> tuple[FloatArray, FloatArray]:
-    """How far apart two walk, (n,) metres, those along their way counted more; square of their velocities'
-    difference, (n,) m²/s²."""
+    """Distances of walkers (n,) m, along their way counted more; squared velocity differences (n,) m²/s²."""
     apart = people.position[right] - people.position[left]
+    unlike = people.velocity[right] - people.velocity[left]
     way = people.velocity[right] + people.velocity[left]
     way = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
     along = np.sum(apart * way, axis=1)
     across = apart[:, 0] * way[:, 1] - apart[:, 1] * way[:, 0]
-    return np.hypot(across, ALONG * along), np.sum(
-        (people.velocity[right] - people.velocity[left]) ** 2, axis=1
-    )
+    return np.hypot(across, ALONG * along), np.sum(unlike**2, axis=1)
 
 
 def walking_odds(people: People, left: IntArray, right: IntArray, parameters: GroupParameters) -> FloatArray:
@@ -461,13 +399,9 @@ def walking_odds(people: People, left: IntArray, right: IntArray, parameters: Gr
 def encounter_odds(share: FloatArray, seconds: FloatArray, parameters: GroupParameters) -> FloatArray:
     """Log odds, (n,), against a conversation of two who met a short time ago: strangers soon part.
 
-    They are encounter_odds · exp(−share · seconds/encounter_seconds). Two who were together for as long as
-    they were seen near each other may have met long before: for them there are none.
-
-    Parameters
-    ----------
-    share : (n,) of the time for which two were near each other that they stood, or walked together
-    seconds : (n,) that time, weighted by exp(−|Δt|/look_seconds)
+    encounter_odds · exp(−share · seconds/encounter_seconds), and none for two who were together for as long
+    as they were near each other, since they may have met before. ``share``: (n,) of the ``seconds`` (n,) near
+    each other, weighted by exp(−|Δt|/look_seconds), in which they stood or walked together.
     """
     met = np.minimum((1.0 - share) / _CAME, 1.0)
     decay = np.exp(-share * seconds / parameters.encounter_seconds)
@@ -481,8 +415,7 @@ def walks(people: People, parameters: GroupParameters) -> FloatArray:
     return share
 
 
-PARTS = 2
-"""Values of a pair that are averaged over each of the three times."""
+PARTS = 2  # values of a pair that are averaged over each of the three times
 
 
 @dataclass(frozen=True, eq=False)
@@ -526,8 +459,15 @@ def pair_values(people: People, parameters: GroupParameters) -> PairValues:
 
 def _values(people: People, parameters: GroupParameters) -> PairValues:
     left, right, features = pair_features(people, parameters.stride)
-    shares = known_shares(people, left, right)
-    quick, slow = conversation_odds(shares, features, parameters)
+    body, head = (np.linalg.norm(vector, axis=1) for vector in (people.body, people.head))
+    bodies, heads = body[left] * body[right], head[left] * head[right]
+    # How much a pair is one of which positions alone, bodies too, and heads too are known.
+    shares = np.column_stack([1.0 - bodies, bodies * (1.0 - heads), bodies * heads])
+    quick, slow = np.zeros(len(features)), np.zeros(len(features))
+    for share, weights in zip(shares.T, parameters.conversations, strict=True):
+        terms = weights.of_features
+        quick += share * (weights.bias + features @ np.where(SLOW, 0.0, terms))
+        slow += share * (features @ np.where(SLOW, terms, 0.0))
     caution = shares @ np.array([one.caution for one in parameters.conversations])
     walk = walks(people, parameters)
     walking, standing = walk[left] * walk[right], (1.0 - walk[left]) * (1.0 - walk[right])

@@ -1,7 +1,4 @@
-"""Model of gaze: densities of head directions given a target, and a Markov chain over targets, compiled.
-
-One step of everybody's chain of looks, compiled.
-"""
+"""Model of gaze, compiled: densities of head directions given a target, and a Markov chain over targets."""
 
 from __future__ import annotations
 
@@ -21,8 +18,7 @@ SHOULDERS = 0.25
 """Metres, half the width of a person who is looked at or stands in between."""
 LOOK_STD, NOTHING, DISTANCE, FELLOWS, SWITCHING, CORRELATION = range(6)
 """Places in an array of `AttentionParameters`."""
-_NARROW = 0.26
-"""Radians, a little more than half the angle under which somebody a metre away is seen."""
+_NARROW = 0.26  # radians, a little more than half the angle under which somebody a metre away is seen
 _NOISY_SECONDS = 1.5
 _UNIFORM = 1.0 / (2.0 * math.pi)
 

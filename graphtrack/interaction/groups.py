@@ -1,11 +1,4 @@
-"""Correlation clustering: the partition of people with the most log odds inside its groups, compiled.
-
-Numbers that groups keep over time.
-
-Groups: for every frame a partition of the people, with its kinds and probabilities.
-
-`OnlineGroups`: a frame's people in, its groups out, from what was seen until then.
-"""
+"""Groups: for every frame a partition of the people by correlation clustering, offline and online."""
 
 from __future__ import annotations
 
@@ -335,9 +328,8 @@ class Groups:
     def members(self) -> dict[int, list[frozenset[int]]]:
         """Frame → the groups of two and more, each the ids of its members."""
         found: dict[int, dict[int, set[int]]] = {int(frame): {} for frame in self.frame}
-        for frame, group, person in zip(
-            self.frame.tolist(), self.group.tolist(), self.track_id.tolist(), strict=True
-        ):
+        columns = self.frame.tolist(), self.group.tolist(), self.track_id.tolist()
+        for frame, group, person in zip(*columns, strict=True):
             if group >= 0:
                 found[frame].setdefault(group, set()).add(person)
         return {
@@ -379,8 +371,10 @@ def groups_of(
     size = np.bincount(label, minlength=len(people))[label]
     within = label[evidence.left] == label[evidence.right]
     kind = np.where(size > 1, 1, 0)
-    walking = _per_label(label, evidence, within, evidence.walking)
-    kind[(size > 1) & (walking > 0.5)] = 2
+    of = label[evidence.left[within]]
+    total = np.bincount(of, evidence.walking[within], minlength=len(label))
+    count = np.bincount(of, minlength=len(label))
+    kind[(size > 1) & ((total / np.maximum(count, 1))[label] > 0.5)] = 2
     frame_of = people.frame_of
     return Groups(
         people.frame[frame_of],
@@ -391,15 +385,6 @@ def groups_of(
         _probability(people, evidence, within, size, parameters.apart),
         _centres(with_bodies(people, parameters.head_spread), label, size, kind, parameters.stride),
     )
-
-
-def _per_label(label: IntArray, evidence: PairEvidence, within: np.ndarray, values: FloatArray) -> FloatArray:
-    """(rows,) mean of a pair's value over the pairs of each group."""
-    of = label[evidence.left[within]]
-    total = np.bincount(of, values[within], minlength=len(label))
-    count = np.bincount(of, minlength=len(label))
-    mean: FloatArray = (total / np.maximum(count, 1))[label]
-    return mean
 
 
 def _probability(

@@ -1,7 +1,4 @@
-"""Parameters of groups, with their units; learned by `graphtrack.learning.interaction`.
-
-Parameters that were learned.
-"""
+"""Parameters of groups, with their units, and their learned values."""
 
 from __future__ import annotations
 

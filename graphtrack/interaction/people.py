@@ -1,7 +1,4 @@
-"""Everybody of a scene, frame by frame: where they are and how surely they face a direction.
-
-People of one frame, as online smoothers and trackers tell of them.
-"""
+"""People of a scene, frame by frame: where they are and how surely they face a direction."""
 
 from __future__ import annotations
 
@@ -33,27 +30,18 @@ _SLOPE_SECONDS = 0.5
 class People:
     """Person-frames with a position, sorted by frame and by identity within it.
 
-    Attributes
-    ----------
-    ids : (p,) identities, ascending
-    frame : (k,) the frames in which there is somebody, ascending
-    t : (k,) seconds
-    first : (k + 1,) first row of each frame
-    person : (n,) place in ``ids``
-    position : (n, 2) metres
-    velocity : (n, 2) m/s; 0 where nothing is known of it
-    body, head : (n, 2) expected unit vectors: shorter, the less sure the direction; 0 where it is unknown
+    Body and head are expected unit vectors: shorter, the less sure the direction; 0 where it is unknown.
     """
 
-    ids: IntArray
-    frame: IntArray
-    t: FloatArray
-    first: IntArray
-    person: IntArray
-    position: FloatArray
-    velocity: FloatArray
-    body: FloatArray
-    head: FloatArray
+    ids: IntArray  # (p,) identities, ascending
+    frame: IntArray  # (k,) the frames in which there is somebody, ascending
+    t: FloatArray  # (k,) seconds
+    first: IntArray  # (k + 1,) first row of each frame
+    person: IntArray  # (n,) place in ``ids``
+    position: FloatArray  # (n, 2) metres
+    velocity: FloatArray  # (n, 2) m/s; 0 where nothing is known of it
+    body: FloatArray  # (n, 2)
+    head: FloatArray  # (n, 2)
 
     def __len__(self) -> int:
         return len(self.person)
@@ -171,10 +159,7 @@ def numbers_of(estimate: Estimate) -> Numbers:
 def people_told(t: float, told: Told) -> People:
     """The people of a frame, by identity; those who still wait for a position are left out.
 
-    Raises
-    ------
-    InputError
-        For a time that is no number, and for somebody who is told of twice.
+    Raise InputError for a time that is no number, and for somebody who is told of twice.
     """
     if not math.isfinite(t):
         raise InputError(f"t = {t:g}", "a time in seconds")

@@ -18,18 +18,11 @@ from graphtrack.tracks.validation import LARGEST_METRES
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A disc about a point, or a polygon.
+    """A disc about a point, or a polygon."""
 
-    Attributes
-    ----------
-    name : for people to read, and of its own
-    outline : (k, 2) metres, the corners; one point for a disc
-    radius : metres; 0 for a polygon
-    """
-
-    name: str
-    outline: FloatArray
-    radius: float = 0.0
+    name: str  # for people to read, and of its own
+    outline: FloatArray  # (k, 2) metres, the corners; one point for a disc
+    radius: float = 0.0  # metres; 0 for a polygon
 
     @property
     def centre(self) -> FloatArray:
@@ -72,11 +65,8 @@ def read_places(path: str | Path) -> list[Place]:
     header = [name.strip() for name in reader.fieldnames or []]
     reader.fieldnames = header
     if "name" not in header or not ({"x", "y", "radius"} <= set(header) or "polygon" in header):
-        raise InputError(
-            f"the columns {', '.join(header)[:80]}",
-            "name and x, y, radius, or name and polygon",
-            path=source.path,
-        )
+        expected = "name and x, y, radius, or name and polygon"
+        raise InputError(f"the columns {', '.join(header)[:80]}", expected, path=source.path)
     places: list[Place] = []
     for row in reader:
         line = reader.line_num
@@ -91,13 +81,8 @@ def read_places(path: str | Path) -> list[Place]:
         if cells["polygon"]:
             numbers = [_metres(source, line, "polygon", cell) for cell in cells["polygon"].split()]
             if len(numbers) < 6 or len(numbers) % 2:
-                raise InputError(
-                    f"{len(numbers)} numbers",
-                    "x y of three corners or more",
-                    path=source.path,
-                    line=line,
-                    column="polygon",
-                )
+                found, expected = f"{len(numbers)} numbers", "x y of three corners or more"
+                raise InputError(found, expected, path=source.path, line=line, column="polygon")
             places.append(Place(name, np.array(numbers).reshape(-1, 2)))
             continue
         x, y, radius = (_metres(source, line, key, cells[key]) for key in ("x", "y", "radius"))

@@ -1,7 +1,4 @@
-"""Scores of groups and of looks, given labels.
-
-Groups are judged as in the literature of F-formations, looks by the probabilities of their true targets.
-"""
+"""Scores of groups, as in the literature of F-formations, and of looks, given labels."""
 
 from __future__ import annotations
 
@@ -49,14 +46,10 @@ class GroupScore:
 
     def shown(self) -> list[dict[str, object]]:
         """Rows of a table."""
-        rows: list[dict[str, object]] = [
-            {"": f"groups, {name} of the members", "precision": p, "recall": r, "F1": f}
-            for name, p, r, f in zip(("two thirds", "all"), self.precision, self.recall, self.f1, strict=True)
-        ]
-        rows.append(
-            {"": "pairs", "precision": self.pair_precision, "recall": self.pair_recall, "F1": self.pair_f1}
-        )
-        return rows
+        names = ("groups, two thirds of the members", "groups, all of the members", "pairs")
+        precision, recall = (*self.precision, self.pair_precision), (*self.recall, self.pair_recall)
+        rows = zip(names, precision, recall, (*self.f1, self.pair_f1), strict=True)
+        return [{"": name, "precision": p, "recall": r, "F1": f} for name, p, r, f in rows]
 
     def to_dict(self) -> dict[str, object]:
         """For a JSON file."""
@@ -142,22 +135,14 @@ def _pairs(found: Sequence[Group], known: Sequence[Group]) -> tuple[int, int, in
 
 @dataclass(frozen=True)
 class LookScore:
-    """Probabilities of looks beside the truth.
+    """Probabilities of looks beside the truth."""
 
-    Attributes
-    ----------
-    frames : of people, that are labelled
-    right : share in which the likeliest target is the true one
-    log_score : mean logarithm of the probability of the true target
-    calibration_error : expected calibration error of the likeliest target (Naeini et al. 2015, 15 bins)
-    target_calibration_error : that of all people and targets together
-    """
-
-    frames: int
-    right: float
-    log_score: float
+    frames: int  # of people, that are labelled
+    right: float  # share in which the likeliest target is the true one
+    log_score: float  # mean logarithm of the probability of the true target
+    # expected calibration error of the likeliest target (Naeini et al. 2015, 15 bins)
     calibration_error: float
-    target_calibration_error: float
+    target_calibration_error: float  # that of all people and targets together
 
     def shown(self) -> list[dict[str, object]]:
         """Rows of a table."""

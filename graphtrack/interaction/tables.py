@@ -1,7 +1,4 @@
-"""Tables of groups and of attention, read back from the files that were written.
-
-Files of parameters of behaviour.
-"""
+"""Files of groups, looks and attention, and of the parameters of both."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Fitting the parameters of a model: the free ones, on scales without limits, and the search.
-
-Journal of evaluations: learning that was interrupted replays it and goes on.
-
-`fit`: the parameters that a set of tracks makes most probable, with their uncertainty.
-"""
+"""`fit`: the parameters of a model that a set of tracks makes most probable, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -44,7 +39,7 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
 
 
-DECLARED = {"position_scale": "position_std", "body_scale": "body_kappa", "head_scale": "head_kappa"}
+_DECLARED = {"position_scale": "position_std", "body_scale": "body_kappa", "head_scale": "head_kappa"}
 """Multiples of the noise that tracks declare, and the channel of each."""
 
 
@@ -88,7 +83,7 @@ class Free:
 
     @cached_property
     def _range(self) -> tuple[float, float]:
-        """The least and the greatest value that is tried: it may have both, and neither is out of the way."""
+        """The least and the greatest value that is tried."""
         limits = range_of(*self._place)
         assert limits is not None  # only numbers are learned
         low, high = limits
@@ -115,7 +110,7 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
             track.body_likelihood is None and track.head_likelihood is None for track in tracks
         ),
     }
-    for name, declared in DECLARED.items():
+    for name, declared in _DECLARED.items():
         absent[f"likelihood.{name}"] = not any(getattr(track, declared) is not None for track in tracks)
     free = (Free(name) for name in names if not absent.get(name, False))
     return tuple(one for one in free if one.is_learned and one.get(model) > 0.0)
@@ -183,11 +178,9 @@ class EvaluationJournal:
             self._path.unlink(missing_ok=True)
 
 
-MAX_FRAMES = 20_000
-"""Person-frames that are learned from; of more, tracks are chosen at random."""
-
+MAX_FRAMES = 20_000  # person-frames that are learned from; of more, tracks are chosen at random
 BLOCKS, _FEWEST_BLOCKS = 40, 5
-FLAT = 0.05
+_FLAT = 0.05
 """A parameter that changes the log density by less, a factor of 1.5 either way, is not in the data."""
 
 
@@ -258,11 +251,12 @@ def fit(
 
     With the truth, what grows is the likelihood of the true positions and angles under the smoother's
     covariances, frame by frame. Without it, the Laplace evidence: the log density at the optimum, with its
-    normaliser, and ½·log of 2π over the determinant of the Hessian.
-    Couplings have no normaliser that is known, so with them and without a truth it is the density of
-    observations that were hidden from the smoother, a part at a time. The uncertainty comes from how the
-    tracks differ (jackknife and Student's t, no less than the curvature says); where they are too few, one
-    alone or by the evidence less than five, from the curvature.
+    normaliser, and ½·log of 2π over the determinant of the Hessian. Couplings have no normaliser that is
+    known, so with them and without a truth it is the density of observations that were hidden from the
+    smoother, a part at a time. The uncertainty comes from how the tracks differ (jackknife and Student's t,
+    no less than the curvature says); where they are too few, one alone or by the evidence less than five,
+    from the curvature. Raise InputError if the model is no chain, nothing can be learned from the tracks, or
+    the evidence is asked for and a term of the model is not normalised.
 
     Parameters
     ----------
@@ -274,12 +268,6 @@ def fit(
     max_frames : person-frames to learn from at most
     journal : file that keeps what was found; a run that was interrupted goes on from it
     progress : called after each evaluation with the number so far
-
-    Raises
-    ------
-    InputError
-        If the model is no chain, nothing can be learned from the tracks, or the evidence is asked for and a
-        term of the model is not normalised.
     """
     model = Model.named(model)
     engine_of(model, "chain")
@@ -368,7 +356,7 @@ class _Evaluations:
         values, found = self.values_about(self.model, free, "shown"), []
         middle = values(start).sum()
         for unit in np.log(1.5) * np.eye(len(free)):
-            found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > FLAT)
+            found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > _FLAT)
         return found
 
     def run(

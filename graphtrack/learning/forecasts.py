@@ -1,15 +1,9 @@
-"""Learning the parameters of forecasts from recordings, and the errors of a whole recording at once.
+"""`fit_forecast`: learn the parameters of forecasts from recordings.
 
-`errors_at_once` says what `Forecaster` would, frame by frame, at a fraction of the time: what a search needs.
-
-The parameters of forecasts from recordings: `fit_forecast`.
-
-Four parts, each from what it decides: standing, company and places by the mean errors of forecasts, the
-head's lead by the errors a second ahead of people whose head is seen, the spread by the density of where
-people were, and how soon a scene's own errors are trusted by what circles hold in it. Recordings with heads
-teach the lead of the head alone, if there are others: they are of laboratories, where nobody goes anywhere.
-Scenes count equally, whatever their size. The search begins at `START` and in the middle of its lists, so
-that nothing depends on what was learned before.
+Four parts: standing, company and places by the mean errors of forecasts; the head's lead by the errors a
+second ahead; the spread by the density of where people were; the trust in a scene's own errors by what
+circles hold. Recordings with heads teach the lead alone, if there are others: they are of laboratories,
+where nobody goes anywhere. Scenes count equally. The search begins at `START`, never at learned values.
 """
 
 from __future__ import annotations
@@ -38,38 +32,24 @@ _LEAST = np.float32(-40.0)
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A scene, and what came of its people.
+    """A scene, and what came of its people."""
 
-    Attributes
-    ----------
-    frames : who was seen when
-    actual : of each frame, where its n people were (n, G) at the times ahead, complex; NaN: not known
-    straight : and where the velocity of the last step would have led them
-    """
-
-    frames: tuple[SeenFrame, ...]
+    frames: tuple[SeenFrame, ...]  # who was seen when
+    # of each frame, where its n people were (n, G) at the times ahead, complex; NaN: not known
     actual: tuple[ComplexArray, ...]
-    straight: tuple[ComplexArray, ...]
+    straight: tuple[ComplexArray, ...]  # and where the velocity of the last step would have led them
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """All people at all times `EVERY` seconds apart, in the order of time.
+    """All people at all times `EVERY` seconds apart, in the order of time."""
 
-    Attributes
-    ----------
-    t : (N,) seconds
-    position, velocity : (N,) complex, of people on their own
-    actual, straight : (N, G) complex, as of a `Recording`
-    judged : (N,) whether they had been seen for long enough
-    """
-
-    t: FloatArray
-    position: ComplexArray
-    velocity: ComplexArray
-    actual: ComplexArray
-    straight: ComplexArray
-    judged: NDArray[np.bool_]
+    t: FloatArray  # (N,) seconds
+    position: ComplexArray  # (N,) of people on their own
+    velocity: ComplexArray  # (N,)
+    actual: ComplexArray  # (N, G) as of a `Recording`
+    straight: ComplexArray  # (N, G)
+    judged: NDArray[np.bool_]  # (N,) whether they had been seen for long enough
 
 
 def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
@@ -161,7 +141,7 @@ def errors_at_once(of: Rows, parameters: ForecastParameters) -> tuple[float, flo
         first, last = ends[-1], ends[0]
         if not len(rows) or not last:
             continue
-        weight = nearness(where[rows], where[:last])
+        weight = _nearness(where[rows], where[:last])
         newer = outcome[first:last] * np.tile(np.arange(first, last)[:, None] < ends, 3)
         total = (weight[:, :first] @ outcome[:first] + weight[:, first:] @ newer).astype(float)
         real, imaginary, count = total[:, :size], total[:, size : 2 * size], total[:, 2 * size :]
@@ -169,7 +149,7 @@ def errors_at_once(of: Rows, parameters: ForecastParameters) -> tuple[float, flo
     return relative_errors((of.actual - mean)[whole], (of.actual - of.straight)[whole])
 
 
-def nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
+def _nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
     """Weights (n, m) of points (m, 4) for points (n, 4): of a Gaussian kernel of width 1."""
     logs = here @ there.T
     logs -= 0.5 * (here**2).sum(axis=1)[:, None]
@@ -209,13 +189,8 @@ HEAD_STEPS: Mapping[str, tuple[float, ...]] = {
 }
 SCENE_STEPS: Mapping[str, tuple[float, ...]] = {"scene_prior": (10.0, 30.0, 100.0, 300.0, 1000.0)}
 SPREAD = (
-    "spread_standing",
-    "spread_walking",
-    "spread_power",
-    "spread_along",
-    "spread_prior",
-    "tail_share",
-    "tail_scale",
+    *("spread_standing", "spread_walking", "spread_power", "spread_along", "spread_prior"),
+    *("tail_share", "tail_scale"),
 )
 
 START = ForecastParameters(
@@ -228,51 +203,33 @@ START = ForecastParameters(
     tail_scale=2.5,
     scene_prior=36.0,
 )
-"""Where the search for the spread begins; of the parameters of the lists it is of no account.
+"""Where the search begins. `scene_prior` stays so where there is one scene alone: as many forecasts as it
+takes to know what a circle of 90 % holds to 5 % (a binomial's 0.9 · 0.1 / 0.05²)."""
 
-`scene_prior` stays as it is here where there is one scene alone: as many forecasts as it takes to know what a
-circle of 90 % holds to 5 % (a binomial's 0.9 · 0.1 / 0.05²).
-"""
-
-_MOST = 4000
-"""Forecasts of a scene that the spread is learned from."""
+_MOST = 4000  # forecasts of a scene that the spread is learned from
 _HEAD_TIMES = np.array([0.4, 0.8, 1.0])
-_ROUNDS = 3
-"""Times that the lists are gone through, at most."""
+_ROUNDS = 3  # times that the lists are gone through, at most
 
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Forecasts of a scene and what came of them.
+    """Forecasts of a scene and what came of them."""
 
-    Attributes
-    ----------
-    expected : of n forecasts at `LAGS`
-    error : (n, G) complex, from the mean to where people were; NaN where they were not seen any more
-    straight : (n, G) error of the last step's velocity
-    """
-
-    expected: Expected
+    expected: Expected  # of n forecasts at `LAGS`
+    # (n, G) complex, from the mean to where people were; NaN where they were not seen any more
     error: ComplexArray
-    straight: ComplexArray
+    straight: ComplexArray  # (n, G) error of the last step's velocity
 
 
 @dataclass(frozen=True)
 class ForecastFit:
-    """Learned parameters, and the errors of their forecasts.
+    """Learned parameters, and the errors of their forecasts."""
 
-    Attributes
-    ----------
-    parameters : what was learned
-    start : the defaults
-    errors : scene → mean error over all times ahead and at the last, over those of the last step's velocity
-    density : scene → mean log density before and after
-    """
-
-    parameters: ForecastParameters
-    start: ForecastParameters
+    parameters: ForecastParameters  # what was learned
+    start: ForecastParameters  # the defaults
+    # scene → mean error over all times ahead and at the last, over those of the last step's velocity
     errors: Mapping[str, tuple[float, float]]
-    density: Mapping[str, tuple[float, float]]
+    density: Mapping[str, tuple[float, float]]  # scene → mean log density before and after
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -339,21 +296,19 @@ def fit_forecast(
 ) -> ForecastFit:
     """Learn how people go on.
 
+    Raise InputError if nothing can be learned from a scene.
+
     Parameters
     ----------
     scenes : name → recording, each of people who share a place and its times; where heads are seen they need
         not, if there are recordings without
     progress : is told what is being learned
-
-    Raises
-    ------
-    InputError
-        If nothing can be learned from a scene.
     """
     if not scenes:
         raise InputError("no recordings", "at least one")
     before = ForecastParameters()
-    with_heads = {name: one for name, tracks in scenes.items() if (one := head_recording(tracks)) is not None}
+    seen = {name: [one for one in tracks if one.head is not None] for name, tracks in scenes.items()}
+    with_heads = {name: recording(people, _HEAD_TIMES) for name, people in seen.items() if people}
     scenes = {name: tracks for name, tracks in scenes.items() if name not in with_heads} or scenes
     recordings = {name: recording(tracks) for name, tracks in scenes.items()}
 
@@ -364,20 +319,20 @@ def fit_forecast(
 
     best = _search(START, PLACE_STEPS, mean_error, progress)
     # Heads lead a motion that is found with the parameters of motion.
-    heads = [seen for one in with_heads.values() if (seen := heads_of(one, best)) is not None]
+    heads = [found for one in with_heads.values() if (found := heads_of(one, best)) is not None]
     if heads:
         best = _search(
             best, HEAD_STEPS, lambda one: float(np.mean([of.error(one) for of in heads])), progress
         )
     progress("spread")
-    found = {name: outcomes(of, best) for name, of in recordings.items()}
-    best = _fit_spread(list(found.values()), best)
-    best = _fit_scene_prior(recordings, found, best, progress)
+    came = {name: outcomes(of, best) for name, of in recordings.items()}
+    best = _fit_spread(list(came.values()), best)
+    best = _fit_scene_prior(recordings, came, best, progress)
     return ForecastFit(
         parameters=best,
         start=before,
-        errors={name: relative_errors(one.error, one.straight) for name, one in found.items()},
-        density={name: (density(one, before), density(one, best)) for name, one in found.items()},
+        errors={name: relative_errors(one.error, one.straight) for name, one in came.items()},
+        density={name: (density(one, before), density(one, best)) for name, one in came.items()},
     )
 
 
@@ -448,31 +403,18 @@ def _fit_scene_prior(
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """People who walk and whose head is seen.
+    """People who walk and whose head is seen."""
 
-    Attributes
-    ----------
-    velocity : (n,) complex
-    angle, sure : (n,) as `lead` takes them
-    moved : (n, H) complex, where they went from where they were, at the times that are judged
-    """
-
-    velocity: ComplexArray
-    angle: FloatArray
-    sure: FloatArray
-    moved: ComplexArray
+    velocity: ComplexArray  # (n,)
+    angle: FloatArray  # (n,) as `lead` takes it
+    sure: FloatArray  # (n,) as `lead` takes it
+    moved: ComplexArray  # (n, H) displacements at `_HEAD_TIMES`
 
     def error(self, parameters: ForecastParameters) -> float:
         """Mean error, metres."""
         turned = lead(self.angle, self.sure, parameters)[:, None] * mean_turn(_HEAD_TIMES, parameters)
         going = self.velocity[:, None] * _HEAD_TIMES * np.exp(1j * turned)
         return float(np.abs(self.moved - going).mean())
-
-
-def head_recording(tracks: TrackSet) -> Recording | None:
-    """Those whose head is seen; None: there is none."""
-    seen = [one for one in tracks if one.head is not None]
-    return recording(seen, _HEAD_TIMES) if seen else None
 
 
 def heads_of(of: Recording, parameters: ForecastParameters) -> Heads | None:

@@ -1,11 +1,4 @@
-"""Learning the parameters of groups and of attention from labels.
-
-Distances and velocities of those who walk together, from labelled groups.
-
-`fit_groups`: the parameters of conversations, from labelled groups.
-
-`fit_attention`: how people look, from labelled looks.
-"""
+"""Learning the parameters of groups (`fit_groups`) and of attention (`fit_attention`) from labels."""
 
 from __future__ import annotations
 
@@ -57,11 +50,7 @@ def fit_facing(
 ) -> tuple[FacingWeights, FacingWeights]:
     """Learn the weights of companions and of others by the likelihood of bodies, with a ridge.
 
-    Parameters
-    ----------
-    evidence : of the same people, of whom more or less was known: each counts
-    used : (n,) rows to learn from, with a body
-    parameters : of which the weights are not read
+    ``evidence``: of the same people, of whom more or less was known; ``used``: (n,) rows with a body
     """
     from scipy.optimize import minimize
 
@@ -86,15 +75,9 @@ def fit_facing(
 def _features(people: People, evidence: PairEvidence, stride: float) -> FloatArray:
     """(n, directions, 2·rings): how many companions, and others, are how far from the o-space there."""
     together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds))
-    columns = []
-    for place in range(2 * len(RINGS)):
-        one = np.zeros(2 * len(RINGS))
-        one[place] = 1.0
-        weights = one.reshape(2, len(RINGS))
-        columns.append(
-            facing_scores(people.position, evidence.left, evidence.right, together, weights, stride)
-        )
-    return np.stack(columns, axis=2)
+    units = np.eye(2 * len(RINGS)).reshape(-1, 2, len(RINGS))
+    scene = people.position, evidence.left, evidence.right, together
+    return np.stack([facing_scores(*scene, weights, stride) for weights in units], axis=2)
 
 
 _LEAST = 20
@@ -102,15 +85,10 @@ _LEAST = 20
 
 
 def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupParameters) -> GroupParameters:
-    """Learn how far apart and how alike two walk who do so together, and others who walk near each other.
+    """Learn distances and velocities of labelled pairs who walk together, and of others who walk near.
 
-    Means and standard deviations of labelled pairs of walkers within reach; others are anywhere in it.
-
-    Parameters
-    ----------
-    label : (n,) numbers that those of a group share within a frame, −1 for those alone
-    used : (n,) rows that are labelled and learned from
-    start : what is returned where there are too few such pairs
+    ``label``: (n,) numbers that those of a group share within a frame, −1: alone; ``used``: (n,) rows to
+    learn from; ``start`` is returned where there are too few pairs.
     """
     left, right, _ = pair_features(people, start.stride)
     walk = walks(people, start)
@@ -135,12 +113,10 @@ def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupPa
     return replace(start, **values)
 
 
-_APART = 12.0
-"""Seconds between the frames that are learned from: those between say the same again."""
+_APART = 12.0  # seconds between the frames that are learned from: those between say the same again
 _CAUTION = np.arange(-2.0, 2.01, 0.5)
 _BLOCKS = 4
-_CLEAR = 0.5
-"""Length of the expected direction of bodies from which facing is learned."""
+_CLEAR = 0.5  # length of the expected direction of bodies from which facing is learned
 _SIGNS = np.array([1.0, -1.0, -1.0, -1.0, 1.0])
 """Which way each feature can only speak: see `ConversationWeights`."""
 
@@ -171,39 +147,30 @@ class _Pairs:
     t: FloatArray
 
 
-def fit_groups(
-    tracks: TrackSet, labels: GroupLabels, start: GroupParameters | None = None, *, hold_out: float = 0.25
-) -> GroupFit:
+def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25) -> GroupFit:
     """Learn the weights of conversations by the likelihood of labelled pairs, and the caution by F1.
 
     Weights are of one sign each, pulled to 0 (ridge), and learned from a frame in `_APART` seconds. The
     caution has the best F1 (mean of T = 2/3 and T = 1) over parts of the time left out in turn. How people
-    walk together is learned where enough do.
+    walk together is learned where enough do. Raise InputError if nobody is labelled, or all are together, or
+    nobody is with anybody.
 
-    Parameters
-    ----------
-    hold_out : share of the recording's end that only judges
-
-    Raises
-    ------
-    InputError
-        If nobody is labelled, or all are together, or nobody is with anybody.
+    ``hold_out``: share of the recording's end that only judges
     """
-    start = DEFAULT if start is None else start
     people = people_of(tracks)
     label = labels.labels(*_rows(people))
     t = people.t[people.frame_of]
     labelled = label != UNLABELLED
     low, high = float(t[labelled].min()), float(t[labelled].max())
     split = high - hold_out * (high - low) if hold_out > 0.0 else np.inf
-    parameters = walked = fit_walking(people, label, np.asarray(labelled & (t <= split)), start)
+    parameters = walked = fit_walking(people, label, np.asarray(labelled & (t <= split)), DEFAULT)
     for name, hide in _HIDDEN.items():
-        shown = with_bodies(people_of(hide(track) for track in tracks), start.head_spread)
+        shown = with_bodies(people_of(hide(track) for track in tracks), DEFAULT.head_spread)
         if (name == "heads" and not shown.head.any()) or (name != "places" and not shown.body.any()):
             continue
         pairs = _pairs(shown, label, parameters)
         used = np.isin(pairs.t, _chosen(pairs.t, split))
-        if walked != start and not pairs.together[used].any():  # they all walk
+        if walked != DEFAULT and not pairs.together[used].any():  # they all walk
             continue
         weights = _weights(pairs, used)
         caution = _caution(shown, label, pairs, parameters, name, split)
@@ -212,7 +179,7 @@ def fit_groups(
     before, after = (label.copy() for _ in range(2))
     before[t > split], after[t <= split] = UNLABELLED, UNLABELLED
     held = _scored(people, parameters, after) if (after != UNLABELLED).any() else None
-    return GroupFit(parameters, start, _scored(people, parameters, before), held)
+    return GroupFit(parameters, DEFAULT, _scored(people, parameters, before), held)
 
 
 def _rows(people: People) -> tuple[IntArray, FloatArray, IntArray]:
@@ -317,12 +284,9 @@ def _caution(
     return float(good[np.argmin(np.abs(good))])
 
 
-_STEP = 0.5
-"""Of the first simplex, in logarithms of parameters."""
-_WIDE = 2.0
-"""1-σ of the logarithm of a parameter about where it started: a look's worth of belief."""
-_MOST = 300
-"""Evaluations."""
+_STEP = 0.5  # of the first simplex, in logarithms of parameters
+_WIDE = 2.0  # 1-σ of the logarithm of a parameter about where it started: a look's worth of belief
+_MOST = 300  # evaluations
 
 
 @dataclass(frozen=True)
@@ -346,18 +310,14 @@ def fit_attention(
 
     So what is learned is calibrated for heads that are seen as well as these. The logarithms of the
     parameters (log odds of ``nothing``) are found by the simplex of Nelder and Mead (1965), with a wide
-    Gaussian about the start, beside one term for each labelled look.
+    Gaussian about the start, beside one term for each labelled look. Raise InputError if no look is labelled,
+    or all are at nobody, or people of the labels are not among the tracks.
 
     Parameters
     ----------
     tracks : estimates or observations, as `attention` will be given them
     start : where to begin; by default the parameters' own
     hold_out : share of the recording's end that only judges
-
-    Raises
-    ------
-    InputError
-        If no look is labelled, or all are at nobody, or people of the labels are not among the tracks.
     """
     from scipy.optimize import minimize
 
@@ -375,11 +335,16 @@ def fit_attention(
     def cost(free: FloatArray) -> float:
         told = attention(tracks, parameters=_parameters(free), groups=found)
         belief = 0.5 * float(np.sum(((free - begin) / _WIDE) ** 2)) / max(looks, 1)
-        return belief - _log_score(told, labels, split)
+        logs = [
+            np.log(np.maximum(one.probability[rows][true], LEAST))[one.t[rows] <= split]
+            for one, rows, true in true_shares(told, labels)
+        ]
+        return belief - float(np.concatenate(logs).mean())
 
     simplex = begin + np.vstack([np.zeros(len(begin)), _STEP * np.eye(len(begin))])
     options = {"maxfev": _MOST, "initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4}
-    parameters = _rounded(_parameters(minimize(cost, begin, method="Nelder-Mead", options=options).x))
+    best = _parameters(minimize(cost, begin, method="Nelder-Mead", options=options).x)
+    parameters = AttentionParameters(*(float(f"{value:.3g}") for value in astuple(best)))
     told = attention(tracks, parameters=parameters, groups=found)
     after = (labelled > split).any()
     held = score_looks(told, labels, (split, np.inf)) if after else None
@@ -406,14 +371,6 @@ def _looks(found: list[Attention], labels: LookLabels, split: float) -> int:
     return count
 
 
-def _log_score(found: list[Attention], labels: LookLabels, split: float) -> float:
-    logs = [
-        np.log(np.maximum(one.probability[rows][true], LEAST))[one.t[rows] <= split]
-        for one, rows, true in true_shares(found, labels)
-    ]
-    return float(np.concatenate(logs).mean())
-
-
 def _free(parameters: AttentionParameters) -> FloatArray:
     """(6,) logarithms, and log odds of the share."""
     values = {name: max(value, 1e-6) for name, value in vars(parameters).items()}
@@ -430,7 +387,3 @@ def _parameters(free: FloatArray) -> AttentionParameters:
         low, high = one.metadata["range"]
         values[one.name] = min(max(values[one.name], low), high)
     return AttentionParameters(**values)
-
-
-def _rounded(parameters: AttentionParameters) -> AttentionParameters:
-    return AttentionParameters(*(float(f"{value:.3g}") for value in astuple(parameters)))

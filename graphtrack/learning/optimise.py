@@ -1,15 +1,7 @@
-"""Finding the top of a log density in a few parameters, and how sharp it is.
+"""Objectives of learning (truth, evidence, held-out prediction), their maximum and its curvature.
 
-Objectives of learning: held-out predictive log-likelihood, evidence, likelihood of the truth.
-
-Couplings are products that are not normalised, so that an evidence of them is not known; how well they
-foretell observations is.
-
-The volume of the posterior about an optimum, compiled.
-
-Solving the same tracks by one model after another, each time from the same states.
-
-Objectives of learning: the likelihood of the truth, the evidence, or that of held-out observations.
+Couplings are products that are not normalised, so that their evidence is not known; how well they predict
+hidden observations is.
 """
 
 from __future__ import annotations
@@ -40,21 +32,11 @@ from graphtrack.tracks.track import Track
 Blocks = Callable[[FloatArray], FloatArray]
 """x (p,) → a log density for each block of independent data; their sum is climbed."""
 
-REACH = float(np.log(100.0))
-"""Largest distance of a parameter from its start, on its scale."""
-
-PRIOR_STD = 3.0
-"""Of a parameter about its start, on its scale: a factor of 20 either way is not held against it."""
-
-ROUGH, FINE = 0.02, 1e-4
-"""Least gain of an iteration, in the logarithm of the density."""
+REACH = float(np.log(100.0))  # largest distance of a parameter from its start, on its scale
+PRIOR_STD = 3.0  # of a parameter about its start, on its scale: a factor of 20 is not held against it
+ROUGH, FINE = 0.02, 1e-4  # least gain of an iteration, in the logarithm of the density
 
 _DIFFERENCE = 1e-3
-
-
-def penalty(x: FloatArray, start: FloatArray) -> float:
-    """The broad prior that keeps what the data do not determine where it starts."""
-    return 0.5 * float(np.sum((x - start) ** 2)) / PRIOR_STD**2
 
 
 def climb(
@@ -70,7 +52,8 @@ def climb(
     axes = np.eye(len(start)) if hessian is None else np.linalg.inv(np.linalg.cholesky(hessian)).T
 
     def cost(x: FloatArray) -> float:
-        return penalty(x, prior) - float(values(x).sum())
+        # A broad prior keeps what the data do not determine where it starts.
+        return 0.5 * float(np.sum((x - prior) ** 2)) / PRIOR_STD**2 - float(values(x).sum())
 
     def cost_and_slope(y: FloatArray) -> tuple[float, FloatArray]:
         x, steps = start + axes @ y, _DIFFERENCE * np.eye(len(y))
@@ -96,18 +79,11 @@ def climb(
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Curvature of a log density, for each block of independent data and with the prior.
+    """Curvature of a log density, for each block of independent data and with the prior."""
 
-    Attributes
-    ----------
-    total : (p, p) minus the Hessian of the sum with the prior
-    slopes : (blocks, p) of each block
-    blocks : (blocks, p, p) minus the Hessian of each block
-    """
-
-    total: FloatArray
-    slopes: FloatArray
-    blocks: FloatArray
+    total: FloatArray  # (p, p) minus the Hessian of the sum with the prior
+    slopes: FloatArray  # (blocks, p) of each block
+    blocks: FloatArray  # (blocks, p, p) minus the Hessian of each block
 
 
 def curvature(values: Blocks, x: FloatArray, prior: FloatArray) -> Curvature:
@@ -145,12 +121,8 @@ def uncertainty(found: Curvature) -> FloatArray:
     order that is the sandwich estimate. Of few blocks it may be small by chance.
     """
     count, centred = len(found.slopes), found.slopes - found.slopes.mean(axis=0)
-    moves = np.array(
-        [
-            np.linalg.solve(definite(found.total - own), slope)
-            for own, slope in zip(found.blocks, centred, strict=True)
-        ]
-    )
+    pairs = zip(found.blocks, centred, strict=True)
+    moves = np.array([np.linalg.solve(definite(found.total - own), slope) for own, slope in pairs])
     moves -= moves.mean(axis=0)
     covariance = moves.T @ moves * (count - 1.0) / count
     least = np.diag(np.linalg.inv(definite(found.total)))
@@ -168,11 +140,8 @@ def definite(hessian: FloatArray) -> FloatArray:
     return np.asarray((axes * np.maximum(sizes, PRIOR_STD**-2)) @ axes.T)
 
 
-FOLDS = 3
-"""Each observation is hidden in one of so many smoothings."""
-
-STRETCH = 1.0
-"""Seconds that are hidden at a time: more than neighbours bridge, since that is where couplings help."""
+FOLDS = 3  # each observation is hidden in one of so many smoothings
+_STRETCH = 1.0  # seconds hidden at a time: more than neighbours bridge, since there couplings help
 
 _CHANNELS = (("position", "pixel"), ("body", "body_likelihood"), ("head", "head_likelihood"))
 
@@ -180,7 +149,7 @@ _CHANNELS = (("position", "pixel"), ("body", "body_likelihood"), ("head", "head_
 def hidden_frames(track: Track, channel: int, fold: int) -> NDArray[np.bool_]:
     """Frames (n,) of which a fold hides a channel (0 position, 1 body, 2 head): stretches, by turns."""
     seconds = track.t - track.t[0]
-    stretch = min(STRETCH, 1.001 * float(seconds[-1]) / FOLDS)
+    stretch = min(_STRETCH, 1.001 * float(seconds[-1]) / FOLDS)
     return (np.floor_divide(seconds, stretch).astype(int) + channel) % FOLDS == fold
 
 
@@ -263,11 +232,7 @@ def _or_any(log_density: FloatArray, outliers: float) -> FloatArray:
 
 
 def log_blurred(apart: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """log ∫ VM(θ; 0, κ₁)·VM(θ; ``apart``, κ₂) dθ: of an angle of concentration κ₁ about an estimate.
-
-    That is I₀(|κ₁ + κ₂·e^{i·apart}|)/(2π·I₀(κ₁)·I₀(κ₂)), exactly; far from sure estimates it is smaller than
-    any double, its logarithm is not.
-    """
+    """log ∫ VM(θ; 0, κ₁)·VM(θ; ``apart``, κ₂) dθ = log I₀(|κ₁ + κ₂·e^{i·apart}|)/(2π·I₀(κ₁)·I₀(κ₂))."""
     resultant = np.abs(first + second * np.exp(1j * apart))
     scaled = special.i0e(resultant) / (2.0 * math.pi * special.i0e(first) * special.i0e(second))
     return np.asarray(np.log(scaled) + (resultant - first - second))
@@ -355,8 +320,7 @@ class Solver:
 
 Criterion = Literal["truth", "evidence", "prediction"]
 
-FAILED = -1e9
-"""Stands for the logarithm of a density where a track could not be solved."""
+FAILED = -1e9  # stands for the logarithm of a density where a track could not be solved
 
 
 class Objective:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.associate import detections_of, rows_of
-from graphtrack.association.likelihood import Chains, learn_orientation, link_by, observed_angles, unlinked
+from graphtrack.association.likelihood import Chains, chains_of, learn_orientation, link_by
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.scene import (
     first_guess,
@@ -54,20 +54,14 @@ class LearnedOfScene:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a recording, and what was made of it.
-
-    Attributes
-    ----------
-    detections, false, people, seconds : how many, and how long it is
-    before, after : log density a detection, with the parameters at the start and with those learned
-    """
+    """Numbers of a part of a recording, and its log density."""
 
     detections: int
     false: int
     people: int
     seconds: float
-    before: float
-    after: float
+    before: float  # log density a detection with the parameters at the start
+    after: float  # and with those learned
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +108,8 @@ def fit_scene(
 
     From detections alone: people are found, the parameters under which they are most probable are learned
     from them, and so on (expectation and maximisation, the former by the most probable explanation). From
-    labelled tracks: the same parameters, of the people who are given.
+    labelled tracks: the same parameters, of the people who are given. Raise InputError if the input cannot be
+    read, nobody is found in it, or labels are asked for and not there.
 
     Parameters
     ----------
@@ -131,11 +126,6 @@ def fit_scene(
     SceneFit
         Whose model has in its scene what the recording shows; what it does not, such as the noise of
         detections that all say their own, is left out, to be learned where the model is used.
-
-    Raises
-    ------
-    InputError
-        If the input cannot be read, nobody is found in it, or labels are asked for and not there.
     """
     model = Model.named(model)
     if not 0.0 <= hold_out <= 0.9:
@@ -190,14 +180,11 @@ class _Explained:
     @property
     def std(self) -> NDArray[np.float64]:
         """(n,) metres that detections say themselves; NaN: they do not."""
-        own = self.detections.channels.get("position_std")
-        return np.full(len(self.detections), np.nan) if own is None else own
+        return self.detections.channels.get("position_std", np.full(len(self.detections), np.nan))
 
     def chains(self, scene: SceneParameters) -> Chains:
         """The tracks, linked; not filtered yet."""
-        seen = self.detections
-        angles = observed_angles(seen.channels, len(seen))
-        chains = unlinked(seen.t, seen.step, np.ascontiguousarray(seen.position), angles)
+        chains = chains_of(self.detections)
         chains.gain[:] = 0.0
         chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
         link_by(chains, self.identity)
@@ -237,8 +224,7 @@ def _split(recording: Detections, hold_out: float) -> tuple[NDArray[np.int64], N
     return (before, after) if enough else (np.arange(len(step)), after[:0])
 
 
-_FEWEST = 10
-"""Frames that a part of a recording has at least."""
+_FEWEST = 10  # frames that a part of a recording has at least
 
 
 def _climbed(explained: _Explained, start: SceneParameters) -> SceneParameters:

@@ -1,16 +1,13 @@
-"""Simulated people who walk straight or around an obstacle: the corpus of Baxter et al.
-(2014, §IV-A).
+"""Simulated people who walk straight or around an obstacle: the corpus of Baxter et al. (2014, §IV-A).
 
-The paper gives the numbers of tracks and steps, and all noise. It leaves open how fast people walk and what
-the manoeuvres look like, so these are arguments here. Its Fig. 4 shows somebody who leaves a line, passes an
-obstacle and comes back to the line: here the course turns by an angle, is held, turns back, passes, and then
-the same to the other side. Later behaviours turn further and faster.
+The paper gives the numbers of tracks and steps, and all noise. Walking speed and manoeuvres are arguments
+here. As in its Fig. 4, the course turns by an angle, is held, turns back, passes the obstacle, and then the
+same to the other side; later behaviours turn further and faster.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -85,46 +82,23 @@ class CorpusParameters:
 
 @dataclass(frozen=True, eq=False)
 class Corpus:
-    """The tracks of one behaviour, as arrays: m tracks of n steps.
+    """The tracks of one behaviour, as arrays: m tracks of n steps."""
 
-    Attributes
-    ----------
-    behaviour : 0 … 6
-    name : its numeral and what it is
-    truth : (m, n, 2) metres
-    position : (m, n, 2) observed; NaN where nobody was detected
-    travel : (m, n) radians, the direction from t to t + look_ahead that the head follows
-    head : (m, n) observed, radians; NaN where it was not detected
-    parameters : what it was made with
-    """
-
-    behaviour: int
-    name: str
-    truth: FloatArray
-    position: FloatArray
-    travel: FloatArray
-    head: FloatArray
-    parameters: CorpusParameters
+    behaviour: int  # 0 … 6
+    name: str  # its numeral and what it is
+    truth: FloatArray  # (m, n, 2) metres
+    position: FloatArray  # (m, n, 2) observed; NaN where nobody was detected
+    travel: FloatArray  # (m, n) radians, the direction from t to t + look_ahead that the head follows
+    head: FloatArray  # (m, n) observed, radians; NaN where it was not detected
+    parameters: CorpusParameters  # what it was made with
 
     def __len__(self) -> int:
         return len(self.truth)
 
-    def detected(
-        self,
-        rate: float,
-        rng: np.random.Generator,
-        *,
-        head: Literal["with position", "always"] = "with position",
-    ) -> Corpus:
+    def detected(self, rate: float, rng: np.random.Generator) -> Corpus:
         """The same people, detected at a share ``rate`` of the steps, chosen evenly; the first one always.
 
-        Raise InputError if the rate is out of range.
-
-        Parameters
-        ----------
-        rate : in (0, 1]
-        head : "with position": who is not detected shows no head either; "always": the head is seen all the
-            time
+        Who is not detected shows no head either. Raise InputError unless the rate is in (0, 1].
         """
         if not 0.0 < rate <= 1.0:
             raise InputError(f"rate = {rate!r}", "a share in (0, 1]")
@@ -133,7 +107,7 @@ class Corpus:
         return replace(
             self,
             position=np.where(lost[..., None], np.nan, self.position),
-            head=np.where(lost, np.nan, self.head) if head == "with position" else self.head,
+            head=np.where(lost, np.nan, self.head),
         )
 
     def tracks(self, count: int | None = None) -> TrackSet:

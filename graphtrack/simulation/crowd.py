@@ -1,11 +1,8 @@
-"""Simulated people who cross a place, alone or in pairs, and stop now and then: to tune trackers on.
+"""Simulated pedestrians that are not drawn from the model: crowds that cross a place, and strollers.
 
-Pedestrians that are not drawn from the model: they walk, turn, stop and look aside by a schedule.
-
-Parameters and uncertainties of the model are judged on them. Nothing here uses the model's densities: speeds
-and courses are piecewise smooth functions of time, the body follows the course with a lag, the head turns
-ahead of it, and a glance adds an angle of its own. Walking paces follow Daamen & Hoogendoorn (2007) and hip
-sway Murray et al. (1964); glances and stops are choices.
+Speeds and courses of strollers are piecewise smooth functions of time, the body follows the course with a
+lag, the head turns ahead of it, and a glance adds an angle of its own. Walking paces follow Daamen &
+Hoogendoorn (2007) and hip sway Murray et al. (1964); glances and stops are choices.
 """
 
 from __future__ import annotations
@@ -22,11 +19,9 @@ from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_numbers, number
 
-_GRID = 0.1
-"""Seconds a step of the walks."""
+_GRID = 0.1  # seconds a step of the walks
 
-_SHORTEST = 4.0
-"""Metres between the ends of a walk."""
+_SHORTEST = 4.0  # metres between the ends of a walk
 
 
 @dataclass(frozen=True)
@@ -73,9 +68,7 @@ def crowd(
     The velocity is an Ornstein–Uhlenbeck process about that towards the goal. Who enters together keeps side
     by side, each with a sway of their own. Raise InputError for a scene in which nobody is seen.
 
-    Parameters
-    ----------
-    seconds, fps : length of the scene, and frames a second
+    ``seconds``, ``fps``: length of the scene, and frames a second
     """
     tracks: list[Track] = []
     count = rng.poisson(place.arrivals * seconds)
@@ -145,11 +138,9 @@ def _seen(path: FloatArray, start: float, identity: int, seconds: float, fps: fl
     return Track(identity, frame, frame / fps, position)
 
 
-_STROLLER_GRID = 0.02
-"""Seconds between samples of a path before it is observed."""
+_STROLLER_GRID = 0.02  # seconds between samples of a path before it is observed
 
-_FARTHEST = np.radians(120.0)
-"""Of a turn on the spot: the other way round would be as likely beyond."""
+_FARTHEST = np.radians(120.0)  # of a turn on the spot: the other way round would be as likely beyond
 
 
 @dataclass(frozen=True)
@@ -222,37 +213,30 @@ def strollers(
     truth = TrackSet(tuple(_stroll(k + 1, habits, seconds, fps, rng) for k in range(people)))
     body_kappa, head_kappa = (None if std is None else 1.0 / std**2 for std in (body_std, head_std))
     noisy = add_noise(truth, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)
-    return noisy.map(
-        lambda track: _observed(track, body_std is not None, head_std is not None, turned, declared, rng)
-    )
+
+    def observed(track: Track) -> Track:
+        changed: dict[str, Any] = {}
+        for name, std in (("body", body_std), ("head", head_std)):
+            over = np.pi * (rng.random(len(track)) < turned)
+            changed[name] = None if std is None else wrap(getattr(track, name) + over)
+            if std is None or not declared:
+                changed[f"{name}_kappa"] = None
+        return replace(track, **changed)
+
+    return noisy.map(observed)
 
 
-def _observed(
-    track: Track, body: bool, head: bool, turned: float, declared: bool, rng: np.random.Generator
-) -> Track:
-    """The track with some angles turned, and without those that are not observed."""
-    changed: dict[str, Any] = {}
-    for name, seen in (("body", body), ("head", head)):
-        angles = getattr(track, name)
-        over = np.pi * (rng.random(len(track)) < turned)
-        changed[name] = wrap(angles + over) if seen else None
-        if not (seen and declared):
-            changed[f"{name}_kappa"] = None
-    return replace(track, **changed)
-
-
-def full_turns_too_many(estimate: Track, truth: Track, seconds: float = 1.0) -> tuple[int, int]:
+def full_turns_too_many(estimate: Track, truth: Track) -> tuple[int, int]:
     """Stops over which the estimated body turns by 180° more than in truth, and all stops.
 
-    From ``seconds`` before a stop to as many after, each turn unwrapped from frame to frame. Without a body,
-    or a truth of it, there are none.
+    From a second before a stop to one after, unwrapped from frame to frame; none without a body or its truth.
     """
     if estimate.body is None or truth.true_body is None:
         return 0, 0
     found, true, t, wrong = np.unwrap(estimate.body), np.unwrap(truth.true_body), truth.t, 0
     stops = standing(truth)
     for begin, end in stops:
-        first, last = np.searchsorted(t, [t[begin] - seconds, t[end - 1] + seconds])
+        first, last = np.searchsorted(t, [t[begin] - 1.0, t[end - 1] + 1.0])
         last = min(last, len(t) - 1)
         wrong += abs(found[last] - found[first]) - abs(true[last] - true[first]) > np.pi
     return int(wrong), len(stops)

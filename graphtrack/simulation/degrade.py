@@ -1,7 +1,4 @@
-"""Making observations worse in a controlled way: noise added to known tracks, and windows withheld.
-
-Orientations as classifiers see them: the likelihoods of the classes that they answered.
-"""
+"""Degradation of known tracks: noise, windows withheld, and angles as classifiers answer them."""
 
 from __future__ import annotations
 
@@ -29,8 +26,7 @@ OBSERVED = (*WITHHELD, "head", "head_kappa", "head_likelihood")
 TURN_SECONDS = 1.0
 """Time over which a turn is measured, by default: from the motion of the first half to that of the second."""
 
-MOVING_SPEED = 0.3
-"""m/s below which the direction of motion means nothing."""
+MOVING_SPEED = 0.3  # m/s below which the direction of motion means nothing
 
 
 def add_noise(
@@ -60,22 +56,16 @@ def add_noise(
     InputError
         For a negative or non-finite amount of noise.
     """
-    for name, value in (
-        ("position_std", position_std),
-        ("body_kappa", body_kappa),
-        ("head_kappa", head_kappa),
-    ):
+    amounts = {"position_std": position_std, "body_kappa": body_kappa, "head_kappa": head_kappa}
+    for name, value in amounts.items():
         if value is not None and not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"{name} = {value!r}", "a finite number, at least 0")
-    return tracks_of(tracks).map(lambda track: _noisy(track, position_std, body_kappa, head_kappa, rng))
+    kappas = {"body": body_kappa, "head": head_kappa}
+    return tracks_of(tracks).map(lambda track: _noisy(track, position_std, kappas, rng))
 
 
 def _noisy(
-    track: Track,
-    position_std: float | None,
-    body_kappa: float | None,
-    head_kappa: float | None,
-    rng: np.random.Generator,
+    track: Track, position_std: float | None, kappas: Mapping[str, float | None], rng: np.random.Generator
 ) -> Track:
     true_position = motion(track)
     changes: dict[str, Any] = {"true_position": true_position, "velocity": None, "covariance": None}
@@ -87,7 +77,7 @@ def _noisy(
         # A σ of 0 is no noise model: the model's default stands.
         std = np.full(len(track), position_std) if position_std > 0.0 else None
         changes |= {"position": noisy, "position_std": std, "pixel": None}
-    for name, kappa in (("body", body_kappa), ("head", head_kappa)):
+    for name, kappa in kappas.items():
         observed, truth = getattr(track, name), getattr(track, f"true_{name}")
         truth = observed if truth is None else truth
         changes[f"true_{name}"] = truth
@@ -107,17 +97,11 @@ def motion(track: Track) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Occlusion:
-    """Tracks with a window withheld.
+    """Tracks with a window withheld."""
 
-    Attributes
-    ----------
-    tracks : those in which a window found room
-    windows : track_id → (n,) bool, true at the withheld frames
-    left_out : track_id → why the track is not among ``tracks``
-    """
-
-    tracks: TrackSet
-    windows: Mapping[int, BoolArray]
+    tracks: TrackSet  # those in which a window found room
+    windows: Mapping[int, BoolArray]  # track_id → (n,) bool, true at the withheld frames
+    # track_id → why the track is not among ``tracks``
     left_out: Mapping[int, str] = field(default_factory=dict)
 
 
@@ -142,12 +126,11 @@ def occlude(
     Occlusion
         Tracks that are too short, or in which nobody moves, are left out with their reason.
     """
-    if not (np.isfinite(seconds) and seconds > 0.0):
-        raise InputError(f"seconds = {seconds!r}", "a positive number")
+    for name, value in (("seconds", seconds), ("turn_seconds", turn_seconds)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} = {value!r}", "a positive number")
     if not (np.isfinite(margin) and margin >= 0.0):
         raise InputError(f"margin = {margin!r}", "a number of seconds, at least 0")
-    if not (np.isfinite(turn_seconds) and turn_seconds > 0.0):
-        raise InputError(f"turn_seconds = {turn_seconds!r}", "a positive number")
     kept, windows, left_out = [], {}, {}
     for track in tracks:
         window = turn_window(track, seconds, margin, turn_seconds)
@@ -169,9 +152,7 @@ def withhold(track: Track, window: BoolArray, channels: tuple[str, ...] = WITHHE
     return replace(track, **changes)
 
 
-def turn_window(
-    track: Track, seconds: float, margin: float, turn_seconds: float = TURN_SECONDS
-) -> BoolArray | str:
+def turn_window(track: Track, seconds: float, margin: float, turn_seconds: float) -> BoolArray | str:
     """Frames (n,) bool of ``seconds`` around the sharpest turn; a reason in words where there is no room."""
     t, reach = track.t, 0.5 * seconds + margin
     room = np.asarray((t - t[0] >= reach - 1e-9) & (t[-1] - t >= reach - 1e-9))
@@ -215,12 +196,8 @@ def turning(track: Track, turn_seconds: float = TURN_SECONDS) -> FloatArray:
 def confusion_matrix(n_classes: int, *, flipped: float = 0.2, at_random: float = 0.1) -> FloatArray:
     """Probability (n, n) of each answer (column) to each true class (row).
 
-    Raise InputError for an odd number of classes, or shares that are none.
-
-    Parameters
-    ----------
-    flipped : share of the answers that take front for back
-    at_random : share that is any class
+    ``flipped``: share of the answers that take front for back; ``at_random``: share that is any class. Raise
+    InputError for an odd number of classes, or shares that are none.
     """
     if n_classes < 2 or n_classes % 2:
         raise InputError(f"{n_classes} classes", "an even number of them")
@@ -241,18 +218,13 @@ def add_class_likelihoods(
     """Observe the orientations of tracks by classifiers whose confusion is known.
 
     In each frame in which an orientation is known, its class (the nearest centre, 360·k/n degrees) is
-    answered as the confusion matrix has it, and the likelihoods are those of that answer: calibrated, and as
-    far as one answer tells. The orientations become the truth unless there is one. Raise InputError for a
-    matrix of another shape, or one whose rows are no distributions.
-
-    Parameters
-    ----------
-    body : (8, 8) confusion of the body's classes, rows true classes; None: `confusion_matrix`
-    head : (12, 12) of the head's
+    answered as the confusion matrix has it, and the likelihoods are those of that answer. The orientations
+    become the truth unless there is one. ``body`` (8, 8), ``head`` (12, 12): confusions, rows true classes;
+    None: `confusion_matrix`. Raise InputError for another shape, or rows that are no distributions.
     """
     confusions = {
-        "body": confusion_matrix(BODY_CLASSES) if body is None else _checked("body", body, BODY_CLASSES),
-        "head": confusion_matrix(HEAD_CLASSES) if head is None else _checked("head", head, HEAD_CLASSES),
+        name: confusion_matrix(n) if given is None else _checked(name, given, n)
+        for name, given, n in (("body", body, BODY_CLASSES), ("head", head, HEAD_CLASSES))
     }
     return tracks_of(tracks).map(lambda track: _classified(track, confusions, rng))
 
@@ -280,10 +252,6 @@ def _classified(track: Track, confusions: dict[str, FloatArray], rng: np.random.
         answer = (rng.random((len(track), 1)) * reached[:, -1:] >= reached).sum(axis=1)
         likelihood = confusion.T[np.minimum(answer, n_classes - 1)]
         likelihood[~known] = np.nan
-        changes |= {
-            name: None,
-            f"{name}_kappa": None,
-            f"{name}_likelihood": likelihood,
-            f"true_{name}": truth,
-        }
+        changes |= {name: None, f"{name}_kappa": None}
+        changes |= {f"{name}_likelihood": likelihood, f"true_{name}": truth}
     return replace(track, **changes)

@@ -68,17 +68,11 @@ class Detector:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """Detections of a recording.
+    """Detections of a recording."""
 
-    Attributes
-    ----------
-    observed : every person with what was seen of them, NaN where they were not detected, the truth beside;
-        after them the false detections, each a track of its own with one row and the label `FALSE`
-    truth : where everybody is in the same frames, whether detected or not
-    """
-
+    # People, NaN where they were not detected; then false detections, one row each, labelled `FALSE`.
     observed: TrackSet
-    truth: TrackSet
+    truth: TrackSet  # where everybody is in the same frames, whether detected or not
 
     @property
     def false(self) -> int:
@@ -133,11 +127,12 @@ def detect(
         exact = sampled(exact, every)
     noisy = add_noise(exact, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)
     hidden = _hidden(noisy, detector, rng)
-    people = [_unseen(track, detector.missed, hidden, rng) for track in noisy]
-    return Detected(
-        noisy.with_tracks([*people, *_false_detections(noisy, people, detector, rng)]),
-        exact.map(_as_truth),
-    )
+    people = []
+    for track in noisy:
+        window = rng.random(len(track)) < detector.missed
+        people.append(withhold(track, window | hidden.get(track.track_id, False), OBSERVED))
+    false = _false_detections(noisy, people, detector, rng)
+    return Detected(noisy.with_tracks([*people, *false]), exact.map(_as_truth))
 
 
 def sampled(tracks: TrackSet, every: float) -> TrackSet:
@@ -148,9 +143,7 @@ def sampled(tracks: TrackSet, every: float) -> TrackSet:
     nothing else. Who is not there at any of the times is left out, which the notes say. Raise InputError for
     a time that is not positive, and if nobody is there at any of them.
 
-    Parameters
-    ----------
-    every : seconds from a frame to the next
+    ``every``: seconds from a frame to the next
     """
     check_positive("every", every, 1e6)
     times = [track.t for track in tracks]
@@ -222,13 +215,6 @@ def _hidden(tracks: TrackSet, detector: Detector, rng: np.random.Generator) -> M
         window[[0, -1]] = False
         windows[track.track_id] = window
     return windows
-
-
-def _unseen(track: Track, missed: float, hidden: Mapping[int, BoolArray], rng: np.random.Generator) -> Track:
-    window = rng.random(len(track)) < missed
-    if track.track_id in hidden:
-        window |= hidden[track.track_id]
-    return withhold(track, window, OBSERVED)
 
 
 def _false_detections(

@@ -1,14 +1,8 @@
-"""Velocities and positions sampled from the motion terms, at a walking pace if wanted.
+"""Motion, body and head sampled from the graph's own density.
 
-Velocities of people whose body and head are coupled to the motion.
-
-Body and head angles sampled from the graph's own density: chains that diffuse under von Mises pulls.
-
-The density is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})), as the factor graph has it:
-nothing is normalised step by step. Messages run back from the last frame on a grid around the circle; then
-the course is drawn forward, each angle given the one before and all that is to come.
-
-Body and head sampled from the graph's own density given the motion: couplings, modes and steering.
+The density of angles is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})): nothing is normalised
+step by step. Messages run back from the last frame on a grid around the circle; then the course is drawn
+forward, each angle given the one before and all that is to come.
 """
 
 from __future__ import annotations
@@ -20,40 +14,17 @@ from typing import NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
-from graphtrack.model import CouplingParameters, GaitParameters, Model, MotionParameters, Parameters
+from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.gait import BINS, gait_of
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import smooth_speed, steered_step
 from graphtrack.packages import special
 
-SCENE_SIZE = 20.0
-"""Metres: tracks begin anywhere in a square of this side around the origin."""
-
-PACE_SPREAD = 0.23
-"""1-σ of the logarithm of people's own paces: 0.3 m/s at 1.3 m/s."""
-
-PACE_RATE = 0.7
-"""1/s at which a speed returns to the person's own pace: slowly against what a few frames tell."""
-
+SCENE_SIZE = 20.0  # metres: tracks begin anywhere in a square of this side around the origin
+PACE_SPREAD = 0.23  # 1-σ of the logarithm of people's own paces: 0.3 m/s at 1.3 m/s
+PACE_RATE = 0.7  # 1/s at which a speed returns to the person's own pace: slowly against a few frames
 _SUBSTEP = 0.05
-
-
-def sample_motion(
-    t: FloatArray,
-    n_tracks: int,
-    parameters: Parameters,
-    rng: np.random.Generator,
-    *,
-    pace: float | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Positions and velocities (n_tracks, n, 2) of white-noise acceleration at the times ``t`` (n,) seconds.
-
-    Without a ``pace`` in m/s exact: each step has the covariance Q(Δt) of the model's term `Motion`,
-    whatever Δt.
-    """
-    velocity = sample_velocity(t, n_tracks, parameters.motion, rng, pace=pace)
-    return sample_positions(t, velocity, parameters.motion, rng), velocity
 
 
 def sample_velocity(
@@ -73,34 +44,26 @@ def sample_velocity(
         as white-noise acceleration has it, ever further from the first ones
     head : (n_tracks, n) radians of heads that steer the motion; None: nothing steers it
     """
-    start = first_velocity(n_tracks, motion, rng, pace)
     velocity = np.empty((n_tracks, len(t), 2))
-    velocity[:, 0] = start.velocity
+    velocity[:, 0], own = first_velocity(n_tracks, motion, rng, pace)
     for k, dt in enumerate(np.diff(t).tolist(), start=1):
         before = velocity[:, k - 1]
         aim = np.zeros_like(before) if head is None else smooth_speed(before)[:, None] * unit(head[:, k - 1])
         rate = 0.0 if head is None else motion.head_rate
-        velocity[:, k] = next_velocity(before, aim, rate, dt, start.pace, motion, rng)
+        velocity[:, k] = next_velocity(before, aim, rate, dt, own, motion, rng)
     return velocity
-
-
-class Start(NamedTuple):
-    """First velocities (n_tracks, 2), and people's own paces (n_tracks,); None: they have none."""
-
-    velocity: FloatArray
-    pace: FloatArray | None
 
 
 def first_velocity(
     n_tracks: int, motion: MotionParameters, rng: np.random.Generator, pace: float | None
-) -> Start:
-    """Sample first velocities: by the model's prior or, with a median ``pace`` in m/s, as people go on."""
+) -> tuple[FloatArray, FloatArray | None]:
+    """Sample first velocities (n_tracks, 2) and, given a median ``pace`` in m/s, people's own (n_tracks,)."""
     if pace is None:
-        return Start(motion.initial_speed_std * rng.standard_normal((n_tracks, 2)), None)
+        return motion.initial_speed_std * rng.standard_normal((n_tracks, 2)), None
     own = pace * np.exp(PACE_SPREAD * rng.standard_normal(n_tracks))
     wander = math.sqrt(motion.acceleration_density / (2.0 * PACE_RATE))
     speed = own + wander * rng.standard_normal(n_tracks)
-    return Start(speed[:, None] * unit(rng.uniform(-np.pi, np.pi, n_tracks)), own)
+    return speed[:, None] * unit(rng.uniform(-np.pi, np.pi, n_tracks)), own
 
 
 def next_velocity(
@@ -169,22 +132,17 @@ def sample_positions(
 
 FEWEST_BINS, MOST_BINS = 240, 3840
 _FEWEST_CELLS = 240
-_REACH = 8.0
-"""Standard deviations of a turn to each side that the candidates of the next angle lie in."""
+_REACH = 8.0  # standard deviations of a turn to each side that the candidates of the next angle lie in
 _FLOOR = 1e-14
 """Of a message, relative to its greatest value: what lies below is the noise of the Fourier transform."""
-_MEMORY = 2**28
-"""Bytes of messages that are held at a time."""
+_MEMORY = 2**28  # bytes of messages that are held at a time
 
 
 def sample_course(t: FloatArray, diffusion: float, pull: np.ndarray, rng: np.random.Generator) -> FloatArray:
     """Angles (n_tracks, n) in radians, in (−π, π], at the times ``t`` (n,) seconds.
 
-    Parameters
-    ----------
-    diffusion : rad²/s; the concentration of a step of Δt is 1/(diffusion·Δt)
-    pull : (n_tracks, n) complex: concentration times e^{i·angle} of the von Mises that pulls each frame; 0:
-        nothing does. Without any the first angle is uniform
+    ``diffusion``: rad²/s; ``pull``: (n_tracks, n) complex, concentration · e^{i·angle} of the von Mises that
+    pulls each frame. Without any pull the first angle is uniform.
     """
     n_tracks, n = pull.shape
     kappa = 1.0 / (diffusion * np.diff(t))
@@ -270,22 +228,13 @@ _SWEEPS = 2
 
 @dataclass(frozen=True, eq=False)
 class ModeCourse:
-    """Modes of one coupling, frame by frame.
+    """Modes of one coupling, frame by frame."""
 
-    Attributes
-    ----------
-    aligned : (n_tracks, n) whether the coupling rests near 0
-    glancing : (n_tracks, n) whether it rests at the angle of a glance
-    offset : (n_tracks, n) radians at which it rests
-    strength : (n_tracks, n) multiple of its κ
-    lead : seconds by which it looks ahead
-    """
-
-    aligned: np.ndarray
-    glancing: np.ndarray
-    offset: FloatArray
-    strength: FloatArray
-    lead: float
+    aligned: np.ndarray  # (n_tracks, n) whether the coupling rests near 0
+    glancing: np.ndarray  # (n_tracks, n) whether it rests at the angle of a glance
+    offset: FloatArray  # (n_tracks, n) radians at which it rests
+    strength: FloatArray  # (n_tracks, n) multiple of its κ
+    lead: float  # seconds by which it looks ahead
 
 
 class Modes(NamedTuple):
@@ -332,11 +281,8 @@ def _modes_of(
     offset = np.empty((n_tracks, n))
     for k, dt in enumerate([np.inf, *np.diff(t).tolist()]):
         near = rng.random(n_tracks) < gait["aligned"]
-        anew = np.where(
-            near,
-            gait["spread"] * rng.standard_normal(n_tracks),
-            rng.vonmises(0.0, gait["offset_kappa"], n_tracks),
-        )
+        close = gait["spread"] * rng.standard_normal(n_tracks)
+        anew = np.where(near, close, rng.vonmises(0.0, gait["offset_kappa"], n_tracks))
         glance = rng.choice(around, n_tracks, p=modes.glance)
         # Two states that change at random, each at its rate; the long run to begin with.
         before = glancing[:, k - 1] if k > 0 else nobody
@@ -453,20 +399,18 @@ def sample_coupled_velocity(
 ) -> FloatArray:
     """Velocities (n_tracks, n, 2) in m/s that the couplings have held to the body, and the head has steered.
 
-    A velocity is chosen among candidates of the motion terms by how well a body can follow it from where it
-    was. What is to come says of a body that is off the motion as much as it does in the long run: a von Mises
-    whose concentration the pulls and the diffusion balance. Body and head on the way are let go again, for
-    `sample_orientations` draws them given all velocities. Couplings do not slow people down here, as their
-    density would: only in its direction is the motion theirs.
+    A velocity is chosen among candidates of the motion terms by how well a body can follow it. What is to
+    come counts as in the long run: a von Mises whose concentration the pulls and the diffusion balance. Body
+    and head are discarded, for `sample_orientations` draws them given all velocities. Couplings act on the
+    direction of motion alone: they do not slow people down, as their density would.
 
     ``rate``: λ in 1/s (n_tracks, n − 1) with which the head steers each step
     """
     motion, turning, coupling = parameters.motion, parameters.orientation, parameters.coupling
     n_tracks, n = modes.body.offset.shape
-    start = first_velocity(n_tracks, motion, rng, pace)
     velocity = np.empty((n_tracks, n, 2))
-    velocity[:, 0] = start.velocity
-    body = direction(start.velocity) + modes.body.offset[:, 0]
+    velocity[:, 0], own = first_velocity(n_tracks, motion, rng, pace)
+    body = direction(velocity[:, 0]) + modes.body.offset[:, 0]
     head = body + modes.head.offset[:, 0]
     of_head = coupling.head_body_kappa if head_coupled else 0.0
     rows = np.arange(n_tracks)
@@ -474,7 +418,7 @@ def sample_coupled_velocity(
         before = velocity[:, k - 1]
         aim = (smooth_speed(before)[:, None] * unit(head))[:, None]
         before = np.broadcast_to(before[:, None], (n_tracks, _CANDIDATES, 2))
-        found = next_velocity(before, aim, rate[:, k - 1, None], dt, start.pace, motion, rng)
+        found = next_velocity(before, aim, rate[:, k - 1, None], dt, own, motion, rng)
         weight = float(coupling.weights(dt))
         body_kappa, head_kappa = 1.0 / (turning.body_diffusion * dt), 1.0 / (turning.head_diffusion * dt)
         head_pull = _held(weight * of_head * modes.head.strength[:, k], turning.head_diffusion * dt)
@@ -482,7 +426,8 @@ def sample_coupled_velocity(
         said = np.divide(1.0, 1.0 / np.maximum(head_pull, 1e-12) + 1.0 / head_kappa)
         past = body_kappa * np.exp(1j * body) + said * np.exp(1j * (head - modes.head.offset[:, k]))
         speed = np.linalg.norm(found, axis=-1)
-        pull = _body_pull(speed, weight, modes.body.strength[:, k, None], coupling)
+        excess = np.maximum(speed - coupling.speed_threshold, 0.0)
+        pull = weight * coupling.motion_body_kappa * modes.body.strength[:, k, None] * excess**2
         relative = turning.body_diffusion + motion.acceleration_density / np.maximum(speed, 0.1) ** 2
         pull = _held(pull, relative * dt)
         course = direction(found) + modes.body.offset[:, k, None]
@@ -500,16 +445,6 @@ def sample_coupled_velocity(
     return velocity
 
 
-def _body_pull(
-    speed: FloatArray, weight: float, strength: FloatArray, coupling: CouplingParameters
-) -> FloatArray:
-    excess = np.maximum(speed - coupling.speed_threshold, 0.0)
-    return weight * coupling.motion_body_kappa * strength * excess**2
-
-
 def _held(pull: FloatArray, turned: FloatArray | float) -> FloatArray:
-    """Concentration of this frame's pull and of all to come, where a frame turns by the variance ``turned``.
-
-    It is the fixed point P of P = pull + 1/(1/P + turned).
-    """
+    """The fixed point P of P = pull + 1/(1/P + turned): concentration of this pull and of all to come."""
     return 0.5 * pull + np.sqrt(0.25 * pull**2 + pull / turned)

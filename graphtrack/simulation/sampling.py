@@ -1,7 +1,4 @@
-"""Tracks sampled from the model itself, with their truth, and glances that it knows nothing of.
-
-Tracks sampled from the model itself, with their truth.
-"""
+"""Tracks sampled from the model itself, with their truth, and glances that it knows nothing of."""
 
 from __future__ import annotations
 
@@ -22,13 +19,11 @@ from graphtrack.simulation.motion import (
     sample_coupled_velocity,
     sample_course,
     sample_modes,
-    sample_motion,
     sample_orientations,
     sample_positions,
     sample_velocity,
     without_modes,
 )
-from graphtrack.simulation.scenario import scenario
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_count, check_frame_rate
 
@@ -53,9 +48,6 @@ def sample_glances(t: FloatArray, n_tracks: int, per_minute: float, rng: np.rand
             share = np.minimum(since, 2.0 * rise + hold - since) / rise
             row += peak * 0.5 * (1.0 - np.cos(np.pi * np.clip(share, 0.0, 1.0)))
     return aside
-
-
-__all__ = ["sample_motion", "sample_orientations", "sample_states", "scenario", "simulate"]
 
 
 def simulate(
@@ -109,13 +101,16 @@ def simulate(
     model = Model.named(model)
     if model.has_term(PlacePrior):
         raise InputError("the term PlacePrior, which cannot be sampled", "a model without a place")
-    _check(n_tracks, n_steps, fps, missing)
+    check_count("n_tracks", n_tracks)
+    check_count("n_steps", n_steps)
+    check_frame_rate(fps)
+    if not 0.0 <= missing < 1.0:
+        raise InputError(f"missing = {missing!r}", "a probability in [0, 1)")
     likelihood = model.parameters.likelihood
     position_std = likelihood.position_std if position_std is None else position_std
-    kappas = {
-        "body": likelihood.body_kappa if body_kappa is None else body_kappa,
-        "head": likelihood.head_kappa if head_kappa is None else head_kappa,
-    }
+    body_kappa = likelihood.body_kappa if body_kappa is None else body_kappa
+    head_kappa = likelihood.head_kappa if head_kappa is None else head_kappa
+    kappas = {"body": body_kappa, "head": head_kappa}
     if not (np.isfinite(position_std) and position_std > 0.0):
         raise InputError(f"position_std = {position_std!r}", "a positive number of metres")
     for name, kappa in kappas.items():
@@ -174,9 +169,7 @@ def sample_states(
 ) -> dict[str, FloatArray]:
     """States of people at the times ``t`` (n,) seconds, by name.
 
-    Parameters
-    ----------
-    seen : (n_tracks, n) frames in which a position is seen; None: all
+    ``seen``: (n_tracks, n) frames in which a position is seen; None: all
 
     Returns
     -------
@@ -205,14 +198,9 @@ def sample_states(
             modes = sample_modes(t, n_tracks, gait, rng)
             share = np.where(np.ones(steps, bool) if seen is None else seen[:, 1:], gait.head_rate_seen, 1.0)
             rate = rate * share * modes.ahead[:, :-1]
+        held = model.has_term(HeadFollowsBody)
         velocity = sample_coupled_velocity(
-            t,
-            modes,
-            model.parameters,
-            rng,
-            pace=pace,
-            rate=rate,
-            head_coupled=model.has_term(HeadFollowsBody),
+            t, modes, model.parameters, rng, pace=pace, rate=rate, head_coupled=held
         )
         states["body"], states["head"] = sample_orientations(t, velocity, model, rng, modes=modes, rate=rate)
     position = sample_positions(t, velocity, motion, rng, head=states.get("head"), rate=rate)
@@ -223,11 +211,3 @@ def _missing(rng: np.random.Generator, n_tracks: int, n_steps: int, probability:
     lost = rng.random((n_tracks, n_steps)) < probability
     lost[:, 0] = False
     return lost
-
-
-def _check(n_tracks: int, n_steps: int, fps: float, missing: float) -> None:
-    for name, count in (("n_tracks", n_tracks), ("n_steps", n_steps)):
-        check_count(name, count)
-    check_frame_rate(fps)
-    if not 0.0 <= missing < 1.0:
-        raise InputError(f"missing = {missing!r}", "a probability in [0, 1)")

@@ -1,7 +1,4 @@
-"""A scripted scene: six people who do what makes tracking hard, with truth and noisy observations.
-
-A simulated party: people in conversations and alone, who look at each other, and who move on.
-"""
+"""Scripted scenes with their truth: six people who are hard to track, and a party in conversation."""
 
 from __future__ import annotations
 
@@ -25,16 +22,13 @@ _BODY_LAG, _HEAD_LEAD, _HEAD_LAG = 0.25, 0.55, 0.15
 
 @dataclass(frozen=True)
 class _Part:
-    """Script of one person: speed in m/s, course and gaze (head against course) in radians, of time in s.
-
-    ``anchor`` is where the person is at ``anchor_time``.
-    """
+    """Script of one person: speed in m/s, course and gaze (head against course) in radians, of time in s."""
 
     label: str
     speed: Callable[[FloatArray], FloatArray]
     course: Callable[[FloatArray], FloatArray]
     gaze: Callable[[FloatArray], FloatArray]
-    anchor: tuple[float, float]
+    anchor: tuple[float, float]  # where the person is at ``anchor_time``
     anchor_time: float
     hidden: tuple[float, float] | None = None
 
@@ -207,32 +201,23 @@ IntArray = np.ndarray
 NOTHING = -1
 """Of a look: at nobody."""
 
-_STAY, _LOOK = 40.0, 2.5
-"""Seconds that somebody stays with a group, and that a look lasts, on average."""
+_STAY, _LOOK = 40.0, 2.5  # seconds that somebody stays with a group, and that a look lasts, on average
 _PACE = 1.1
 _BODY_STD, _LOOK_STD, _DRIFT = 0.3, 0.25, 0.4
 """Radians of bodies about their o-space and of heads about their aim, and seconds over which both drift."""
 _ALONE, _AWAY, _ELSEWHERE = 0.1, 0.3, 0.1
 """Share of people alone, of looks at nobody, and of those at somebody that are at no fellow member."""
 _SHOULDERS = 0.25
-_APART = 3.0
-"""Metres between the centres of conversations."""
+_APART = 3.0  # metres between the centres of conversations
 
 
 @dataclass(frozen=True, eq=False)
 class Party:
-    """People without noise, and what they do.
+    """People without noise, and what they do."""
 
-    Attributes
-    ----------
-    tracks : with their truth
-    group : (people, n) number of the conversation that each is in; −1: alone, or on the way
-    look : (people, n) id of whom each looks at; `NOTHING`
-    """
-
-    tracks: TrackSet
-    group: IntArray
-    look: IntArray
+    tracks: TrackSet  # with their truth
+    group: IntArray  # (people, n) number of the conversation that each is in; −1: alone, or on the way
+    look: IntArray  # (people, n) id of whom each looks at; `NOTHING`
 
     def group_columns(self) -> dict[str, IntArray]:
         """``frame, t, track_id, group``, a row for each person and frame."""
@@ -307,7 +292,23 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
             aim = away[one] if at is None else np.arctan2(at[1], at[0])
             heads[one, k] = wrap(aim + stray[1, one])
         paths[:, k], looks[:, k] = position, look
-    return _made(paths, bodies, heads, groups, looks, dt)
+    frame = np.arange(steps, dtype=np.int64)
+    t = np.asarray(dt * frame, dtype=float)
+    tracks = tuple(
+        Track(
+            one,
+            frame,
+            t,
+            paths[one],
+            body=bodies[one],
+            head=heads[one],
+            true_position=paths[one],
+            true_body=bodies[one],
+            true_head=heads[one],
+        )
+        for one in range(people)
+    )
+    return Party(TrackSet(tracks), groups, looks)
 
 
 def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng: np.random.Generator) -> int:
@@ -341,25 +342,3 @@ def _seats(
 def _goals(member: IntArray, seat: FloatArray, centres: FloatArray, alone: FloatArray) -> FloatArray:
     inside = centres[np.maximum(member, 0)] + seat[:, :1] * unit(seat[:, 1])
     return np.where(member[:, None] >= 0, inside, alone)
-
-
-def _made(
-    paths: FloatArray, bodies: FloatArray, heads: FloatArray, groups: IntArray, looks: IntArray, dt: float
-) -> Party:
-    frame = np.arange(paths.shape[1], dtype=np.int64)
-    t = np.asarray(dt * frame, dtype=float)
-    tracks = tuple(
-        Track(
-            one,
-            frame,
-            t,
-            paths[one],
-            body=bodies[one],
-            head=heads[one],
-            true_position=paths[one],
-            true_body=bodies[one],
-            true_head=heads[one],
-        )
-        for one in range(len(paths))
-    )
-    return Party(TrackSet(tracks), groups, looks)

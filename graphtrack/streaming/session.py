@@ -27,7 +27,6 @@ from graphtrack.interaction import attention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
-from graphtrack.kernels.compilation import make_ready
 from graphtrack.model import Model
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
@@ -138,9 +137,9 @@ class Answers:
         if engine == "chain" or self.model.has_modes:
             make_online_ready(self.model, engine)
         if self.asked is not None or self.model.has_groups:
-            make_ready(attention.ONLINE, attention.online_rehearsal())
+            attention.make_behaviour_ready()
         if self.horizon is not None:
-            make_ready(attention.FORECASTS, attention.forecast_rehearsal())
+            attention.make_behaviour_ready(groups=False, forecasts=True)
 
 
 @dataclass(frozen=True)

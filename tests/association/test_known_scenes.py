@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command import run as run_command
-from crossing_people import idf1, street
+from crossing_people import idf1, run_online, street
 
 import graphtrack as gt
 from graphtrack.association.offline import associate_detections
@@ -22,20 +22,12 @@ def crowded(seed: int) -> tuple[Detections, np.ndarray]:
     return street(np.random.default_rng(seed), people=14, frames=80, miss=0.15, false=1.0)
 
 
-def online(detections: Detections, scene: gt.SceneParameters | None) -> tuple[np.ndarray, OnlineAssociation]:
-    """What was said at once, and who said it."""
-    association, found = OnlineAssociation(scene), np.full(len(detections), -1)
-    for frame in np.unique(detections.frame):
-        places = np.flatnonzero(detections.frame == frame)
-        said = association.update(float(detections.t[places[0]]), detections.position[places])
-        found[places] = said.identity
-    return found, association
-
-
 def test_what_is_known_is_kept_and_the_rest_is_learned() -> None:
     detections, _ = crowded(0)
     free = associate_detections(detections).scene
-    for found in (associate_detections(detections, KNOWN).scene, online(detections, KNOWN)[1].scene):
+    association = OnlineAssociation(KNOWN)
+    run_online(detections, association)
+    for found in (associate_detections(detections, KNOWN).scene, association.scene):
         assert {name: getattr(found, name) for name in KNOWN} == KNOWN
         assert found.clutter_density == pytest.approx(free.clutter_density, rel=0.5)
         assert found.occlusion_probability != gt.SceneParameters().occlusion_probability
@@ -49,8 +41,9 @@ def test_online_a_known_scene_is_used_from_the_first_frame_on() -> None:
         whole, owner = crowded(seed)
         first = np.flatnonzero(whole.t < whole.t[0] + 10.0)
         begun = Detections(whole.frame[first], whole.t[first], whole.position[first])
-        scores.append([idf1(online(begun, scene)[0], owner[first]) for scene in (None, taught)])
-        assert online(begun, taught)[1].scene == taught
+        both = OnlineAssociation(), OnlineAssociation(taught)
+        scores.append([idf1(run_online(begun, one)[0], owner[first]) for one in both])
+        assert both[1].scene == taught
     without, given = np.mean(scores, axis=0)
     assert given >= without
 

@@ -6,33 +6,15 @@ import json
 
 import numpy as np
 import pytest
-from crossing_people import idf1, looks_of, met_behind_a_pillar, street
+from crossing_people import idf1, looks_of, met_behind_a_pillar, run_online, street
 
 import graphtrack as gt
 from graphtrack.association.associate import rows_of
 from graphtrack.association.online import OnlineAssociation
 from graphtrack.association.tracker import track_rows
-from graphtrack.tracks.detections import Detections
 
 TURNING = {"acceleration_density": 0.2}
 """People may turn, whatever those do whom the rest is learned from."""
-
-
-def said(
-    detections: Detections, association: OnlineAssociation | None = None, **shown: np.ndarray
-) -> np.ndarray:
-    """What was said last of each detection."""
-    association = OnlineAssociation() if association is None else association
-    found, frames = np.full(len(detections), -1), []
-    for frame in np.unique(detections.frame):
-        places = np.flatnonzero(detections.frame == frame)
-        frames.append(places)
-        own = {name: values[places] for name, values in shown.items()}
-        decision = association.update(float(detections.t[places[0]]), detections.position[places], **own)
-        found[places] = decision.identity
-        for one in decision.revised:
-            found[frames[one.frame][one.detection]] = one.after
-    return found
 
 
 def kept(found: np.ndarray, whose: np.ndarray, frame: np.ndarray, person: int) -> bool:
@@ -47,8 +29,8 @@ def test_looks_tell_who_came_back_from_behind_a_pillar(seed: int) -> None:
     detections, whose = met_behind_a_pillar(rng)
     looks = looks_of(rng, whose)
     pair = (int(whose.max()) - 1, int(whose.max()))
-    seen = said(detections, OnlineAssociation(TURNING), descriptor=looks)
-    blind = said(detections, OnlineAssociation(TURNING))
+    _, seen, _ = run_online(detections, OnlineAssociation(TURNING), descriptor=looks)
+    _, blind, _ = run_online(detections, OnlineAssociation(TURNING))
     assert all(kept(seen, whose, detections.frame, person) for person in pair)
     assert not any(kept(blind, whose, detections.frame, person) for person in pair)
 
@@ -76,8 +58,8 @@ def test_a_detector_that_is_surer_of_people_helps() -> None:
         rng = np.random.default_rng(seed)
         detections, whose = street(rng, frames=80, people=20, noise=0.2, miss=0.3, false=8.0)
         score = np.where(whose >= 0, rng.normal(2.0, 0.5, len(whose)), rng.normal(1.0, 0.5, len(whose)))
-        blind.append(idf1(said(detections), whose))
-        seen.append(idf1(said(detections, score=np.maximum(score, 0.0)), whose))
+        blind.append(idf1(run_online(detections)[1], whose))
+        seen.append(idf1(run_online(detections, score=np.maximum(score, 0.0))[1], whose))
     assert np.mean(seen) > np.mean(blind) + 0.1
 
 
@@ -97,6 +79,7 @@ def test_it_goes_on_with_looks_and_scores_to_the_last_bit() -> None:
         np.testing.assert_array_equal(found.probability, expected.probability)
         assert found.revised == expected.revised
     assert json.dumps(resumed.state()) == json.dumps(whole.state())
+    assert resumed.scene == whole.scene != gt.SceneParameters()
     assert resumed._looks.model is not None and resumed._looks.model.slope > 0.0
 
 
@@ -130,7 +113,7 @@ def test_a_table_with_looks_is_tracked_as_its_arrays_are() -> None:
     tracker = gt.OnlineTracker("position")
     tracks = track_rows(rows_of(columns), tracker)
     alone = OnlineAssociation()
-    said(detections, alone, descriptor=looks)
+    run_online(detections, alone, descriptor=looks)
     assert tracker.scene == alone.scene
     assert tracker._association._looks.state() == alone._looks.state()
     assert len(tracks) >= 5

@@ -7,43 +7,21 @@ import json
 import numpy as np
 import pytest
 from command import run as run_command
-from crossing_people import idf1, street
+from crossing_people import frames_of, idf1, run_online, street
 
 import graphtrack as gt
-from graphtrack.association.online import Decision, OnlineAssociation
+from graphtrack.association.online import OnlineAssociation
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import SceneParameters
 
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
 
 
-def frames_of(detections: Detections) -> list[np.ndarray]:
-    return [np.flatnonzero(detections.frame == frame) for frame in np.unique(detections.frame)]
-
-
-def run(
-    detections: Detections, association: OnlineAssociation | None = None
-) -> tuple[np.ndarray, np.ndarray, list[Decision]]:
-    """What was said at once of each detection, what was said of it last, and all decisions."""
-    association = OnlineAssociation() if association is None else association
-    once = np.full(len(detections), -1)
-    last, decisions, frames = once.copy(), [], frames_of(detections)
-    for places in frames:
-        found = association.update(float(detections.t[places[0]]), detections.position[places])
-        once[places] = last[places] = found.identity
-        for one in found.revised:
-            place = frames[one.frame][one.detection]
-            assert last[place] == one.before != one.after
-            last[place] = one.after
-        decisions.append(found)
-    return once, last, decisions
-
-
 def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
     once, last = [], []
     for seed in range(2):
         detections, whose = street(np.random.default_rng(seed), people=14, frames=80, miss=0.1, false=0.5)
-        at_once, revised, _ = run(detections)
+        at_once, revised, _ = run_online(detections)
         once.append(idf1(at_once, whose))
         last.append(idf1(revised, whose))
     assert np.mean(once) > 0.75
@@ -52,30 +30,14 @@ def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
 
 def test_nobody_is_twice_in_a_frame_and_the_future_changes_nothing_said() -> None:
     detections, _ = street(np.random.default_rng(3), miss=0.1, false=1.0)
-    _, _, decisions = run(detections)
+    _, _, decisions = run_online(detections)
     half = int(np.searchsorted(detections.frame, 30))
     begun = Detections(detections.frame[:half], detections.t[:half], detections.position[:half])
-    for early, late in zip(run(begun)[2], decisions, strict=False):
+    for early, late in zip(run_online(begun)[2], decisions, strict=False):
         np.testing.assert_array_equal(early.identity, late.identity)
         known = late.identity[late.identity > 0]
         assert len(np.unique(known)) == len(known)
         assert ((late.probability > 0.0) & (late.probability <= 1.0)).all()
-
-
-def test_it_goes_on_from_a_saved_state_to_the_last_bit() -> None:
-    detections, _ = street(np.random.default_rng(4), people=10, frames=50, miss=0.1, false=1.0)
-    frames = frames_of(detections)
-    whole, resumed = OnlineAssociation(), OnlineAssociation()
-    for number, places in enumerate(frames):
-        given = float(detections.t[places[0]]), detections.position[places]
-        expected = whole.update(*given)
-        if number % 7 == 3:
-            resumed = OnlineAssociation.from_state(json.loads(json.dumps(resumed.state())))
-        found = resumed.update(*given)
-        np.testing.assert_array_equal(found.identity, expected.identity)
-        np.testing.assert_array_equal(found.probability, expected.probability)
-        assert found.revised == expected.revised
-    assert resumed.scene == whole.scene != SceneParameters()
 
 
 def test_empty_frames_and_changing_rates_are_fine_and_bad_ones_change_nothing() -> None:
@@ -166,14 +128,6 @@ def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
     refused = run_command(*command, "--associate", "never", program="graphtrack")
     assert refused.returncode == 2
     assert "associate" in refused.stderr
-
-
-def test_recorded_detections_are_not_associated_with_the_future(tmp_path) -> None:
-    source = tmp_path / "detections.csv"
-    source.write_text("frame,t,x,y\n" + "".join(f"{k},{0.1 * k:g},{0.1 * k:g},0\n" for k in range(20)))
-    assert len(gt.smooth(source, "position")) == 1
-    with pytest.raises(gt.InputError, match="rows without identities"):
-        gt.track_online(source, "position")
 
 
 def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> None:

@@ -196,11 +196,8 @@ def test_the_command_writes_table_summary_and_pictures(tmp_path: Path) -> None:
     assert list(rows[0]) == ["frame", "t", "track_id", "kind", "target", "probability"]
     summary = json.loads((tmp_path / "looks.json").read_text())
     assert np.sum(summary["seconds"]) == pytest.approx(5 * 3.0, rel=1e-3)
-    assert {path.name for path in (tmp_path / "pictures").iterdir()} == {
-        "looks.png",
-        "timeline.png",
-        "matrix.png",
-    }
+    pictures = {path.stem for path in (tmp_path / "pictures").iterdir()}
+    assert pictures == {"looks", "timeline", "matrix"}
     assert sum(row["kind"] == "nothing" for row in rows) == 5 * 30
     judged = run(
         "groups", tmp_path / "party.csv", "-o", tmp_path / "g.csv", "--truth", tmp_path / "groups.csv"

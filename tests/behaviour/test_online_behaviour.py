@@ -45,16 +45,9 @@ def frames(tracks: Sequence[Track]) -> list[tuple[float, dict[int, Estimate]]]:
         for k, t in enumerate(track.t.tolist()):
             assert track.velocity is not None and track.covariance is not None
             assert track.body is not None and track.head is not None
-            found.setdefault(t, {})[track.track_id] = Estimate(
-                t,
-                int(track.frame[k]),
-                track.position[k],
-                track.velocity[k],
-                float(track.body[k]),
-                float(track.head[k]),
-                track.covariance[k],
-                "new",
-            )
+            where = t, int(track.frame[k]), track.position[k], track.velocity[k]
+            angles = float(track.body[k]), float(track.head[k])
+            found.setdefault(t, {})[track.track_id] = Estimate(*where, *angles, track.covariance[k], "new")
     return sorted(found.items())
 
 
@@ -88,26 +81,22 @@ def test_frame_by_frame_is_what_a_file_gives_that_ends_there() -> None:
 
 def test_order_of_rows_and_names_are_without_effect() -> None:
     tracks = estimated(steps=15)
-    names = {track.track_id: 100 - 7 * track.track_id for track in tracks}
     scenes = [(gt.OnlineGroups(), gt.OnlineAttention(PLACES)) for _ in range(3)]
     for t, people in frames(tracks.tracks):
-        given = (
-            people,
-            dict(reversed(people.items())),
-            {names[one]: estimate for one, estimate in people.items()},
-        )
+        renamed_people = {100 - 7 * one: estimate for one, estimate in people.items()}
         found = []
-        for (groups, looks), one in zip(scenes, given, strict=True):
+        for (groups, looks), one in zip(
+            scenes, (people, dict(reversed(people.items())), renamed_people), strict=True
+        ):
             grouped = groups.update(t, one)
             found.append((grouped, looks.update(t, one, grouped)))
         (first, seen), (second, seen_again), (third, renamed) = found
         assert first.group.tolist() == second.group.tolist() and seen.told() == seen_again.told()
-        back = {new: old for old, new in names.items()}
         (parted,), (expected,) = third.members().values(), first.members().values()
-        assert {frozenset(back[one] for one in group) for group in parted} == set(expected)
-        order = np.argsort([back[one] for one in third.track_id.tolist()])
-        np.testing.assert_allclose(third.probability[order], first.probability, atol=1e-9)
-        np.testing.assert_allclose(renamed.place[order], seen.place, atol=1e-9)
+        assert {frozenset((100 - one) // 7 for one in group) for group in parted} == set(expected)
+        # The new names are in the opposite order.
+        np.testing.assert_allclose(third.probability[::-1], first.probability, atol=1e-9)
+        np.testing.assert_allclose(renamed.place[::-1], seen.place, atol=1e-9)
 
 
 def test_a_stop_leaves_no_trace() -> None:

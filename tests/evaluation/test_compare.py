@@ -13,7 +13,8 @@ from graphtrack.evaluation import Comparison, Method, compare, make_method, regi
 from graphtrack.evaluation.compare import scored_frames
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise, occlude
-from graphtrack.simulation.sampling import scenario, simulate
+from graphtrack.simulation.sampling import simulate
+from graphtrack.simulation.scenario import scenario
 
 
 @dataclass(frozen=True)

@@ -71,9 +71,6 @@ def test_detection_rates(rate: float) -> None:
     assert seen[:, 1:].mean() == pytest.approx(rate, abs=0.01)
     np.testing.assert_array_equal(np.isfinite(found.head), seen)
     np.testing.assert_array_equal(found.position[seen], corpus.position[seen])
-    always = corpus.detected(rate, np.random.default_rng(1), head="always")
-    np.testing.assert_array_equal(always.head, corpus.head)
-    np.testing.assert_array_equal(always.position, found.position)
 
 
 def test_tracks_are_the_arrays_in_seconds() -> None:

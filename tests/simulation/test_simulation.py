@@ -11,7 +11,9 @@ from graphtrack import InputError
 from graphtrack.geometry.angles import difference, direction, mean_resultant_length, von_mises_log_density
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.model.terms.motion import process_noise, transition_matrix
-from graphtrack.simulation.sampling import sample_motion, scenario, simulate
+from graphtrack.simulation.motion import sample_positions, sample_velocity
+from graphtrack.simulation.sampling import simulate
+from graphtrack.simulation.scenario import scenario
 
 
 def chi2_band(dof: float) -> tuple[float, float]:
@@ -34,7 +36,9 @@ def test_motion_increments_have_the_covariance_of_the_model_at_uneven_steps() ->
     steps = np.array([0.04, 0.1, 0.1, 0.7, 2.0])
     t = np.concatenate([[0.0], np.cumsum(steps)])
     parameters = Parameters(MotionParameters(acceleration_density=0.3, initial_speed_std=0.8))
-    position, velocity = sample_motion(t, 4000, parameters, np.random.default_rng(1))
+    rng = np.random.default_rng(1)
+    velocity = sample_velocity(t, 4000, parameters.motion, rng)
+    position = sample_positions(t, velocity, parameters.motion, rng)
     state = np.concatenate([position, velocity], axis=-1)
     for k, dt in enumerate(steps):
         residual = state[:, k + 1] - state[:, k] @ transition_matrix(dt).T

@@ -7,7 +7,32 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from graphtrack.association.online import Decision, OnlineAssociation
 from graphtrack.tracks.detections import Detections
+
+
+def frames_of(detections: Detections) -> list[np.ndarray]:
+    """The rows of each frame."""
+    return [np.flatnonzero(detections.frame == frame) for frame in np.unique(detections.frame)]
+
+
+def run_online(
+    detections: Detections, association: OnlineAssociation | None = None, **shown: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, list[Decision]]:
+    """First and last reported identities of each detection, and all decisions; ``shown``: scores, looks."""
+    association = OnlineAssociation() if association is None else association
+    once = np.full(len(detections), -1)
+    last, decisions, frames = once.copy(), [], frames_of(detections)
+    for places in frames:
+        own = {name: values[places] for name, values in shown.items()}
+        found = association.update(float(detections.t[places[0]]), detections.position[places], **own)
+        once[places] = last[places] = found.identity
+        for one in found.revised:
+            place = frames[one.frame][one.detection]
+            assert last[place] == one.before != one.after
+            last[place] = one.after
+        decisions.append(found)
+    return once, last, decisions
 
 
 def street(
