@@ -1,4 +1,4 @@
-"""What the pages state stands where `make claims` looks for it, and a wrong number would be found."""
+"""`make claims` finds the numbers that the pages state, and reports wrong ones."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What objects say of themselves: one short line, and a small table, in which labels are text."""
+"""Short texts and tables of objects, in which labels are text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What users hand over in their first hour: it works, or one error says what was expected."""
+"""Arguments of the public functions: each form works, or one error says what was expected."""
 
 from __future__ import annotations
 

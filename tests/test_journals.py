@@ -1,4 +1,4 @@
-"""What was found so far outlives a run that ends while it takes its journal up again."""
+"""A journal survives a run that ends while it resumes from it."""
 
 from __future__ import annotations
 

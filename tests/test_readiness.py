@@ -1,4 +1,4 @@
-"""What is logged of compiling: before and after, once, and nothing where the machine code is there."""
+"""Compiling is logged before and after, once, and not where the machine code is cached."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the README shows works: in an empty folder, line by line, its Python and every command as printed."""
+"""The README's Python and commands run as printed, in an empty folder."""
 
 import json
 import re
@@ -18,7 +18,7 @@ OF_TRACKS = [block for block in BLOCKS if block not in OF_VIDEO]
 
 
 def follow(slow):
-    """What a reader has who follows all about tracks: names, outputs, and the files that Python wrote."""
+    """Run all blocks about tracks; return names, outputs, and the files that Python wrote."""
     names, outputs, of_python = {}, {}, set()
     for block in OF_TRACKS:
         before = set(Path().iterdir())

@@ -1,9 +1,4 @@
-"""`graphtrack groups`, and `score` of its tables.
-
-`graphtrack attention`.
-
-`graphtrack forecast`.
-"""
+"""`graphtrack groups`, `attention` and `forecast`, and the score of a table of groups."""
 
 from __future__ import annotations
 
@@ -18,17 +13,12 @@ from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
-    from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.interaction.scores import GroupScore
     from graphtrack.io.groups import GroupLabels
     from graphtrack.tracks.track import TrackSet
 
 
 Table = Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv or .csv.gz.")]
-ParametersFile = Annotated[
-    Path | None,
-    typer.Option("--parameters", help="What 'graphtrack fit --groups' wrote (.toml).", show_default=False),
-]
 Smoothing = Annotated[
     str | None,
     typer.Option(
@@ -46,7 +36,7 @@ def groups(
     reading: options.SceneReading,
     truth: Path | None = None,
     model: Smoothing = None,
-    parameters: ParametersFile = None,
+    parameters: Path | None = None,
     online: bool = False,
     json_path: options.Json = None,
 ) -> None:
@@ -55,11 +45,13 @@ def groups(
     Parameters
     ----------
     truth : Labelled groups to judge by: SALSA's or ETH's file, or a table of groups.
+    parameters : What 'graphtrack fit --groups' wrote (.toml).
     online : In each frame the past alone counts, as in a live scene.
     """
     from graphtrack.interaction.attention import make_behaviour_ready
     from graphtrack.interaction.groups import groups as find
     from graphtrack.interaction.scores import score_groups
+    from graphtrack.interaction.tables import load_parameters
     from graphtrack.io.groups import write_columns
     from graphtrack.tracks.table import with_names
 
@@ -68,7 +60,7 @@ def groups(
         {**reading.inputs(inputs, model), "--truth": truth, "--parameters": parameters},
     )
     check_csv(output)
-    chosen = parameters_of(parameters)
+    chosen = None if parameters is None else load_parameters(parameters)
     labels = None if truth is None else read_quietly(truth)
     tracks = estimated(reading.tracks(inputs), model)
     make_behaviour_ready()
@@ -111,15 +103,6 @@ def read_quietly(path: Path) -> GroupLabels:
 
     with input_warnings_as_notes():
         return read_groups(path)
-
-
-def parameters_of(path: Path | None) -> GroupParameters | None:
-    """Parameters from a file; None without one."""
-    if path is None:
-        return None
-    from graphtrack.interaction.tables import load_parameters
-
-    return load_parameters(path)
 
 
 def show(found: GroupScore, json_path: Path | None) -> None:

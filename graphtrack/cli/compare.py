@@ -1,7 +1,4 @@
-"""`graphtrack compare` of trackers: detections without identities, and a truth that judges.
-
-`graphtrack compare`.
-"""
+"""`graphtrack compare`: methods on tracks, and trackers on detections, judged by the truth."""
 
 from __future__ import annotations
 
@@ -20,6 +17,7 @@ from graphtrack.cli.console import (
     print_table,
     progress_bar,
     quiet_input_warnings,
+    save_figure,
     write_json,
 )
 from graphtrack.cli.simulate import Noise
@@ -44,12 +42,7 @@ def compare_trackers(
     model: str | None,
     json_path: Path | None,
 ) -> None:
-    """Read detections and truth, run the trackers on them, and print their figures.
-
-    Parameters
-    ----------
-    methods : names; none: the default ones
-    """
+    """Read detections and truth, run the trackers on them, and print their figures."""
     from graphtrack.evaluation.trackers import TRACKERS, read_detections
     from graphtrack.evaluation.trackers import compare_trackers as compare
 
@@ -91,10 +84,8 @@ def print_trackers(found: TrackerComparison) -> None:
         emit(f"  note: {note}")
 
 
-FIGURES = ("errors.png", "nees.png")
-"""Files of `write_figures`, and with --reliability one more."""
-
-RELIABILITY = "reliability.png"
+FIGURES, RELIABILITY = ("errors.png", "nees.png"), "reliability.png"
+"""Files of `write_figures`: the last one with --reliability."""
 
 
 class CompareCommand(TyperCommand):
@@ -168,14 +159,9 @@ def compare(
     fill : Smooth the tracks of online methods too, and fill their gaps: then all that differs is who is who.
     """
     if truth is not None:
-        of_tracks: dict[str, object] = {
-            "--occlude": occlude,
-            "--figures": figures,
-            "--reliability": reliability,
-            "--trust": trust,
-        }
-        of_tracks |= {options.option_name(name): value for name, value in vars(noise).items()}
-        options.refuse(of_tracks, "with --truth", "it without: with --truth the input is detections")
+        of_tracks = {"occlude": occlude, "figures": figures, "reliability": reliability, "trust": trust}
+        refused = {options.option_name(name): one for name, one in (of_tracks | vars(noise)).items()}
+        options.refuse(refused, "with --truth", "it without: with --truth the input is detections")
         compare_trackers(inputs, truth, reading, named(methods), metres, fill, model, json_path)
         return
     of_trackers = {"--metres": metres, "--fill": fill, "--associate": reading.associate != "auto"}
@@ -314,7 +300,6 @@ def print_failures(comparison: Comparison) -> None:
 
 def write_figures(comparison: Comparison, folder: Path, reliability: bool = False) -> None:
     """Figures of errors and NEES, and of the reliability if asked for, as PNG files in a folder."""
-    from graphtrack.io import atomic_path
     from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
 
     options.make_folder(folder)
@@ -324,6 +309,4 @@ def write_figures(comparison: Comparison, folder: Path, reliability: bool = Fals
     if reliability and comparison.calibration:
         made[RELIABILITY] = plot_reliability(comparison.calibration)
     for name, figure in made.items():
-        with atomic_path(folder / name) as temporary:
-            figure.savefig(temporary, format="png", dpi=120)
-        emit(f"wrote {folder / name}")
+        save_figure(figure, folder / name)

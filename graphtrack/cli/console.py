@@ -1,7 +1,4 @@
-"""Messages, tables and progress of the commands, and their ends.
-
-Run a program's command line, and end it with one line and a status.
-"""
+"""Messages, tables, files and progress of the commands, and how a program ends: one line and a status."""
 
 from __future__ import annotations
 
@@ -79,6 +76,15 @@ def write_json(path: Path | None, content: object) -> None:
 
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
+    emit(f"wrote {path}")
+
+
+def save_figure(figure: Any, path: Path, dpi: int = 120) -> None:
+    """Write a figure as PNG, and report it."""
+    from graphtrack.io.atomic import atomic_path
+
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=dpi)
     emit(f"wrote {path}")
 
 

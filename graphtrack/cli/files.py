@@ -1,7 +1,4 @@
-"""`graphtrack info` and `graphtrack formats`.
-
-`graphtrack convert`.
-"""
+"""`graphtrack info`, `graphtrack formats` and `graphtrack convert`."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
-    from graphtrack.tracks.scene import GivenScene
     from graphtrack.tracks.track import Track
 
 
@@ -37,10 +33,16 @@ def info(
         _suggest(inputs, reading, json_path)
         return
     options.check_outputs({"--json": json_path}, reading.inputs(inputs, model))
-    tracks = reading.tracks(inputs, scene=_scene(model))
+    scene = None
+    if model is not None:
+        from graphtrack.model import Model  # a model loads SciPy
+
+        scene = Model.named(model).scene
+    tracks = reading.tracks(inputs, scene=scene)
     rows = [describe(track) for track in tracks]
     optional = [name for name in ("label", "truth") if not any(row[name] for row in rows)]
-    headings = {name: _HEADINGS.get(name, name) for name in rows[0] if name not in optional} if rows else {}
+    units = {"rate_hz": "Hz", "speed_m_s": "m/s"}
+    headings = {name: units.get(name, name) for name in rows[0] if name not in optional} if rows else {}
     shown = [{heading: _shown(row[name]) for name, heading in headings.items()} for row in rows]
     print_table(f"{counted(len(tracks), 'track')}, {tracks.n_frames} person-frames", shown)
     write_json(json_path, rows)
@@ -59,17 +61,6 @@ def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path 
     for remark in found.remarks:
         emit(f"  note: {remark}")
     print(printable(shlex.join(words), one_line=True))
-
-
-def _scene(model: str | None) -> GivenScene:
-    if model is None:
-        return None
-    from graphtrack.model import Model
-
-    return Model.named(model).scene
-
-
-_HEADINGS = {"rate_hz": "Hz", "speed_m_s": "m/s"}
 
 
 def _shown(value: Any) -> Any:

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 _CAMERA_FILES = ("homography", "point_pairs", "calibration")
 CAMERA = (*_CAMERA_FILES, "metres_per_pixel")
 """Options of how pixels come to the ground."""
-_NO_FIELD = ("format", "select")
-"""Options of an input that are no field of `ReadOptions`."""
 
 InputFile = Annotated[Path, typer.Option(exists=True, dir_okay=False)]
 OutputPath = Annotated[Path, typer.Option("--output", "-o")]
@@ -154,10 +152,10 @@ class Reading:
         return {f.name: value for f in fields(self) if (value := getattr(self, f.name)) != f.default}
 
     def options(self) -> ReadOptions:
-        """Options for a reader."""
+        """The fields of `ReadOptions` among these options."""
         from graphtrack.io.options import ReadOptions
 
-        told = {name: value for name, value in self.given().items() if name not in _NO_FIELD}
+        told = {name: value for name, value in self.given().items() if name not in ("format", "select")}
         return ReadOptions(**{"associate": self._associate, **told})
 
     def tracks(
@@ -272,9 +270,6 @@ class Showing:
 def option_name(name: str) -> str:
     """An option as it is written, from the name of its field."""
     return "--class" if name == "classes" else f"--{name.replace('_', '-')}"
-
-
-_ENTRY = re.compile(r"(\w+) : ")
 
 
 def documented(*texts: str | None) -> tuple[str, dict[str, tuple[str, str]]]:

@@ -1,7 +1,4 @@
-"""`graphtrack report`.
-
-`graphtrack view`.
-"""
+"""`graphtrack report` and `graphtrack view`: tracks as a page, and in Rerun."""
 
 from __future__ import annotations
 
@@ -69,9 +66,6 @@ def report(
     emit(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB")
 
 
-_FIND = "find"
-
-
 def view(
     inputs: options.Inputs,
     reading: options.SceneReading,
@@ -100,19 +94,13 @@ def view(
     from graphtrack.viewer.shown import view as show
 
     if [str(path) for path in inputs] == ["-"]:
-        given: dict[str, object] = {
-            "--video": video,
-            "--boxes": boxes,
-            "--groups": groups,
-            "--forecast": forecast,
-        }
-        given |= {options.option_name(name): value for name, value in reading.given().items()}
-        _show_stream(showing, person, given)
+        given = {"video": video, "boxes": boxes, "groups": groups, "forecast": forecast, **reading.given()}
+        _show_stream(showing, person, {options.option_name(name): value for name, value in given.items()})
         return
     showing.target()
     ahead = _number(forecast)
     files = {
-        "--groups": None if groups is None or groups == _FIND else Path(groups),
+        "--groups": None if groups is None or groups == "find" else Path(groups),
         "--forecast": None if forecast is None or ahead is not None else Path(forecast),
     }
     options.check_outputs({"--save": showing.save}, {**reading.inputs(inputs), "--boxes": boxes, **files})
@@ -122,7 +110,7 @@ def view(
         tracks,
         save=showing.save,
         connect=showing.connect,
-        groups=find_groups(tracks) if groups == _FIND else files["--groups"],
+        groups=find_groups(tracks) if groups == "find" else files["--groups"],
         forecast=files["--forecast"]
         if horizon is None
         else predict(tracks, horizon=horizon[0], step=horizon[1]),

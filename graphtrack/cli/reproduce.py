@@ -1,7 +1,4 @@
-"""`graphtrack reproduce`.
-
-`graphtrack demo`.
-"""
+"""`graphtrack reproduce`, the papers' experiments, and `graphtrack demo`."""
 
 from __future__ import annotations
 
@@ -12,7 +9,14 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.compare import FIGURES, print_comparison, write_figures
-from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, progress_bar, write_json
+from graphtrack.cli.console import (
+    emit,
+    input_warnings_as_notes,
+    print_table,
+    progress_bar,
+    save_figure,
+    write_json,
+)
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,9 +26,6 @@ if TYPE_CHECKING:
 
 BESIDE = Path("..") / "shared" / "data"
 """Folder of recordings when none is given."""
-
-RECORDINGS = ("mocap", "salsa", "caviar")
-"""The folders of recordings that the experiments read."""
 
 
 def reproduce(
@@ -60,7 +61,7 @@ def reproduce(
             "--json": json_path,
             "--out": [out / f"{one}.{ending}" for one in chosen for ending in ("png", "json")],
         },
-        {"--data": [] if folder is None else [folder / kind for kind in RECORDINGS]},
+        {"--data": [] if folder is None else [folder / kind for kind in ("mocap", "salsa", "caviar")]},
         to_make=[out],
     )
     options.make_folder(out)
@@ -84,8 +85,6 @@ def write(found: Reproduction, folder: Path, quick: str = "") -> None:
     ----------
     quick : how few people were judged, where it ran quickly
     """
-    from graphtrack.io import atomic_path
-
     for table in found.tables:
         print_table(table.title, table.records())
     for note in found.notes:
@@ -94,11 +93,8 @@ def write(found: Reproduction, folder: Path, quick: str = "") -> None:
         return
     if quick:
         emit(f"  --quick: {quick}. So few prove nothing: it shows that it runs.")
-    page, numbers = folder / f"{found.name}.png", folder / f"{found.name}.json"
-    with atomic_path(page) as temporary:
-        found.figure.savefig(temporary, format="png", dpi=120)
-    emit(f"wrote {page}")
-    write_json(numbers, [table.to_dict() for table in found.tables])
+    save_figure(found.figure, folder / f"{found.name}.png")
+    write_json(folder / f"{found.name}.json", [table.to_dict() for table in found.tables])
 
 
 OBSERVATIONS, ESTIMATES, REPORT, TRACKS = "observations.csv", "estimates.csv", "report.html", "tracks.png"
@@ -120,7 +116,7 @@ def demo(
     import numpy as np
 
     from graphtrack.evaluation.compare import compare
-    from graphtrack.io import atomic_path, write
+    from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.report.html import write_html
     from graphtrack.report.lives import pair_tracks
@@ -144,9 +140,7 @@ def demo(
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)
     write_figures(comparison, out)
-    figure = plot_pairs(pair_tracks(estimates, observed), title="Smoothed tracks")
-    with atomic_path(out / TRACKS) as temporary:
-        figure.savefig(temporary, format="png", dpi=120)
+    save_figure(plot_pairs(pair_tracks(estimates, observed), title="Smoothed tracks"), out / TRACKS)
     report = tracking_report(
         estimates,
         observed,

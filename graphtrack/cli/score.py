@@ -1,7 +1,4 @@
-"""`graphtrack score` of forecasts.
-
-`graphtrack score`.
-"""
+"""`graphtrack score`: tracks, tables of forecasts and of groups judged by the truth."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.forecasts import ForecastScore
-    from graphtrack.evaluation.identities import Pair, SequenceScore, Threshold, TrackingScore
+    from graphtrack.evaluation.identities import Pair, Threshold, TrackingScore
     from graphtrack.evaluation.metrics import StateScore, TrackErrors
     from graphtrack.tracks.table import Rows
     from graphtrack.tracks.track import TrackSet
@@ -249,7 +246,7 @@ def print_score(found: TrackingScore) -> None:
     from graphtrack.evaluation.identities import COUNTS, SHARES
 
     def rows(names: tuple[str, ...]) -> list[dict[str, object]]:
-        return [{"": _named(line)} | line.shown(names) for line in found.lines()]
+        return [{"": line.name or "–"} | line.shown(names) for line in found.lines()]
 
     print_table(f"Tracks and identities, {found.threshold}", rows(SHARES))
     print_table("Counted", rows(COUNTS))
@@ -280,7 +277,3 @@ def print_states(found: StateScore) -> None:
         )
     for note in found.notes:
         emit(f"  note: {note}")
-
-
-def _named(line: SequenceScore) -> str:
-    return line.name or "–"

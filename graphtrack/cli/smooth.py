@@ -1,7 +1,4 @@
-"""`graphtrack smooth` on a Parquet data set that is streamed.
-
-`graphtrack smooth`.
-"""
+"""`graphtrack smooth`: tracks in memory, or a Parquet data set that is streamed."""
 
 from __future__ import annotations
 
@@ -34,24 +31,17 @@ def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: s
         return asked or cluster is not None
     if cluster is not None or any(table_in(path).is_dir() and not is_bag(path) for path in inputs):
         return True
-    return len(inputs) == 1 and _is_large(inputs[0]) and _is_parquet(inputs[0]) and _is_parquet(output)
+    if len(inputs) != 1 or not (_is_parquet(inputs[0]) and _is_parquet(output)):
+        return False
+    return inputs[0].is_file() and inputs[0].stat().st_size >= LARGE
 
 
 def _is_parquet(path: Path) -> bool:
     return path.name.lower().endswith((".parquet", ".pq"))
 
 
-def _is_large(path: Path) -> bool:
-    return path.is_file() and path.stat().st_size >= LARGE
-
-
 def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) -> Path:
-    """The one input of a streamed run.
-
-    Parameters
-    ----------
-    unused : option → value, of those that cannot be used here
-    """
+    """Return the one input of a streamed run; `unused` options, with their values, are refused."""
     if len(inputs) != 1:
         raise InputError(f"{len(inputs)} inputs to stream", "one Parquet file, or a folder of them")
     if not _is_parquet(output):

@@ -1,13 +1,9 @@
-"""`graphtrack track`.
-
-`graphtrack serve`.
-"""
+"""`graphtrack track` and `graphtrack serve`: files, a stream on standard input, and a service of streams."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -78,7 +74,12 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: to repair tracks is to look ahead")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
-        _refuse_with_stream({"output": output} | reading.given())
+        of_streams = ("fps", "homography", "associate", "columns", "time_unit")
+        given_options = {"output": output} | reading.given()
+        refused = [name for name, value in given_options.items() if value and name not in of_streams]
+        if refused:
+            names = ", ".join(map(options.option_name, refused))
+            raise InputError(f"{names} with -", "these options with a file only")
         horizon, asked = horizon_of(forecast), asked_of(groups, attention, places)
         _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked)
         return
@@ -178,15 +179,6 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     from graphtrack.streaming.answers import Asked
 
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
-
-
-_OF_A_STREAM = ("fps", "homography", "associate", "columns", "time_unit")
-
-
-def _refuse_with_stream(given: Mapping[str, object]) -> None:
-    names = [options.option_name(name) for name, value in given.items() if value and name not in _OF_A_STREAM]
-    if names:
-        raise InputError(f"{', '.join(names)} with -", "these options with a file only")
 
 
 def _track_stream(
@@ -331,8 +323,7 @@ def serve(
         emit(f"note: no token: whoever reaches {host} may open streams")
     clients = clients_of(host, allow_host or [], allow_origin or [])
     if not allow_host and is_wildcard(host):
-        said = "note: requests are taken for localhost alone; --allow-host NAME adds a name"
-        emit(said)
+        emit("note: requests are taken for localhost alone; --allow-host NAME adds a name")
     run(Service(answers, limits, state, token, clients, save_every), host, port, emit)
 
 

@@ -1,7 +1,4 @@
-"""The service's addresses: streams over WebSocket and HTTP, health and metrics.
-
-The service on a port, until it is told to stop.
-"""
+"""The service on a port: streams over WebSocket and HTTP, health and metrics."""
 
 from __future__ import annotations
 
@@ -34,9 +31,7 @@ from graphtrack.streaming.saved_state import StateInUse, remove
 
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
-_BROKEN = 1011
-_NO_TEXT = 1007
-_UNREAD = 1008
+_BROKEN, _NO_TEXT, _UNREAD = 1011, 1007, 1008
 _NOTICED = 2.0
 """Seconds within which it is noticed that a client went."""
 _DROPPED, _TERMINATED = 2.0, 3.0
@@ -82,7 +77,7 @@ class Streams:
         self._ending: dict[str, asyncio.Event] = {}
 
     def names(self) -> list[str]:
-        """Of those that are open."""
+        """Return the names of open streams."""
         return sorted(self._open)
 
     def check(self, request: HTTPConnection) -> None:

@@ -1,7 +1,4 @@
-"""Settings and limits of a service.
-
-Counters of a service, for Prometheus.
-"""
+"""Settings and limits of a service, and its counters for Prometheus."""
 
 from __future__ import annotations
 
@@ -65,7 +62,7 @@ class Clients:
 
 @dataclass(frozen=True)
 class Service:
-    """Everything that a service is told at its start.
+    """Settings of a service.
 
     Attributes
     ----------
@@ -133,7 +130,7 @@ class Latency(Collector):
         self._counts, self._sum = [0] * (len(SECONDS) + 1), 0.0
 
     def observe(self, seconds: float, times: int) -> None:
-        """So many rows took so long."""
+        """Count `times` rows that took `seconds` each."""
         self._counts[bisect_left(SECONDS, seconds)] += times
         self._sum += seconds * times
 
@@ -174,5 +171,5 @@ class Metrics:
         )
 
     def text(self) -> bytes:
-        """All of them in the text format."""
+        """Return all counters in the text format."""
         return generate_latest(self.registry)

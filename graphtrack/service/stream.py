@@ -117,7 +117,7 @@ class Stream:
         return self._process.exitcode
 
     def _count(self, rows: int, people: int) -> None:
-        """So many rows more are answered, those that came first."""
+        """Count answered rows, the oldest first."""
         metrics, now = self._metrics, time.monotonic()
         metrics.rows.inc(rows)
         metrics.people.inc(people - self.people)

@@ -56,7 +56,7 @@ class Answered(io.TextIOBase):
         return len(text)
 
     def count(self, people: int) -> None:
-        """All answers to one more row are here; so many people are followed."""
+        """Count one more answered row, and set the number of people followed."""
         self._rows, self._people = self._rows + 1, people
 
     def send(self) -> None:
@@ -77,7 +77,7 @@ class Asking(io.BufferedIOBase):
         self._left = b""
 
     def readable(self) -> bool:
-        """Yes."""
+        """Return True."""
         return True
 
     def read1(self, size: int = -1, /) -> bytes:

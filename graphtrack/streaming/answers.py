@@ -1,10 +1,6 @@
-"""Groups and attention in the answers of `graphtrack track -`.
+"""Answers to NDJSON rows: estimates for rows with identities, the people of each frame for detections.
 
-Forecasts in the answers of `graphtrack track -`.
-
-Rows of observations as NDJSON, one estimate out for each, many people interleaved.
-
-Rows of detections as NDJSON: whoever is seen is told when a frame ends; many streams interleaved.
+Groups, attention and forecasts of a frame are added when the frame has ended.
 """
 
 from __future__ import annotations
@@ -25,7 +21,7 @@ from graphtrack.inference.state import Estimate, pack_observation, unpack_observ
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.interaction.groups import Groups, OnlineGroups
-from graphtrack.interaction.people import Numbers, People, Told, numbers_of, people_at, people_told
+from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_told
 from graphtrack.interaction.places import Place
 from graphtrack.io.formats.ndjson import Pairs, parse_line, plain_cells, read_cells
 from graphtrack.model import Observation
@@ -74,12 +70,8 @@ class SceneBehaviour:
         """Seconds, of the last frame with somebody in it; −∞ before the first."""
         return self._groups.t
 
-    def columns(self, t: float, people: Told) -> dict[int, dict[str, Any]]:
+    def columns(self, people: People) -> dict[int, dict[str, Any]]:
         """Columns of each person of a frame, by track id, ascending."""
-        return self.columns_of(people_told(t, people))
-
-    def columns_of(self, people: People) -> dict[int, dict[str, Any]]:
-        """As `columns`."""
         found = self._groups.take(people)
         rows: dict[int, dict[str, Any]] = {one: {} for one in found.track_id.tolist()}
         if self._asked.groups:
@@ -133,7 +125,7 @@ class FrameBehaviour:
         self._people: dict[int, Numbers] = {}
 
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
-        """Somebody is seen; what is told of the frame before, if that has ended."""
+        """Take a row in; return the rows of the frame before, if that has ended."""
         if estimate.status == "waiting":
             return []
         rows: list[dict[str, Any]] = []
@@ -148,7 +140,7 @@ class FrameBehaviour:
         """Rows of the frame that has ended, one for each person; later rows of it do not count."""
         if not self._people:
             return []
-        told = self._scene.columns_of(people_at(self._t, self._frame, self._people))
+        told = self._scene.columns(people_at(self._t, self._frame, self._people))
         self._people = {}
         of_frame = {"frame": self._frame, "t": self._t}
         return [{"track_id": one, **of_frame, **columns} for one, columns in told.items()]
@@ -223,7 +215,7 @@ class FrameForecasts:
         self._seen: dict[int, tuple[float, float, float, float]] = {}
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        """Return the state as JSON-able data; see `from_state`."""
         return pack_tree(
             {
                 "forecaster": self._forecaster.state(),
@@ -246,7 +238,7 @@ class FrameForecasts:
         return found
 
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
-        """Somebody is seen; the forecasts of the frame before, if that has ended. Late rows do not count."""
+        """Take a row in; return forecasts of the frame before, if that has ended. Late rows are ignored."""
         t = observation.t
         if estimate.status == "waiting" or t < self._t or t <= self._forecaster.t:
             return []
@@ -407,10 +399,9 @@ class TrackAnswers:
         return found
 
     def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
-        """Of a person, a new one if they are new or were forgotten.
+        """Return a person's smoother, a new one if they are new or were forgotten.
 
-        When others are forgotten makes no difference to anybody, so that a stream that is gone on with gives
-        the same answers.
+        The time at which others are forgotten changes no answer, so a resumed stream gives the same ones.
         """
         if now >= self._looked + 1.0:
             self._looked = now
@@ -606,7 +597,7 @@ class Scenes:
         of_stream = {} if name == ONE else {"stream": name}
         people = frame.tracker.update(frame.t, frame.seen)
         ahead = {} if self._horizon is None else told(frame.tracker.forecast(*self._horizon))
-        more = {} if frame.behaviour is None else frame.behaviour.columns(frame.t, people)
+        more = {} if frame.behaviour is None else frame.behaviour.columns(people_told(frame.t, people))
         number = frame.tracker.updates - 1 if frame.number is None else frame.number
         rows: list[dict[str, Any]] = []
         for person in people:

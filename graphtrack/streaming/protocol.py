@@ -1,7 +1,4 @@
-"""Rows of a stream as observations, and estimates as the answers to them.
-
-Rows of a stream under names and in a unit of time of their own: each line in, each answer out.
-"""
+"""Rows of a stream as observations, estimates as answers, and names and units of a stream's own."""
 
 from __future__ import annotations
 
@@ -174,8 +171,7 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
 
 _TIMES = ("t", "end")
 _DIGITS = 3
-"""Of a unit of time, but nanoseconds, which are whole: what an answer's time is rounded to, so that whole
-numbers are whole again."""
+"""Decimals to which a time of an answer is rounded in a unit other than nanoseconds."""
 
 ORIGIN = "time_origin"
 """The origin's name among the settings of a state."""
@@ -223,7 +219,7 @@ class StreamNames:
 
     @classmethod
     def of(cls, layout: Layout) -> StreamNames:
-        """Of what was said of a table.
+        """Return the names that a table's layout gives.
 
         Raises
         ------

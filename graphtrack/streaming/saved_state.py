@@ -5,8 +5,7 @@ and the digest of the file up to there; it is updated in place after each flush.
 value behind the digest of all JSON text up to its end, so that a line that is missing, repeated, moved or
 from another file is detected, and a file that ends before what was flushed is too. Lines are appended one by
 one; a new content replaces the old one in one step, and lines that are appended meanwhile go to both.
-
-Saving a stream of rows in a state file, and resuming it.
+`Saving` keeps a stream of rows in such a file, and resumes it.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from graphtrack.io.formats.ndjson import encoded
 from graphtrack.model import Model
 
 VERSION = 2
-"""Of the format; it changes with what the lines mean, too."""
+"""Version of the format and of the meaning of its lines."""
 
 _MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
 _MARK_LENGTH = 76
@@ -538,7 +537,7 @@ class Saving:
             self._begin()
 
     def finish(self) -> None:
-        """Everything has been answered: nothing needs to be said again by who goes on."""
+        """Record that all rows were answered, so that a resumed run repeats no answer."""
         if self._every is None:
             self._file.append({"answered": self._people.rows})
         else:
@@ -554,7 +553,7 @@ class Saving:
 
     @contextmanager
     def _told_of_the_file(self) -> Iterator[None]:
-        """Whatever is wrong with a state is told with the name of its file."""
+        """Raise any error of the block as an `InputError` with the name of the file."""
         try:
             yield
         except InputError as error:
@@ -615,7 +614,7 @@ def _header_of(entries: list[Any]) -> dict[str, Any]:
 
 
 def _member_of(entry: Any) -> tuple[int | str, dict[str, Any]]:
-    """Whose state a value is, and the state; ValueError if it has another form."""
+    """Return the key of a member and its state; ValueError if the value has another form."""
     track_id, state = entry["track_id"], entry["state"]
     if type(track_id) not in (int, str) or not isinstance(state, dict) or len(entry) != 2:
         raise ValueError(f"a state of {track_id!r} that is a {type(state).__name__}")

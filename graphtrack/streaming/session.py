@@ -54,7 +54,7 @@ Row = dict[str, Any]
 
 
 def say_nothing(*_: object) -> None:
-    """Nobody wants to know."""
+    """Ignore a message."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
-"""`perception calibrate`.
+"""`perception calibrate` and `perception adapt`: the view of a camera, and models that it teaches itself.
 
-A camera teaches itself on the way of another command, and is not taught twice by one recording.
-
-`perception adapt`.
+`teach` does the latter within other commands, once for each recording.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, print_table, progress_bar
+from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.options import CameraOptions, VideoOrFolder, check_places, print_skipped
 from perception.cli.searching import PeopleSearch, search_journals
@@ -85,10 +84,6 @@ def print_view(found: FoundView) -> None:
         emit(f"  note: {note}")
 
 
-_KEY = "recording"
-"""Key in the card of such a file: the recording it learned from."""
-
-
 def package_models() -> PackageModels:
     """The package's models that look while a camera teaches itself."""
     from perception.adaptation.learning import PackageModels
@@ -118,7 +113,7 @@ def teach(
 
     if path.is_file():
         known = CameraModels.load(path)
-        if known.card.parameters.get(_KEY) == key:
+        if known.card.parameters.get("recording") == key:
             return known, _sentence(known)
     rng = np.random.default_rng(seed)
     try:
@@ -128,7 +123,7 @@ def teach(
         sentence = f"the camera does not teach itself, the package's models look: {error.found}"
         emit(f"  note: {sentence}")
         return None, sentence
-    models.card = replace(models.card, parameters={**models.card.parameters, _KEY: key})
+    models.card = replace(models.card, parameters={**models.card.parameters, "recording": key})
     models.save(path)
     sentence = _sentence(models)
     emit(sentence)
@@ -136,15 +131,7 @@ def teach(
 
 
 def check_adapt(streamed: bool, camera: Path | None, models: Sequence[object]) -> None:
-    """Refuse what cannot be had beside models that are learned from the recording itself.
-
-    Parameters
-    ----------
-    camera : the file that says where the ground is
-    models : that are given; None: they are not
-    """
-    from graphtrack.errors import InputError
-
+    """Refuse `--adapt` with a stream, without a camera's file, or with other models than None."""
     if streamed:
         raise InputError("--adapt with -o -", "a file as the output: a camera learns from all frames")
     if camera is None:
@@ -197,7 +184,6 @@ def adapt(
     write_model : Write the graph's model file (.toml) that goes with these models, for `graphtrack smooth
         --model`.
     """
-    from graphtrack.errors import InputError
     from graphtrack.model import Model
     from perception.adaptation.labels import check_camera
     from perception.adaptation.learning import Recording, adapted

@@ -10,7 +10,8 @@ import numpy as np
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, print_table, progress_bar, write_json
+from graphtrack.cli.console import emit, print_table, progress_bar, save_figure, write_json
+from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.experiments.harness import Table
@@ -56,7 +57,6 @@ def evaluate(
     heads : Heads of the table heads.
     """
     from graphtrack.cli.reproduce import BESIDE
-    from graphtrack.errors import InputError
     from graphtrack.experiments.harness import Table
 
     for name in tables or ():
@@ -138,13 +138,9 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -
         ],
     )
     if plot is not None:
-        from graphtrack.io import atomic_path
         from perception.evaluation.classifiers import reliability_figure
 
-        figure = reliability_figure(scores, degrees)
-        with atomic_path(plot) as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
-        emit(f"wrote {plot}")
+        save_figure(reliability_figure(scores, degrees), plot, dpi=110)
 
 
 def _localisation(count: int, train: int, rng: np.random.Generator, show: Show) -> None:
@@ -161,16 +157,11 @@ def _localisation(count: int, train: int, rng: np.random.Generator, show: Show) 
         model = HeadLocaliser(weak)
         models[f"{weak}, trained on {train}"] = model.fit(people.images, people.head_box)
     rows = [{"head localiser": name, **localisation_figures(m, judged)} for name, m in models.items()]
-    rows += [
-        _published("differential, paper (real pictures)", 0.60, 0.64, 2.3),
-        _published("Fisher, paper (real pictures)", 0.58, 0.65, 3.0),
-    ]
+    names = ("head localiser", "overlap_of_first", "best_overlap_of_all", "candidates")
+    for published in (("differential", 0.60, 0.64, 2.3), ("Fisher", 0.58, 0.65, 3.0)):
+        row = dict(zip(names, published, strict=True))
+        rows.append(row | {"head localiser": f"{published[0]}, paper (real pictures)"})
     show(f"Head localisation on {count} rendered people (Chen et al. 2011, Table 1)", rows)
-
-
-def _published(name: str, first: float, best: float, candidates: float) -> dict[str, Any]:
-    figures = {"overlap_of_first": first, "best_overlap_of_all": best, "candidates": candidates}
-    return {"head localiser": name, **figures}
 
 
 def _published_forms(count: int, train: int, rng: np.random.Generator, show: Show) -> None:

@@ -14,7 +14,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import PersonHeight
+from perception.cli.adapt import PersonHeight, stamp_of_camera, teach
 from perception.cli.observe import ModelOptions
 from perception.cli.options import Boxes, CameraOptions, VideoOrFolder, decoded_frames
 
@@ -82,7 +82,7 @@ def report(
     folder = ReportFolder(output, _STAGES, lambda words: emit(words))
     folder.open()
     run = _Run(folder, frames, camera.rate(frames), known, person_height, seed)
-    run.assume(_of_rate(frames, run.rate, camera.fps))
+    run.assumed.append(_of_rate(frames, run.rate, camera.fps))
     run.find_people(boxes, given)
     run.find_ground(camera.calibration or camera.homography)
     run.teach(adapt)
@@ -118,12 +118,8 @@ class _Run:
     to_scale: bool = False
     assumed: list[str] = field(default_factory=list)
 
-    def assume(self, *lines: str) -> None:
-        self.assumed += lines
-
     def find_people(self, boxes: Path | None, given: list[PersonBox] | None) -> None:
         """Stage 1: boxes, of a file or detected."""
-        from perception.cli.adapt import stamp_of_camera
         from perception.detection.boxes import read_boxes, write_boxes
 
         detected = self.folder.file("boxes")
@@ -141,18 +137,17 @@ class _Run:
             return [f"{len(found)} boxes of people who were detected", *_told(refused)]
 
         asked = self.frames.stamp(), stamp_of_camera(self.known), self.rate, given
-        self.assume(*self.folder.stage("people", asked, () if given else ("boxes",), work))
+        self.assumed += self.folder.stage("people", asked, () if given else ("boxes",), work)
         self.people = read_boxes(detected) if given is None else given
         if not self.people:
             raise InputError("boxes of nobody", "at least one person", path=boxes)
         if not self.people[0].identified:
-            self.assume("nobody says who is who: that is found out, and joins may be wrong")
+            self.assumed.append("nobody says who is who: that is found out, and joins may be wrong")
 
     def find_ground(self, given: Path | None) -> None:
         """Stage 2: the camera, as given or found out."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
-        from perception.cli.adapt import stamp_of_camera
         from perception.ground.calibration import CalibrationParameters, ViewUnknown, found_view
 
         place = self.folder.file("calibration")
@@ -182,7 +177,7 @@ class _Run:
             ]
 
         asked = (stamp_of_camera(self.known), str(given), self.person_height, self.seed)
-        self.assume(*self.folder.stage("ground", asked, (), work))
+        self.assumed += self.folder.stage("ground", asked, (), work)
         if self.known is not None:
             self.camera = self.known
         elif place.is_file():
@@ -194,8 +189,6 @@ class _Run:
 
     def teach(self, adapt: bool) -> None:
         """Stage 3: what the camera teaches itself."""
-        from perception.cli.adapt import teach
-
         place = self.folder.file("models")
 
         def work(key: str) -> list[str]:
@@ -213,7 +206,7 @@ class _Run:
                 place.unlink(missing_ok=True)
             return [said]
 
-        self.assume(*self.folder.stage("models", (adapt, self.rate, self.seed), (), work))
+        self.assumed += self.folder.stage("models", (adapt, self.rate, self.seed), (), work)
 
     def observe(self) -> None:
         """Stage 4: what is seen of everybody, and who is who."""
@@ -259,7 +252,7 @@ class _Run:
             left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
             return [*tracks.summary.notes, *left_out, *_told(refused)]
 
-        self.assume(*self.folder.stage("observations", self.rate, ("observations",), work))
+        self.assumed += self.folder.stage("observations", self.rate, ("observations",), work)
 
     def estimate(self, method: str) -> None:
         """Stage 5: where everybody is, how they move and point."""
@@ -278,7 +271,7 @@ class _Run:
             write(found, self.folder.file("tracks"))
             return said
 
-        self.assume(*self.folder.stage("estimates", method, ("tracks",), work))
+        self.assumed += self.folder.stage("estimates", method, ("tracks",), work)
 
     def draw(self) -> None:
         """Stage 6: the annotated video."""

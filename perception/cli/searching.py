@@ -1,7 +1,4 @@
-"""The options of `perception observe` that take networks of one's own, and keypoints of others.
-
-The search for people in a recording, with progress, and as a journal knows it.
-"""
+"""The search for people and keypoints in a recording, with progress, journals and a user's own networks."""
 
 from __future__ import annotations
 
@@ -247,11 +244,10 @@ class PeopleSearch:
         return self._journals[0].frames if self._journals else {}
 
     def people(self, refuse: Refuse) -> list[PersonBox]:
-        """Everybody who is found, without identities; frames that a journal has are not looked at again.
+        """Detect people, without identities; frames that a journal has are not searched again.
 
         ``refuse`` is told of frames that cannot be decoded.
         """
-        from graphtrack.errors import InputError
         from perception.detection.boxes import Detections, boxes_of
         from perception.detection.rescoring import PersonProbability
         from perception.observe.journal import FrameJournal
@@ -288,8 +284,6 @@ class PeopleSearch:
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         """The journals stay only where the run was broken off: the same command would refuse as it did."""
-        from graphtrack.errors import InputError
-
         self.close(remove=kind is None or issubclass(kind, InputError))
 
     def close(self, *, remove: bool) -> None:

@@ -1,7 +1,4 @@
-"""`perception simulate`.
-
-`perception train`, `perception card` and `perception contact-sheet`.
-"""
+"""`perception simulate`, `train`, `card` and `contact-sheet`: rendered people, and models trained on them."""
 
 from __future__ import annotations
 
@@ -14,6 +11,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, printable, progress_bar
+from graphtrack.errors import InputError
 
 
 def simulate(
@@ -43,7 +41,6 @@ def simulate(
     """
     import numpy as np
 
-    from graphtrack.errors import InputError
     from graphtrack.io.atomic import check_place
     from perception.synthetic.folders import KINDS
 
@@ -57,8 +54,8 @@ def simulate(
         "fps": fps,
         "images": images or None,
         "count": count,
+        "target": target,
     }
-    options["target"] = target
     given = {name: value for name, value in options.items() if value is not None}
     for name in given:
         if name not in known:
@@ -105,7 +102,6 @@ def train(
     as_published : body_pose, templates or head_localiser as Chen, Heili & Odobez (2011) printed them;
         exemplars or head_exemplars as Ba & Odobez (2003) did.
     """
-    from graphtrack.errors import InputError
     from perception.images.frames import FrameSource
     from perception.training import COUNTS, train_on_files, train_on_rendered
 

@@ -1,28 +1,24 @@
-"""What files and their names say reaches the terminal as text, and does not steer it."""
+"""Text of files and their names cannot steer the terminal."""
 
 from __future__ import annotations
 
-import sys
 import unicodedata
+from functools import partial
 from pathlib import Path
 
+import command
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import graphtrack as gt
-from graphtrack.cli import main
 from graphtrack.cli.console import print_table, printable, shown_number
 
 LABEL = "\x1b[31mred\x1b[0m\x07 [bold]b[/x] :smile: \x1b]0;title\x9c"
 SHOWN = "red [bold]b[/x] :smile: ]0;title"
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return int(ended.value.code or 0)
+run = partial(command.run, program="graphtrack")
 
 
 @given(st.text(st.characters(exclude_categories=())))
@@ -42,27 +38,23 @@ def named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return name
 
 
-def test_labels_and_file_names_are_shown_without_escape_sequences(
-    named: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "info", named) == 0
-    told = capsys.readouterr()
-    assert SHOWN in told.out
-    assert told.err.startswith("a error: b.csv: csv, rows read 3")
-    assert not {"\x1b", "\x07", "\x9c"} & set(told.out + told.err)
+def test_labels_and_file_names_are_shown_without_escape_sequences(named: str) -> None:
+    done = run("info", named)
+    assert done.returncode == 0 and SHOWN in done.stdout
+    assert done.stderr.startswith("a error: b.csv: csv, rows read 3")
+    assert not {"\x1b", "\x07", "\x9c"} & set(done.stdout + done.stderr)
 
 
-def test_errors_are_one_line_whatever_the_names(
-    named: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "info", named, "--format", "mot") == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: a error: b.csv, line 1: found 6 columns") and said.count("\n") == 1
+def test_errors_are_one_line_whatever_the_names(named: str) -> None:
+    done = run("info", named, "--format", "mot")
+    said = done.stderr
+    assert done.returncode == 2 and said.count("\n") == 1
+    assert said.startswith("error: a error: b.csv, line 1: found 6 columns")
     assert "\x1b" not in said
 
 
-def test_what_is_written_keeps_the_label(named: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run(monkeypatch, "add-noise", named, "-o", "out.csv", "--position-noise", "0.1") == 0
+def test_what_is_written_keeps_the_label(named: str) -> None:
+    assert run("add-noise", named, "-o", "out.csv", "--position-noise", "0.1").returncode == 0
     assert gt.read("out.csv")[1].label == LABEL
 
 

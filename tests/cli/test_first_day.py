@@ -1,4 +1,4 @@
-"""What a newcomer asks first: how fast people are, and what a comparison takes for granted."""
+"""Speeds that `info` reports, and the noise that `compare` assumes."""
 
 from __future__ import annotations
 

@@ -8,22 +8,18 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import command
 import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.cli import main
 from graphtrack.learning.fit import _split as split_tracks
 from graphtrack.model import MotionParameters
 
-
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return int(ended.value.code or 0)
+run = partial(command.run, program="graphtrack")
 
 
 @pytest.fixture
@@ -33,12 +29,11 @@ def people(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_model_file_a_report_and_the_numbers_come_out(
-    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_file_a_report_and_the_numbers_come_out(people: Path) -> None:
     options = ["--model", "position", "--report", "learned.html", "--json", "learned.json"]
-    assert run(monkeypatch, "fit", "people.csv", "-o", "learned.toml", *options) == 0
-    printed = capsys.readouterr().out
+    done = run("fit", "people.csv", "-o", "learned.toml", *options)
+    printed = done.stdout
+    assert done.returncode == 0, done.stderr
     assert "motion.acceleration_density" in printed and "held out" in printed
     told = json.loads((people / "learned.json").read_text(encoding="utf-8"))
     model = gt.Model.load("learned.toml")
@@ -58,21 +53,18 @@ def test_a_model_file_a_report_and_the_numbers_come_out(
         ["-o", "learned.toml", "--model", "joint", "--criterion", "evidence"],
     ],
 )
-def test_what_cannot_be_done_is_said_in_one_line(
-    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], wrong: list[str]
-) -> None:
-    assert run(monkeypatch, "fit", "people.csv", *wrong) == 2
-    assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
+def test_what_cannot_be_done_is_said_in_one_line(people: Path, wrong: list[str]) -> None:
+    done = run("fit", "people.csv", *wrong)
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines()[-1].startswith("error: ")
     assert not (people / "learned.toml").exists()
 
 
-def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(
-    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(people: Path) -> None:
     # The file says how noisy it is, so that its positions tell nothing of the default noise.
     options = ["--model", "position", "--json", "learned.json"]
-    assert run(monkeypatch, "fit", "people.csv", "-o", "learned.toml", *options) == 0
-    assert "not identified" in capsys.readouterr().out
+    done = run("fit", "people.csv", "-o", "learned.toml", *options)
+    assert done.returncode == 0 and "not identified" in done.stdout
     told = json.loads((people / "learned.json").read_text(encoding="utf-8"))
     notes = {one["name"]: one for one in told["learned"]}
     kept = notes["likelihood.position_std"]
@@ -81,10 +73,10 @@ def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(
 
 
 def start(people: Path, output: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "graphtrack", "fit", people, "-o", output, "--model", "position"]
+    program = [sys.executable, "-m", "graphtrack", "fit", people, "-o", output, "--model", "position"]
     # A shell that runs the tests in the background lets them ignore interrupts.
     return subprocess.Popen(
-        command,
+        program,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
@@ -127,9 +119,7 @@ def test_a_fit_that_is_interrupted_and_then_killed_is_resumed_to_the_same_result
     assert not progress.exists()
 
 
-def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(
-    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(people: Path) -> None:
     # Those learned from hardly move, those held out do: whatever is learned, it is wrong for them.
     calm = gt.Parameters(motion=MotionParameters(acceleration_density=1e-3))
     rng = np.random.default_rng(0)
@@ -139,7 +129,7 @@ def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(
     mixed = slow.with_tracks(lively if track.track_id == lively.track_id else track for track in slow)
     gt.write(mixed, "mixed.csv")
     options = ["--model", "position", "--report", "learned.html"]
-    assert run(monkeypatch, "fit", "mixed.csv", "-o", "learned.toml", *options) == 0
+    done = run("fit", "mixed.csv", "-o", "learned.toml", *options)
     worse = "keep the model that it started from (position)"
-    assert worse in " ".join(capsys.readouterr().err.split())
+    assert done.returncode == 0 and worse in " ".join(done.stderr.split())
     assert worse in (people / "learned.html").read_text(encoding="utf-8")

@@ -227,7 +227,7 @@ def test_a_state_of_other_options_is_refused_by_name(track, state, tmp_path, mon
 
 
 def refused(track, state, *options):
-    """Whether a run with a state is one error, and leaves the file as it is."""
+    """Assert that a run with a state is one error, and leaves the file as it is."""
     before = state.read_bytes()
     status, answers, said = track(scene(1), *options, "--state", state)
     assert (status, answers, said.count("\n")) == (2, [], 1), said
@@ -236,7 +236,7 @@ def refused(track, state, *options):
 
 
 def leaves(value, path=()):
-    """Where the values of a JSON-able value are that hold no others."""
+    """Return the paths of all leaves of a JSON-able value."""
     parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     inner = [leaf for key, part in parts for leaf in leaves(part, (*path, key))]
     return inner or [path]
@@ -398,7 +398,7 @@ def test_what_a_row_alone_cannot_be_read_by_is_refused(track, options, told):
 
 
 def test_a_row_that_cannot_be_read_is_answered_before_the_next_comes():
-    """Who waits for each answer before the next row would else wait for ever."""
+    """A client may wait for each answer before it sends the next row."""
     command = [*TRACK_STREAM, "--model", "position", "--fps", "10"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         for line, expected in (

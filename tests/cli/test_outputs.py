@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
+import command
 import numpy as np
 import pytest
 from walks import walk
 
 import graphtrack as gt
-import graphtrack.cli
-import perception.cli
 from graphtrack.errors import InputError
 from graphtrack.scale import smooth_dataset
 
 ROWS = "track_id,frame,t,x,y\n" + "".join(f"1,{k},{k / 10},{k / 10},0\n" for k in range(20))
 
-PROGRAMS = {"graphtrack": graphtrack.cli.main, "perception": perception.cli.main}
 COINCIDING = {
     # arguments → the names of both
     "smooth a.csv -o x.csv --report x.csv": ("--output", "--report"),
@@ -95,35 +92,29 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def run(monkeypatch: pytest.MonkeyPatch, arguments: str) -> int:
+def run(arguments: str) -> command.Done:
     words = arguments.split()
-    if words[0] != "perception":
-        words.insert(0, "graphtrack")
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit) as ended:
-        PROGRAMS[words[0]]()
-    return int(ended.value.code or 0)
+    program = words.pop(0) if words[0] == "perception" else "graphtrack"
+    return command.run(*words, program=program)
 
 
 @pytest.mark.parametrize("arguments", COINCIDING)
 def test_outputs_that_coincide_are_refused_before_anything_is_read(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: str
+    here: Path, monkeypatch: pytest.MonkeyPatch, arguments: str
 ) -> None:
     before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
     # Whoever reads in spite of it, is caught.
     monkeypatch.setattr("graphtrack.io.source.Source.open", lambda path: pytest.fail(f"{path} was read"))
-    assert run(monkeypatch, arguments) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
+    done = run(arguments)
+    said = done.stderr.splitlines()
+    assert (done.returncode, len(said)) == (2, 1)
     assert all(name in said[0] for name in COINCIDING[arguments])
     assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
 
 
-def test_files_beside_each_other_are_written(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "add-noise a.csv -o to-x.csv --position-noise 0.1") == 0
-    assert run(monkeypatch, "info a.csv --json full/a.csv") == 0
+def test_files_beside_each_other_are_written(here: Path) -> None:
+    assert run("add-noise a.csv -o to-x.csv --position-noise 0.1").returncode == 0
+    assert run("info a.csv --json full/a.csv").returncode == 0
     assert Path("a.csv").read_text() == ROWS
     assert Path("to-x.csv").is_symlink() and gt.read("x.csv").n_frames == 20
 

@@ -1,10 +1,11 @@
-"""Whatever is wrong with the arguments: one line, status 2, nothing written, no traceback."""
+"""Wrong arguments end with one line and status 2; nothing is written."""
 
-import sys
+from functools import partial
 
+import command
 import pytest
 
-from graphtrack.cli import main
+run = partial(command.run, program="graphtrack")
 
 ROWS = "track_id,frame,t,x,y\n" + "".join(f"1,{k},{k / 10},{k / 10},0\n" for k in range(20))
 
@@ -85,65 +86,56 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def run(monkeypatch, arguments):
-    monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return ended.value.code
-
-
 @pytest.mark.parametrize("arguments", WRONG.values(), ids=WRONG)
-def test_wrong_use_is_one_line_with_status_2(arguments, here, monkeypatch, capsys):
-    assert run(monkeypatch, arguments.split()) == 2
-    output = capsys.readouterr()
-    errors = [line for line in output.err.splitlines() if line.startswith("error: ")]
+def test_wrong_use_is_one_line_with_status_2(arguments, here):
+    done = run(*arguments.split())
+    lines = done.stderr.splitlines()
+    errors = [line for line in lines if line.startswith("error: ")]
+    assert done.returncode == 2
     assert len(errors) == 1 and len(errors[0]) > len("error: ")
     # Beside the error there is at most what was read.
-    others = [line for line in output.err.splitlines() if line not in errors]
-    assert all(line.startswith(("tracks.csv: ", "  ")) for line in others)
-    assert "Traceback" not in output.err + output.out
+    assert all(line.startswith(("tracks.csv: ", "  ")) for line in lines if line not in errors)
+    assert "Traceback" not in done.stderr + done.stdout
     assert {path.name for path in here.iterdir()} <= {"tracks.csv", "demo"}
 
 
-def test_an_online_engine_for_whole_tracks_names_what_to_take(here, monkeypatch, capsys):
-    assert run(monkeypatch, WRONG["an engine of what comes for whole tracks"].split()) == 2
-    told = capsys.readouterr().err
+def test_an_online_engine_for_whole_tracks_names_what_to_take(here):
+    told = run(*WRONG["an engine of what comes for whole tracks"].split()).stderr
     assert "expected gtsam" in told and "graphtrack track with --engine isam2 --lag none" in told
 
 
-def test_without_arguments_the_help_is_shown_and_the_status_is_2(here, monkeypatch, capsys):
-    assert run(monkeypatch, []) == 2
-    assert "smooth" in capsys.readouterr().out
+def test_without_arguments_the_help_is_shown_and_the_status_is_2(here):
+    done = run()
+    assert done.returncode == 2 and "smooth" in done.stdout
 
 
-def test_a_singular_homography_is_named_by_its_file(here, monkeypatch, capsys):
+def test_a_singular_homography_is_named_by_its_file(here):
     (here / "plane.txt").write_text("1 0 0\n0 0 0\n0 0 1\n")
     (here / "pixels.csv").write_text("track_id,frame,t,u,v\n1,0,0,5,5\n1,1,0.1,6,5\n")
-    assert run(monkeypatch, ["info", "pixels.csv", "--homography", "plane.txt"]) == 2
-    assert capsys.readouterr().err.startswith("error: plane.txt: found a singular homography")
+    done = run("info", "pixels.csv", "--homography", "plane.txt")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: plane.txt: found a singular homography")
 
 
-def test_a_full_disk_is_one_line(here, monkeypatch, capsys):
+def test_a_full_disk_is_one_line(here, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device", "out.csv")
 
     monkeypatch.setattr("graphtrack.io.write", full)
-    assert run(monkeypatch, ["simulate", "-o", "out.csv", "--tracks", "1", "--steps", "5"]) == 2
-    assert capsys.readouterr().err.strip() == "error: out.csv: No space left on device"
+    done = run("simulate", "-o", "out.csv", "--tracks", "1", "--steps", "5")
+    assert (done.returncode, done.stderr.strip()) == (2, "error: out.csv: No space left on device")
 
 
-def test_a_selection_and_an_unused_camera_are_told(here, monkeypatch, capsys):
+def test_a_selection_and_an_unused_camera_are_told(here):
     (here / "plane.txt").write_text("1 0 0\n0 1 0\n0 0 1\n")
-    arguments = ["info", "tracks.csv", "--select", "1", "--homography", "plane.txt"]
-    assert run(monkeypatch, arguments) == 0
-    told = capsys.readouterr().err
-    assert "selected 1 of 1 track" in told and "--homography not used" in told
+    done = run("info", "tracks.csv", "--select", "1", "--homography", "plane.txt")
+    assert done.returncode == 0
+    assert "selected 1 of 1 track" in done.stderr and "--homography not used" in done.stderr
 
 
-def test_tables_for_a_pipe_are_not_cut(here, monkeypatch, capsys):
+def test_tables_for_a_pipe_are_not_cut(here):
     label = "a label of some length that a narrow table would have to fold or to cut"
-    (here / "named.csv").write_text(
-        "track_id,frame,t,x,y,label\n" + "".join(f"1,{k},{k / 10},0,0,{label}\n" for k in range(3))
-    )
-    assert run(monkeypatch, ["info", "named.csv"]) == 0
-    assert label in capsys.readouterr().out
+    rows = "".join(f"1,{k},{k / 10},0,0,{label}\n" for k in range(3))
+    (here / "named.csv").write_text(f"track_id,frame,t,x,y,label\n{rows}")
+    done = run("info", "named.csv")
+    assert done.returncode == 0 and label in done.stdout

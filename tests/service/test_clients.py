@@ -5,13 +5,11 @@ import http.client
 import json
 import signal
 import socket
-import subprocess
-import sys
 import time
 from contextlib import suppress
 
 import pytest
-from serving import OPTIONS, everything, rows, serving, wait_until
+from serving import everything, rows, serving, wait_until
 from websockets.exceptions import InvalidStatus
 
 HEAD = b"POST /v1/streams/%s HTTP/1.1\r\nHost: localhost\r\n"
@@ -156,22 +154,6 @@ def test_bytes_that_are_no_text_are_answered_at_once(service, as_text):
         assert everything(connection)[1].code == 1007
 
 
-def test_a_token_file_that_is_no_text_is_one_error(tmp_path):
-    (tmp_path / "token").write_bytes(b"\xff\xfe\x00secret")
-    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, "--token-file", "token"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert "token" in done.stderr and "UTF-8" in done.stderr
-
-
-@pytest.mark.parametrize("token", ["one\ntwo", "grün", "two words", "x" * 5000])
-def test_a_token_that_no_header_can_hold_is_refused(token, tmp_path):
-    (tmp_path / "token").write_text(token, "utf-8")
-    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, "--token-file", "token"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
-    assert done.returncode == 2 and done.stderr.startswith("error: token: ")
-
-
 def test_a_client_that_waits_to_be_asked_for_its_body_is_asked(service):
     """As curl does with large bodies."""
     body = rows(3)[0].encode() + b"\n"
@@ -270,15 +252,6 @@ def test_hosts_and_origins_may_be_allowed(tmp_path):
         assert service.request("GET", "/", Origin="http://view.example")[0] == 403
         with service.connect("one", origin="https://view.example"):
             pass
-
-
-@pytest.mark.parametrize(
-    "options", [("--allow-host", "http://x"), ("--allow-host", "x:80"), ("--allow-origin", "x.example/a")]
-)
-def test_hosts_and_origins_are_checked(options):
-    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, *options]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 2 and options[0] in done.stderr and "expected" in done.stderr
 
 
 def test_the_root_names_the_endpoints(service):

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from command import run
 from serving import OPTIONS, answers, everything, rows, serving, wait_until
 from websockets.exceptions import ConnectionClosed
 
@@ -22,7 +23,7 @@ def service(tmp_path_factory):
 
 
 def of_track(lines, *options):
-    """What ``graphtrack track -`` says to the same rows."""
+    """Answers of ``graphtrack track -`` to the same rows."""
     command = [sys.executable, "-m", "graphtrack", "track", "-", "--model", "position", *options]
     text = "".join(f"{line}\n" for line in lines)
     done = subprocess.run(command, input=text, capture_output=True, text=True)
@@ -188,7 +189,7 @@ def test_a_process_that_dies_is_told_and_comes_back(service):
 
 
 def processes_of(service):
-    """Of the streams: what the parent of processes has begun."""
+    """Return the ids of the streams' processes: the children of the fork server."""
     parents = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it has ended in between
@@ -232,16 +233,26 @@ def test_a_token_is_asked_for_and_people_are_bounded():
     assert found[4]["track_id"] == 2 and found[4]["status"] == "new"  # for by then another was forgotten
 
 
+TOKEN_FILE = ("--token-file", "token")
+
+
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "token", "said"),
     [
-        (("--host", "203.0.113.7"), "an address of this machine"),
-        (("--lag", "-1"), "lag"),
-        (("--token-file", "empty"), "an empty token"),
+        (("--host", "203.0.113.7"), b"", "an address of this machine"),
+        (("--lag", "-1"), b"", "lag"),
+        (("--allow-host", "http://x"), b"", "--allow-host http://x, expected"),
+        (("--allow-host", "x:80"), b"", "--allow-host x:80, expected"),
+        (("--allow-origin", "x.example/a"), b"", "--allow-origin x.example/a, expected"),
+        (TOKEN_FILE, b"", "error: token: found an empty token"),
+        (TOKEN_FILE, b"\xff\xfe\x00secret", "error: token: found byte 1 is no UTF-8"),
+        (TOKEN_FILE, "grün".encode(), "error: token: found a token with other characters"),
+        (TOKEN_FILE, b"two words", "error: token: found a token with other characters"),
+        (TOKEN_FILE, b"x" * 5000, "error: token: found more than 4096 bytes"),
     ],
 )
-def test_what_cannot_be_served_is_told(options, said, tmp_path):
-    (tmp_path / "empty").touch()
-    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, *options]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+def test_what_cannot_be_served_is_told(options, token, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("token").write_bytes(token)
+    done = run("serve", *OPTIONS, *options, program="graphtrack")
     assert done.returncode == 2 and said in done.stderr

@@ -13,7 +13,7 @@ import graphtrack as gt
 
 
 def solver() -> None:
-    """What smooths and tracks."""
+    """Smooth and track."""
     for preset in ("joint", "full"):
         gt.warm_up(preset, large=preset == "full")
 

@@ -26,7 +26,7 @@ def build_graph(
 
 
 def states_of(track: Track) -> States:
-    """What a smoothed track estimates."""
+    """Estimates of a smoothed track."""
     assert track.velocity is not None
     none = np.full(len(track), np.nan)
     return States(

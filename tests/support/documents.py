@@ -1,4 +1,4 @@
-"""What stands in documents, and how it is run: Python in this process, commands too, the rest in a shell."""
+"""Code blocks of documents: Python and commands run in this process, other lines in a shell."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ import perception.cli
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = {"graphtrack": graphtrack.cli.main, "perception": perception.cli.main}
 NOT_RUN = ("make ", "pip ", "graphtrack serve ")
-"""What sets the program up, as CI has done before, and what goes on until it is told to stop."""
+"""Lines that install the program, and a service that does not end."""
 SLOW = ("graphtrack reproduce ",)
 STAND_INS = """camera() { graphtrack simulate -o camera.ndjson --steps 20 >&2 && cat camera.ndjson; }
 """
-"""Programs of a reader's own, as the shell is told of them."""
+"""Definitions of a reader's own programs for the shell."""
 RECORDING = "frames"
 """A folder of the reader's own images: blocks about it are run where it is there."""
 SHORTER = {
@@ -51,7 +51,7 @@ class Block:
 
 
 def blocks(path: str) -> list[Block]:
-    """All fenced blocks of a document, by its path from the root."""
+    """Return all fenced blocks of a document, by its path from the root."""
     text = (ROOT / path).read_text(encoding="utf-8")
     parts = re.findall(r"^```(\w+)\n(.*?)^```$|^#+ ([^\n]*)$", text, flags=re.M | re.S)
     found, heading = [], ""
@@ -64,7 +64,7 @@ def blocks(path: str) -> list[Block]:
 
 
 def is_about_recording(block: Block) -> bool:
-    """Whether commands of a block take the reader's own images."""
+    """Return True if commands of a block take the reader's own images."""
     return block.kind == "sh" and f" {RECORDING} " in block.text
 
 
@@ -80,16 +80,10 @@ def commands(program: str, *paths: str) -> Iterator[list[str]]:
 
 
 def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, str]:
-    """Run blocks one after the other, as a reader would who begins in an empty folder.
+    """Run blocks in order; return command line → standard output, of lines that ran in a shell.
 
-    Parameters
-    ----------
-    names : of the Python blocks, before and then after them
-    slow : whether lines that take minutes are run too, and all as printed
-
-    Returns
-    -------
-    What each command line wrote to standard output, where it ran in a shell; a line that fails is an error.
+    ``names`` are those of the Python blocks, before and then after them; with ``slow``, lines that take
+    minutes run too, all as printed. A line that fails is an error.
     """
     written = {}
     # A module, as a script is one: what compiles a function looks there for it.

@@ -128,7 +128,7 @@ def sample_graph(
 
 
 def coupling_cost(velocity: FloatArray, angles: FloatArray, t: FloatArray, parameters: Parameters) -> float:
-    """What Chen et al.'s second coupling costs along a course, per unit of κ₂."""
+    """Cost of Chen et al.'s second coupling along a course, per unit of κ₂."""
     weights = parameters.coupling.weights(np.diff(t, prepend=t[0]))
     return float(np.sum(np.array(weights) * (1.0 - np.cos(difference(angles[1], angles[0])))))
 

@@ -11,7 +11,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 SIDE = 64
 CELLS = 64 + 16 + 4
-"""Of strides 8, 16 and 32 in an input of 64 × 64."""
+"""Cells of strides 8, 16 and 32 in an input of 64 × 64."""
 
 
 def written(

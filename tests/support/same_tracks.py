@@ -1,4 +1,4 @@
-"""Whether two sets of tracks are the same to the last bit."""
+"""Comparison of sets of tracks to the last bit."""
 
 from __future__ import annotations
 

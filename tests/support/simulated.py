@@ -54,7 +54,7 @@ def unknown(
 
 
 def inside(found: Fit, true: Parameters = TRUE) -> dict[str, bool]:
-    """Whether each interval holds the parameter that the people were made with, by its name."""
+    """Parameter → whether its interval holds the value that the people were made with."""
     known = Model(found.model.preset, true).to_dict()
     return {
         one.name: one.low <= known[one.name.split(".")[0]][one.name.split(".")[1]] <= one.high

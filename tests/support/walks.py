@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.geometry.angles import class_centres, direction, unit, wrap
+from graphtrack.geometry.angles import class_centres, unit, wrap
 from graphtrack.tracks.track import Track
 
 
@@ -85,9 +85,3 @@ def turned(track: Track, angle: float, shift: tuple[float, float] = (0.0, 0.0)) 
 def rotation(angle: float) -> np.ndarray:
     """(2, 2) rotation matrix."""
     return np.column_stack([unit(angle), unit(angle + np.pi / 2.0)])
-
-
-def heading_of(track: Track) -> np.ndarray:
-    """Direction (n,) of the estimated velocity."""
-    assert track.velocity is not None
-    return direction(track.velocity)
