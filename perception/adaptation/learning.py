@@ -494,7 +494,9 @@ def adapted(
     labels = thinned(joined(walking), parameters)
     few = len(np.unique(labels.person)) < parameters.many_people
     taken, parts, seconds, places = [], [], 0.0, []
-    for one, whose in zip(used, _recording_of(labels, walking), strict=True):
+    recording = np.searchsorted(_ends(walking), labels.person, side="right")
+    for number, one in enumerate(used):
+        whose = np.flatnonzero(recording == number)
         if one.frames.size() != size:
             width, height = one.frames.size()
             expected = f"{size[0]} × {size[1]} as those of the first recording"
@@ -521,28 +523,15 @@ def adapted(
 
 def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
     """Labels of several recordings, in which nobody is the same."""
-    person, start = [], 0
-    for one in walking:
-        person.append(one.person + start)
-        start += int(one.person.max(initial=-1)) + 1
-    return WalkingLabels(
-        np.concatenate([one.box for one in walking]),
-        np.concatenate(person),
-        np.concatenate([one.angle for one in walking]),
-        np.concatenate([one.std for one in walking]),
-        sum(one.tracks for one in walking),
-        np.concatenate([one.count for one in walking]),
-    )
+    start = np.append(0, _ends(walking))
+    parts = [(one.box, one.person + k, one.angle, one.std) for one, k in zip(walking, start, strict=False)]
+    found = WalkingLabels.joined(parts, sum(one.tracks for one in walking))
+    return replace(found, count=np.concatenate([one.count for one in walking]))
 
 
-def _recording_of(labels: WalkingLabels, walking: Sequence[WalkingLabels]) -> list[NDArray[np.int64]]:
-    """Which of the joined labels are of each recording."""
-    found, start = [], 0
-    for one in walking:
-        stop = start + int(one.person.max(initial=-1)) + 1
-        found.append(np.flatnonzero((labels.person >= start) & (labels.person < stop)))
-        start = stop
-    return found
+def _ends(walking: Sequence[WalkingLabels]) -> NDArray[np.int64]:
+    """The number after the last person of each recording, when recordings are joined."""
+    return np.cumsum([int(one.person.max(initial=-1)) + 1 for one in walking])
 
 
 def _labels(

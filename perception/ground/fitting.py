@@ -45,14 +45,9 @@ class View:
     height: float
 
     @property
-    def up(self) -> FloatArray:
-        """(3,) the vertical in the camera's axes: image right, image down, and ahead."""
-        return up_of(self.tilt, self.roll)
-
-    @property
     def rotation(self) -> FloatArray:
         """World → camera (3, 3). The world's y is where the camera looks, z is up, x completes them."""
-        up = self.up
+        up = up_of(self.tilt, self.roll)
         ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
         norm = np.linalg.norm(ahead)
         ahead = ahead / norm if norm > 1e-9 else np.array([np.sin(self.roll), -np.cos(self.roll), 0.0])
@@ -84,7 +79,7 @@ class View:
 
 
 def up_of(tilt: float, roll: float) -> FloatArray:
-    """(3,) the vertical in the camera's axes."""
+    """The vertical (3,) in the camera's axes: image right, image down, and ahead."""
     return np.array([np.sin(roll) * np.cos(tilt), -np.cos(roll) * np.cos(tilt), -np.sin(tilt)])
 
 
