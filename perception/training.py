@@ -43,8 +43,7 @@ from perception.trackers.head_exemplars import HeadExemplars, combined
 from perception.trackers.tracker import PATCH_MARGIN, cut, equalised
 
 _UNITS = (96, 48)
-_PASSES = ((8, 2e-3), (4, 5e-4), (3, 1e-4))
-"""How often all skeletons are looked at, and how much is learned from each."""
+_PASSES = ((8, 2e-3), (4, 5e-4), (3, 1e-4))  # passes over all skeletons and learning rates
 
 _TRAINED_ON = (
     "skeletons of people who walk and stand, 20-400 pixels high, before random cameras up to 60 degrees "

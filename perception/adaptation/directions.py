@@ -228,8 +228,7 @@ def head_of_crop(box: FloatArray) -> FloatArray:
     return of_patch(np.array([left + width / 2.0 + _CROP[0], top + height / 2.0 + _CROP[1]]))
 
 
-_CROP = (35, 19, 90, 176)
-"""Left, top, width and height of a patch's part in which the package's localiser looks for heads."""
+_CROP = (35, 19, 90, 176)  # left, top, width, height of the part of a patch that the localiser sees
 
 
 def crop_of(patch: Image) -> Image:
@@ -242,8 +241,7 @@ CLASSES = PoseClasses.circle(8)
 """Of bodies and heads."""
 
 _FOLDS = 5
-_CHOICES = ((1.0, 0.0), (3.0, 0.0))
-"""Shrinkages, and what rendered people count in all, in those who walk; people left out choose."""
+_CHOICES = ((1.0, 0.0), (3.0, 0.0))  # shrinkage and total weight of rendered people; people left out choose
 _CHOICES_WITH_RENDERED = ((10.0, 1.0), (10.0, 3.0))  # further ones where people are rendered
 _NEVER = 100.0  # log density by which a direction that nobody walked in is behind the others
 _LEAST_PEOPLE = 2  # who must have walked in a direction, or its mirror image, for it to count as seen

@@ -67,8 +67,7 @@ _COUNT = 900
 _PLACES = 60  # of a recording, in which people are rendered
 _FRAMES = 20  # of which the median is what a place looks like without people
 _STEEPEST = 1.2  # radians; from straight above nobody is upright
-_UNKNOWN = (0.0, 0.45), 10.0
-"""Elevation, from and to, and distance in metres where the camera's are not known."""
+_UNKNOWN = (0.0, 0.45), 10.0  # elevation (from, to) and distance in metres for an unknown camera
 _MIDDLE = 0.9  # metres above the ground of a person's middle
 
 

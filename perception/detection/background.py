@@ -14,8 +14,7 @@ from perception.images.pixels import Image
 
 _COLUMNS = 960  # to which frames are reduced
 _NOISE = 4.0  # least standard deviation of a pixel, in grey levels
-_UNSURE, _SURE = 2.0, 8.0
-"""Standard deviations up to which a difference says nothing, and from which it is surely foreground."""
+_UNSURE, _SURE = 2.0, 8.0  # standard deviations of no and of sure foreground
 _ROWS_AT_ONCE = 32
 _SAMPLES, _FEWEST = 40, 10
 _LONGEST, _SHORTEST = 600.0, 10.0  # seconds of a part of the recording with one background

@@ -153,8 +153,7 @@ def _without(
     return rest, seen
 
 
-_FRAMES, _RUNS, _STEP = 150, 3, 0.4
-"""Frames that are learned from, in how many pieces of the recording, and seconds between them."""
+_FRAMES, _RUNS, _STEP = 150, 3, 0.4  # frames to learn from, pieces of the recording, seconds between frames
 
 
 @dataclass(frozen=True)

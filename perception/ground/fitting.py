@@ -22,8 +22,7 @@ RADIUS, RADIUS_STD = 0.11, 0.04
 feet and ends at the far side of the head. Silhouettes of rendered people have 0.05, boxes of
 detectors, which are drawn around a body of some breadth, up to 0.16."""
 
-_LEVEL = 0.06
-"""Heights about the camera's own within which the near side of the head's top gives way to the far one."""
+_LEVEL = 0.06  # heights about the camera's own in which the near side of the head gives way to the far one
 _AHEAD = 1e-3
 
 
@@ -118,8 +117,7 @@ _LEAST_DEVIATION, _LARGEST_DEVIATION = 0.01, 0.1
 _RANGE, _SHARE = 2.5, (0.5, 0.98)
 """Logarithm of the largest over the least height of anything that is taken for a person; the share of people
 among what is followed, at least and at most."""
-_SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])
-"""1-σ of what is known of any camera: log focal length, tilt, roll, log height."""
+_SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])  # 1-σ of any camera
 
 
 @dataclass(frozen=True, eq=False)

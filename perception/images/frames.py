@@ -49,8 +49,7 @@ _PICTURES: tuple[tuple[int, bytes], ...] = (
 )
 _RAW = b"YUV4MPEG2 "  # raw pixels after a line of text: they may look like text themselves
 _CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")  # bytes that no text has
-_PACKETS = (188, 192, 204)
-"""Bytes of a packet of an MPEG transport stream, which begins with 0x47; the first may be cut."""
+_PACKETS = (188, 192, 204)  # bytes of a packet of an MPEG transport stream, which begins with 0x47
 _HEAD = 4 * 204
 _VIDEOS = "a video (MP4, MOV, AVI, Matroska, WebM, MPEG, ...) or a folder of images"
 

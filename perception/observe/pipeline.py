@@ -131,8 +131,7 @@ def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
     return frames
 
 
-_HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065
-"""Of a head, and of its middle below the top, in heights of the person's box."""
+_HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065  # of a head and its middle, in heights of the person's box
 _LEAST = 0.2  # confidence from which on a point of the face says where the head is
 
 

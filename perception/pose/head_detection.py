@@ -35,8 +35,7 @@ _FIRST_ROUNDS, _KEPT = 30, 250
 _NEGATIVE_OVERLAP = 0.35
 _HELD_OUT = 0.2
 _ANYTHING = -1e6  # A threshold below every score
-_PLACE_WEIGHTS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1)
-"""Scores that one squared deviation of the place costs, to choose from."""
+_PLACE_WEIGHTS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1)  # costs of a squared deviation
 
 
 @dataclass(frozen=True, eq=False)
