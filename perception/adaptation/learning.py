@@ -72,7 +72,7 @@ _MIDDLE = 0.9  # metres above the ground of a person's middle
 
 
 class Scenery:
-    """What a camera sees where people walk, as it is without them.
+    """Pictures of the places where people walk, without the people.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Scenery:
             yield frame
 
     def places(self, rng: np.random.Generator) -> list[Place]:
-        """Of some of those who walk."""
+        """Places of some of the people who walk."""
         from perception.synthetic.inserted import Place
 
         feet = self._camera.image_to_ground(feet_of(self._walkers, self._view))
@@ -168,7 +168,7 @@ _FOUND = 0.01  # 1-σ in heights of the box of where heads are found, which rend
 
 @dataclass(frozen=True)
 class AdaptationParameters:
-    """How a camera learns.
+    """Parameters of a camera's learning.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class PackageModels:
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """What was learned with heads (n, 2) at some places."""
+    """Models that were learned with heads (n, 2) at some places."""
 
     heads: FloatArray
     body: Taught
@@ -215,7 +215,7 @@ class TooFewWalkers(InputError):
 
 
 def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingLabels:
-    """As many of the labels as are learned from, evenly over each person's.
+    """Choose the labels to learn from, evenly over each person's.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def learn(
 
 
 def stages(parameters: AdaptationParameters) -> int:
-    """How often `learn` tells that it advances."""
+    """Number of steps that `learn` reports."""
     return 2 + parameters.rounds
 
 
@@ -338,7 +338,7 @@ def _along_tracks(
 
 
 def _templates_of(rendered: RenderedPeople, rng: np.random.Generator) -> HeadTemplates:
-    """Of the heads of rendered people, as far as they are where heads are looked for."""
+    """Templates of the heads of rendered people that are among the searched places."""
     some = np.flatnonzero(within_reach(rendered.head))[:_TEMPLATE_HEADS]
     patches = [rendered.patches[k] for k in some.tolist()]
     samples = HeadSamples.of(patches, rendered.head[some], rendered.angle[some], rng)
@@ -455,7 +455,7 @@ class Adapted:
 
     @property
     def people(self) -> int:
-        """Who surely walk."""
+        """Number of people who surely walk."""
         return len(np.unique(self.labels.person))
 
 
@@ -540,7 +540,7 @@ def _labels(
     progress: Progress,
     refuse: Callable[[str], object],
 ) -> WalkingLabels:
-    """Who surely walks; for detections the frames are decoded, to see what people look like."""
+    """Labels of a recording; for detections the frames are decoded to describe appearance."""
     frames, people, looks = recording.frames, recording.people, None
     if not people[0].identified:
         wanted = {item.frame for item in people}

@@ -269,7 +269,7 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) 
 
 
 def _fit(box: tuple[float, float, float, float], people: Detections, k: int) -> float:
-    """How well somebody fits into a box; 0: not at all."""
+    """Score of a person in a box; 0: they do not fit."""
     assert people.points is not None
     points, (left, top, width, height) = people.points[k], box
     sure = points[:, 2]

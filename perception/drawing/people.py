@@ -235,7 +235,7 @@ def _box(shown: Image, estimate: BoxEstimate, factor: int) -> None:
 
 
 def _pointer(shown: Image, estimate: BoxEstimate, pan_classes: PoseClasses, factor: int) -> None:
-    """Where the face points, seen from above: down is to the camera, right the image's right."""
+    """Draw the face's direction from above: down is to the camera, right the image's right."""
     assert estimate.pan is not None
     length = 0.9 * estimate.box[3] * factor
 

@@ -276,7 +276,7 @@ class _Weights:
         self.deviation = float(np.clip(np.sqrt(own), _LEAST_DEVIATION, _LARGEST_DEVIATION))
 
     def _densities(self, mean: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of people's mean residuals, if they are people, and if they are anything."""
+        """Densities of mean residuals of people and of anything else."""
         known = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2.0 * np.pi * variance)
         return self._share * known + 1e-300, np.full(len(mean), (1.0 - self._share) / _RANGE)
 
@@ -303,7 +303,7 @@ class _Weights:
         return weighed.T @ slope - share.T @ of_slope, weighed.T @ residual - share.T @ of_residual
 
     def curvature(self, slope: FloatArray, residual: FloatArray) -> FloatArray:
-        """That of the log density (k, k): less than of the weighed squares, since outliers count little."""
+        """Curvature (k, k) of the log density: less than of the squares, since outliers count little."""
         weight, true = self._weight, self._true
         scaled = (residual - self.own[self._who]) / self.error
         relative = 1.0 / (_TAILS + scaled**2)

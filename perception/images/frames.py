@@ -91,7 +91,7 @@ def _is_transport_stream(head: bytes) -> bool:
 
 
 def is_cut_off(path: Path) -> bool:
-    """Whether a file is an MP4 without its index, which stands at the end of most."""
+    """Return whether a file is an MP4 without its index, which stands at the end of most."""
     place, length = 0, path.stat().st_size
     with path.open("rb") as stream:
         if stream.read(8)[4:] != b"ftyp":
@@ -125,7 +125,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameSource:
-    """Where frames come from.
+    """A video or folder that frames come from.
 
     Attributes
     ----------

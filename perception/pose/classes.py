@@ -47,7 +47,7 @@ class PoseClasses:
 
     @property
     def all_around(self) -> bool:
-        """Whether the pans go around the whole circle."""
+        """Return whether the pans go around the whole circle."""
         return bool(np.isclose(self.n_pan * self.step, 2.0 * np.pi))
 
     @property

@@ -238,7 +238,7 @@ MASK_SIDE = 20
 
 @dataclass(frozen=True, eq=False)
 class SkinColours:
-    """How likely each colour is skin.
+    """Probabilities of skin by colour.
 
     Attributes
     ----------
@@ -286,7 +286,7 @@ class SkinColours:
         return cls(shares[0] / (shares[0] + shares[1]))
 
     def mask(self, image: Image) -> NDArray[np.bool_]:
-        """Where (h, w) an image is skin; nowhere in a grey one."""
+        """Mask (h, w) of an image's skin; empty for a grey one."""
         if image.ndim == 2:
             return np.zeros(image.shape, bool)
         index = _rgb_bins(image) if len(self.probability) == RGB_BINS else _bins(image)

@@ -267,7 +267,7 @@ class HeadPath:
 def select_so_far(
     candidates: Sequence[HeadCandidates], *, smoothness: float = _SMOOTHNESS
 ) -> NDArray[np.int64]:
-    """Which candidate (n,) of each frame of a track, each chosen without the frames after it."""
+    """Choose a candidate (n,) of each frame of a track without the frames after it."""
     path = HeadPath(smoothness)
     return np.array([path.update(found) for found in candidates], np.int64)
 
@@ -275,7 +275,7 @@ def select_so_far(
 def select_along_track(
     candidates: Sequence[HeadCandidates], *, smoothness: float = _SMOOTHNESS
 ) -> NDArray[np.int64]:
-    """Which candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
+    """Choose a candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
 
     Parameters
     ----------
