@@ -69,7 +69,7 @@ class ReportFolder:
     _number: int = 0
 
     def file(self, name: str) -> Path:
-        """Where one of `FILES` is."""
+        """Path of one of `FILES`."""
         return self.path / FILES[name]
 
     def open(self) -> None:
@@ -142,7 +142,7 @@ def check_folder(path: Path) -> None:
 
 
 def key_of(*asked: object) -> str:
-    """What tells one run from another."""
+    """A hash of all that tells one run from another."""
     return hashlib.sha256(repr(asked).encode()).hexdigest()
 
 
@@ -216,7 +216,7 @@ def shown_by_frame(
     *,
     trail: float = 4.0,
 ) -> ShownPeople:
-    """What there is to draw in each frame.
+    """People to draw in each frame.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def write_page(
 
 
 def what_they_do(estimates: TrackSet) -> Behaviour | None:
-    """Who is in a group with whom and, where heads are known, who looks at whom; None of fewer than two."""
+    """Groups and, where heads are known, attention of people; None for fewer than two."""
     if len(estimates) < 2:
         return None
     found = groups(estimates)

@@ -21,7 +21,7 @@ _CARD = "card"
 
 @dataclass(frozen=True)
 class ModelCard:
-    """What a model is, what it was trained on, how good it is and when it fails.
+    """Kind, training data, figures and failures of a model.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Stored(ABC):
 
     @abstractmethod
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What was learned, for the file."""
+        """Learned arrays, for the file."""
 
     @classmethod
     @abstractmethod

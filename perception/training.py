@@ -43,8 +43,7 @@ from perception.trackers.head_exemplars import HeadExemplars, combined
 from perception.trackers.tracker import PATCH_MARGIN, cut, equalised
 
 _UNITS = (96, 48)
-_PASSES = ((8, 2e-3), (4, 5e-4), (3, 1e-4))
-"""How often all skeletons are looked at, and how much is learned from each."""
+_PASSES = ((8, 2e-3), (4, 5e-4), (3, 1e-4))  # passes over all skeletons and learning rates
 
 _TRAINED_ON = (
     "skeletons of people who walk and stand, 20-400 pixels high, before random cameras up to 60 degrees "
@@ -277,7 +276,7 @@ def _shared(
     who: NDArray[np.int64],
     people: int,
 ) -> NDArray[np.float32]:
-    """How many people have images in both of two labels (labels, labels) (Ba & Odobez 2003, §3.3)."""
+    """Count the people with images in both of two labels (labels, labels) (Ba & Odobez 2003, §3.3)."""
     k = model.log_weight.shape[1]
     belongs = np.zeros((people, model.labels), np.float32)
     for start in range(0, len(labels), 512):
@@ -330,7 +329,7 @@ def _calibration(heads: FloatArray, others: FloatArray) -> tuple[float, float]:
 
 
 def _figures(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> dict[str, float]:
-    """Of scenes that nothing was learned from: the best box of 40, and the pan in the head's own box."""
+    """Figures on scenes that nothing was learned from: the best box of 40, and the pan in the head's box."""
     head, background = _by_filter(model, scenes.features[chosen])
     poses = model.pose_log_likelihood(combined(head, background, model.background_log_weight, model.exponent))
     off = scenes.off[chosen]

@@ -54,7 +54,7 @@ _PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) where a h
 
 
 def within_reach(head: FloatArray) -> NDArray[np.bool_]:
-    """Whether heads (n, 2), in heights of the box, are among the places where they are looked for."""
+    """Mask (n,) of heads (n, 2), in heights of the box, that are among the searched places."""
     low, high = _PLACES.min(axis=0), _PLACES.max(axis=0)
     return np.asarray(((head >= low) & (head <= high)).all(axis=1), np.bool_)
 
@@ -91,7 +91,7 @@ def orientations(patch: Image) -> NDArray[np.float32]:
 
 
 def _windows(layers: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.float32]:
-    """What a template sees at some of the places (n,), (n, 9 · cells²): row by row, its cells' bins."""
+    """Windows (n, 9 · cells²) of a template at some of the places (n,): row by row, its cells' bins."""
     row, column = places // (2 * _ACROSS + 1), places % (2 * _ACROSS + 1)
     cells = _APART * np.arange(_CELLS)
     found = layers[(row[:, None] + cells)[:, :, None], (column[:, None] + cells)[:, None, :]]
@@ -99,7 +99,7 @@ def _windows(layers: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[
 
 
 def _mirrored(windows: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What a template would see in mirror images (n, d)."""
+    """Windows (n, d) of the mirror images."""
     cells = windows.reshape(-1, _CELLS, _CELLS, BINS)[:, :, ::-1, ::-1]
     return np.ascontiguousarray(cells).reshape(len(windows), -1)
 
@@ -228,8 +228,7 @@ def head_of_crop(box: FloatArray) -> FloatArray:
     return of_patch(np.array([left + width / 2.0 + _CROP[0], top + height / 2.0 + _CROP[1]]))
 
 
-_CROP = (35, 19, 90, 176)
-"""Left, top, width and height of a patch's part in which the package's localiser looks for heads."""
+_CROP = (35, 19, 90, 176)  # left, top, width, height of the part of a patch that the localiser sees
 
 
 def crop_of(patch: Image) -> Image:
@@ -242,8 +241,7 @@ CLASSES = PoseClasses.circle(8)
 """Of bodies and heads."""
 
 _FOLDS = 5
-_CHOICES = ((1.0, 0.0), (3.0, 0.0))
-"""Shrinkages, and what rendered people count in all, in those who walk; people left out choose."""
+_CHOICES = ((1.0, 0.0), (3.0, 0.0))  # shrinkage and total weight of rendered people; people left out choose
 _CHOICES_WITH_RENDERED = ((10.0, 1.0), (10.0, 3.0))  # further ones where people are rendered
 _NEVER = 100.0  # log density by which a direction that nobody walked in is behind the others
 _LEAST_PEOPLE = 2  # who must have walked in a direction, or its mirror image, for it to count as seen
@@ -255,7 +253,7 @@ _CELL = 8  # pixels of a cell of gradients
 
 @dataclass(frozen=True)
 class View:
-    """What a model looks at.
+    """Window and size of a model's input.
 
     Attributes
     ----------
@@ -283,7 +281,7 @@ class View:
         )
 
     def all_features(self, patches: Sequence[Image], heads: Iterable[FloatArray]) -> NDArray[np.float32]:
-        """Those (n, d) of n patches with heads (2,) each."""
+        """Features (n, d) of n patches with heads (2,) each."""
         return np.array([self.features(patch, head) for patch, head in zip(patches, heads, strict=True)])
 
     @cached_property
@@ -292,13 +290,13 @@ class View:
 
     @cached_property
     def sign(self) -> NDArray[np.float32]:
-        """What a mirror multiplies the features with, (d,)."""
+        """Signs (d,) by which a mirror multiplies the features."""
         same, one, _ = self._pairs
         return np.repeat(np.array([1.0, -1.0], np.float32), [len(same) + len(one), len(one)])
 
     @cached_property
     def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Which values a mirror leaves in their places, and which it puts in the places of which others."""
+        """Places of values that a mirror leaves, and pairs of places that it exchanges."""
         columns, rows = (size // _CELL - 1 for size in self.size)
         # OpenCV goes down the blocks of a column, and down the cells of a block's column.
         gradients = np.arange(columns * rows * 4 * BINS).reshape(columns, rows, 2, 2, BINS)
@@ -355,7 +353,7 @@ def _of_both(
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """What models say of people whom they have not seen.
+    """Output of models for people whom they have not seen.
 
     Attributes
     ----------
@@ -430,7 +428,7 @@ def taught(
 
 
 def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether enough people (n,) walked in each direction (8,), or in its mirror image, by labels (n,)."""
+    """Mask (8,) of directions in which, or in whose mirror image, enough people walked by labels (n,)."""
     people = [len(np.unique(person[(label == k) | (label == _MIRROR[k])])) for k in range(len(CLASSES))]
     return np.array(people) >= _LEAST_PEOPLE
 
@@ -449,7 +447,7 @@ def _honest(
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """What a linear discriminant is made of, so that people can be left out by subtraction.
+    """Sums that make a linear discriminant; people are left out by subtraction.
 
     Pictures count with their mirror images, so that features of different `View.sign` do not go together.
 
@@ -472,7 +470,7 @@ class Sums:
         label: NDArray[np.int64],
         person: NDArray[np.int64],
     ) -> Sums:
-        """Those of n pictures; who stays long does not count for all."""
+        """Sums of n pictures; people with many pictures count less in each."""
         _, place, count = np.unique(person, return_inverse=True, return_counts=True)
         weight = 1.0 / np.sqrt(count[place])
         weighted = features * weight[:, None].astype(np.float32)

@@ -44,7 +44,7 @@ def patch_of(image: Image, box: ArrayLike) -> Image:
 
 
 def surroundings(image: Image, box: ArrayLike) -> Image:
-    """What `patch_of` takes from the image, in the pixels that it has there."""
+    """Cut out the pixels of `patch_of` at the image's own resolution."""
     left, top, width, height = np.asarray(box, float)
     h, w = image.shape[:2]
     scale = height / TALL
@@ -100,7 +100,7 @@ _CENTRAL = 0.25  # share of the image, on each side, in which no camera has its 
 def looks_of(
     frames: Iterable[Frame], boxes: Sequence[PersonBox], refuse: Callable[[str], object]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """What people look like (n, `LENGTH`), and whether their boxes are in the pictures (n,).
+    """Appearance of people (n, `LENGTH`), and a mask (n,) of boxes that are in the pictures.
 
     ``refuse`` is told of frames that cannot be decoded and of boxes that hold nothing.
     """
@@ -184,7 +184,7 @@ _ROW = "row"
 
 @dataclass(frozen=True)
 class LabelParameters:
-    """Who surely walks.
+    """Thresholds for people who surely walk.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ def _of_walkers(tracks: TrackSet, camera: GroundCamera, parameters: LabelParamet
 
 
 def _leads_away(sure: NDArray[np.bool_], position: FloatArray, least_way: float) -> NDArray[np.bool_]:
-    """Which rows (n,) are in a stretch of sure ones whose ends are far enough apart."""
+    """Mask of rows (n,) in a stretch of sure ones whose ends are far enough apart."""
     found = np.zeros(len(sure), bool)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], sure.astype(int), [0]])))
     for start, stop in ends.reshape(-1, 2).tolist():

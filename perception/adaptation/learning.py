@@ -67,13 +67,12 @@ _COUNT = 900
 _PLACES = 60  # of a recording, in which people are rendered
 _FRAMES = 20  # of which the median is what a place looks like without people
 _STEEPEST = 1.2  # radians; from straight above nobody is upright
-_UNKNOWN = (0.0, 0.45), 10.0
-"""Elevation, from and to, and distance in metres where the camera's are not known."""
+_UNKNOWN = (0.0, 0.45), 10.0  # elevation (from, to) and distance in metres for an unknown camera
 _MIDDLE = 0.9  # metres above the ground of a person's middle
 
 
 class Scenery:
-    """What a camera sees where people walk, as it is without them.
+    """Pictures of the places where people walk, without the people.
 
     Parameters
     ----------
@@ -107,7 +106,7 @@ class Scenery:
             yield frame
 
     def places(self, rng: np.random.Generator) -> list[Place]:
-        """Of some of those who walk."""
+        """Places of some of the people who walk."""
         from perception.synthetic.inserted import Place
 
         feet = self._camera.image_to_ground(feet_of(self._walkers, self._view))
@@ -169,7 +168,7 @@ _FOUND = 0.01  # 1-σ in heights of the box of where heads are found, which rend
 
 @dataclass(frozen=True)
 class AdaptationParameters:
-    """How a camera learns.
+    """Parameters of a camera's learning.
 
     Attributes
     ----------
@@ -199,7 +198,7 @@ class PackageModels:
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """What was learned with heads (n, 2) at some places."""
+    """Models that were learned with heads (n, 2) at some places."""
 
     heads: FloatArray
     body: Taught
@@ -216,7 +215,7 @@ class TooFewWalkers(InputError):
 
 
 def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingLabels:
-    """As many of the labels as are learned from, evenly over each person's.
+    """Choose the labels to learn from, evenly over each person's.
 
     Raises
     ------
@@ -304,7 +303,7 @@ def learn(
 
 
 def stages(parameters: AdaptationParameters) -> int:
-    """How often `learn` tells that it advances."""
+    """Number of steps that `learn` reports."""
     return 2 + parameters.rounds
 
 
@@ -339,7 +338,7 @@ def _along_tracks(
 
 
 def _templates_of(rendered: RenderedPeople, rng: np.random.Generator) -> HeadTemplates:
-    """Of the heads of rendered people, as far as they are where heads are looked for."""
+    """Templates of the heads of rendered people that are among the searched places."""
     some = np.flatnonzero(within_reach(rendered.head))[:_TEMPLATE_HEADS]
     patches = [rendered.patches[k] for k in some.tolist()]
     samples = HeadSamples.of(patches, rendered.head[some], rendered.angle[some], rng)
@@ -456,7 +455,7 @@ class Adapted:
 
     @property
     def people(self) -> int:
-        """Who surely walk."""
+        """Number of people who surely walk."""
         return len(np.unique(self.labels.person))
 
 
@@ -494,7 +493,9 @@ def adapted(
     labels = thinned(joined(walking), parameters)
     few = len(np.unique(labels.person)) < parameters.many_people
     taken, parts, seconds, places = [], [], 0.0, []
-    for one, whose in zip(used, _recording_of(labels, walking), strict=True):
+    recording = np.searchsorted(_ends(walking), labels.person, side="right")
+    for number, one in enumerate(used):
+        whose = np.flatnonzero(recording == number)
         if one.frames.size() != size:
             width, height = one.frames.size()
             expected = f"{size[0]} × {size[1]} as those of the first recording"
@@ -521,28 +522,15 @@ def adapted(
 
 def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
     """Labels of several recordings, in which nobody is the same."""
-    person, start = [], 0
-    for one in walking:
-        person.append(one.person + start)
-        start += int(one.person.max(initial=-1)) + 1
-    return WalkingLabels(
-        np.concatenate([one.box for one in walking]),
-        np.concatenate(person),
-        np.concatenate([one.angle for one in walking]),
-        np.concatenate([one.std for one in walking]),
-        sum(one.tracks for one in walking),
-        np.concatenate([one.count for one in walking]),
-    )
+    start = np.append(0, _ends(walking))
+    parts = [(one.box, one.person + k, one.angle, one.std) for one, k in zip(walking, start, strict=False)]
+    found = WalkingLabels.joined(parts, sum(one.tracks for one in walking))
+    return replace(found, count=np.concatenate([one.count for one in walking]))
 
 
-def _recording_of(labels: WalkingLabels, walking: Sequence[WalkingLabels]) -> list[NDArray[np.int64]]:
-    """Which of the joined labels are of each recording."""
-    found, start = [], 0
-    for one in walking:
-        stop = start + int(one.person.max(initial=-1)) + 1
-        found.append(np.flatnonzero((labels.person >= start) & (labels.person < stop)))
-        start = stop
-    return found
+def _ends(walking: Sequence[WalkingLabels]) -> NDArray[np.int64]:
+    """The number after the last person of each recording, when recordings are joined."""
+    return np.cumsum([int(one.person.max(initial=-1)) + 1 for one in walking])
 
 
 def _labels(
@@ -552,7 +540,7 @@ def _labels(
     progress: Progress,
     refuse: Callable[[str], object],
 ) -> WalkingLabels:
-    """Who surely walks; for detections the frames are decoded, to see what people look like."""
+    """Labels of a recording; for detections the frames are decoded to describe appearance."""
     frames, people, looks = recording.frames, recording.people, None
     if not people[0].identified:
         wanted = {item.frame for item in people}

@@ -34,7 +34,7 @@ _SCALE = 6.0  # log ratio of a candidate that counts as a score of 1 along a tra
 
 @dataclass(eq=False)
 class CameraModels(Stored):
-    """What a camera has taught itself.
+    """Models that a camera has taught itself.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class CameraModels(Stored):
     classes = CLASSES
 
     def candidates(self, patch: Image) -> HeadCandidates:
-        """Where the head may be in a patch, best first, in heights of the box from the middle of its top."""
+        """Candidates of the head in a patch, best first, in heights of the box from the middle of its top."""
         if self.templates is not None:
             return self.templates.candidates(patch)
         left, top = self.place - np.array([HEAD_WIDTH, HEAD_HEIGHT]) / 2.0
@@ -69,7 +69,7 @@ class CameraModels(Stored):
         boxes: Sequence[tuple[float, float, float, float]],
         standing: Sequence[Standing | None] | None = None,
     ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
-        """Of each box of a frame: the body's log likelihoods (8,), heads in its crop, and theirs (k, 8).
+        """For each box of a frame: the body's log likelihoods (8,), heads in its crop, and theirs (k, 8).
 
         Who leans stands as ``standing`` says; heads are in the crop of the turned picture's box then.
 
@@ -93,7 +93,7 @@ class CameraModels(Stored):
     def look_at(
         self, patches: Sequence[Image], boxes: Sequence[tuple[float, float, float, float]]
     ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
-        """What `look` says of boxes and their surroundings, as from `patch_of`."""
+        """Apply `look` to boxes and their surroundings, as from `patch_of`."""
         if not patches:
             return []
         found = [self.candidates(patch) for patch in patches]

@@ -14,8 +14,7 @@ from perception.images.pixels import Image
 
 _COLUMNS = 960  # to which frames are reduced
 _NOISE = 4.0  # least standard deviation of a pixel, in grey levels
-_UNSURE, _SURE = 2.0, 8.0
-"""Standard deviations up to which a difference says nothing, and from which it is surely foreground."""
+_UNSURE, _SURE = 2.0, 8.0  # standard deviations of no and of sure foreground
 _ROWS_AT_ONCE = 32
 _SAMPLES, _FEWEST = 40, 10
 _LONGEST, _SHORTEST = 600.0, 10.0  # seconds of a part of the recording with one background
@@ -36,7 +35,7 @@ class Background:
 
     @classmethod
     def of(cls, images: Sequence[Image]) -> Background:
-        """Of n reduced frames (h, w, 3)."""
+        """The background of n reduced frames (h, w, 3)."""
         h, w = images[0].shape[:2]
         median, deviation = np.empty((h, w, 3), np.float32), np.empty((h, w), np.float32)
         for row in range(0, h, _ROWS_AT_ONCE):
@@ -51,7 +50,7 @@ class Background:
         return cls(median, np.maximum(deviation, _NOISE))
 
     def foreground(self, image: Image) -> NDArray[np.float32]:
-        """How surely each pixel (h, w) of the reduced frame is not the background, from 0 to 1."""
+        """Foreground (h, w) of the reduced frame, from 0 to 1."""
         small = reduced(image).astype(np.float32)
         # The light changes, and the camera adapts to it; most of the frame is background.
         gain = np.median(small[::4, ::4] + 1.0, axis=(0, 1)) / np.median(
@@ -72,7 +71,7 @@ def reduced(image: Image) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class Backgrounds:
-    """Of the parts of a recording, one after the other.
+    """Backgrounds of the parts of a recording, one after the other.
 
     Attributes
     ----------
@@ -84,14 +83,14 @@ class Backgrounds:
     parts: Mapping[int, Background]
 
     def at(self, frame: int) -> Background | None:
-        """That of a frame; None: not known."""
+        """The background of a frame; None: not known."""
         return self.parts.get(self.part_of.get(frame, -1))
 
     @classmethod
     def of(
         cls, frames: Iterable[Frame], samples: Sequence[Sequence[int]], numbers: Sequence[int]
     ) -> Backgrounds:
-        """Of a recording whose frames have so many ``numbers``, by `background_samples`.
+        """Backgrounds of a recording whose frames have these ``numbers``, by `background_samples`.
 
         Only the frames of one part are kept at a time. Frames that cannot be decoded count for nothing.
 

@@ -164,8 +164,7 @@ class Detector(Protocol):
         ...
 
 
-_LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1
-"""Share of somebody's points in a box, and overlap of the boxes, below which they are not the box's."""
+_LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1  # least share of points in a box, and overlap of boxes
 _SURE = 0.3
 _ABOVE, _BELOW, _BESIDE = 0.09, 0.04, 0.06
 """How far a person reaches beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
@@ -270,7 +269,7 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) 
 
 
 def _fit(box: tuple[float, float, float, float], people: Detections, k: int) -> float:
-    """How well somebody fits into a box; 0: not at all."""
+    """Score of a person in a box; 0: they do not fit."""
     assert people.points is not None
     points, (left, top, width, height) = people.points[k], box
     sure = points[:, 2]

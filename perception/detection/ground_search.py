@@ -34,7 +34,7 @@ LEAN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class PersonSizes:
-    """Where the head of a person is who stands on the ground.
+    """Places of heads and heights in the image of people who stand on the ground.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class PersonSizes:
 
     @classmethod
     def of(cls, camera: GroundCamera, size: tuple[int, int], height: float = PERSON_HEIGHT) -> PersonSizes:
-        """Of a camera whose images have ``size`` columns and rows.
+        """Sizes for a camera whose images have ``size`` columns and rows.
 
         Where its matrix is not known, pixels are taken to be square, the principal point to be the middle of
         the image, and the focal length follows from the ground plane (Zhang 2000, eq. 3–4).
@@ -247,7 +247,7 @@ _PERSON = 1.7  # metres of a person's height
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Where people may be in a frame.
+    """Candidates of people in a frame.
 
     Attributes
     ----------
@@ -356,7 +356,7 @@ def strongest(
     apart: tuple[float, float],
     most: int | None = None,
 ) -> NDArray[np.int64]:
-    """Which of n are left, best first, when each drops the weaker ones about it.
+    """Choose the strongest of n, best first; each drops the weaker ones about it.
 
     Parameters
     ----------
@@ -376,7 +376,7 @@ def strongest(
 
 
 def joined(candidates: Candidates, apart: tuple[float, float] = APART) -> Candidates:
-    """What is left of candidates whose scores are probabilities, each at the mean of those about it.
+    """Return the strongest candidates, whose scores are probabilities, each at the mean of those about it.
 
     The mean is weighed by the probabilities, so that places between the grid's come out.
     """

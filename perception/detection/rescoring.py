@@ -53,7 +53,7 @@ class Certainty:
 
     @classmethod
     def fitted(cls, said: FloatArray, truth: NDArray[np.bool_]) -> Self:
-        """Of log odds (n,) and whether it was a person (n,): blocks of equal frequency, by their means."""
+        """Fit to log odds (n,) and the truth (n,): blocks of equal frequency, by their means."""
         from sklearn.isotonic import IsotonicRegression
 
         least = 1.0 / (len(truth) + 2)
@@ -68,7 +68,7 @@ class Certainty:
         return np.asarray(expit(np.interp(log_odds, self.said, self.found) + _ORDER * beyond), float)
 
     def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
+        """Return a JSON object."""
         return {"said": self.said.tolist(), "found": self.found.tolist()}
 
     @classmethod
@@ -153,8 +153,7 @@ def _without(
     return rest, seen
 
 
-_FRAMES, _RUNS, _STEP = 150, 3, 0.4
-"""Frames that are learned from, in how many pieces of the recording, and seconds between them."""
+_FRAMES, _RUNS, _STEP = 150, 3, 0.4  # frames to learn from, pieces of the recording, seconds between frames
 
 
 @dataclass(frozen=True)
@@ -187,7 +186,7 @@ class TeachingParameters:
 
 @dataclass(frozen=True, eq=False)
 class PersonProbability:
-    """How probably a candidate is a person.
+    """Probability that a candidate is a person.
 
     Attributes
     ----------
@@ -208,16 +207,16 @@ class PersonProbability:
 
     @property
     def even(self) -> float:
-        """What is said of a candidate that is as much like people as like nobody."""
+        """The probability of a candidate whose log odds are 0."""
         return 0.5 if self.certainty is None else float(self.certainty.of(np.zeros(1))[0])
 
     @classmethod
     def untaught(cls, *, foreground: bool) -> PersonProbability:
-        """Of no recording: where the first filter's scores are zero, or one with a background, it is even."""
+        """A model of no recording: even where the first filter's scores are 0, or 1 with a background."""
         return cls(np.zeros(FEATURES, np.float32), 0.0, 2.0, 0.0, -2.0 if foreground else 0.0)
 
     def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
+        """Return a JSON object."""
         names = ("bias", "first", "taught", "offset", "people", "boxes")
         weight = base64.b64encode(self.weight.astype("<f4").tobytes()).decode()
         certainty = None if self.certainty is None else self.certainty.to_record()
@@ -250,7 +249,7 @@ def taught(
     rng: np.random.Generator,
     parameters: TeachingParameters = TeachingParameters(),
 ) -> PersonProbability | None:
-    """What tells this camera's people from its background; None where too few surely walk.
+    """Learn to tell this camera's people from its background; None where too few surely walk.
 
     Detections by the first filter are associated; those of tracks that are long and lead somewhere are
     people, candidates far from all tracks are not. A linear model is taught on some people and judged on
@@ -330,7 +329,7 @@ def _met(
 def _best_of_frames(
     numbers: NDArray[np.int64], foot: FloatArray, height: FloatArray, score: FloatArray
 ) -> NDArray[np.int64]:
-    """Which are left in each frame when each drops the weaker ones about it."""
+    """Choose the strongest in each frame; each drops the weaker ones about it."""
     kept = []
     for number in np.unique(numbers).tolist():
         rows = np.flatnonzero(numbers == number)
@@ -345,7 +344,7 @@ def _labels(
     tracks: TrackSet,
     parameters: TeachingParameters,
 ) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Of n candidates: 1 a person, 0 nobody, NaN not known; and the numbers of the people's tracks, or −1."""
+    """Labels of n candidates (1 person, 0 nobody, NaN not known), and the people's tracks, or −1."""
     label, person = np.full(len(numbers), np.nan), np.full(len(numbers), -1)
     ways: list[bool] = []
     of_frame: dict[int, list[tuple[int, FloatArray]]] = {}
@@ -408,7 +407,7 @@ def _logistic(values: FloatArray, truth: NDArray[np.bool_], strength: float | No
 
 
 def learning_frames(numbers: Sequence[int], fps: float) -> list[int]:
-    """Those of a recording that it learns from: all of a short one, else pieces of a longer one."""
+    """Choose the frames to learn from: all of a short recording, pieces of a longer one."""
     step = max(1, round(_STEP * fps))
     if len(numbers) <= _FRAMES * step:
         return list(numbers[::step])

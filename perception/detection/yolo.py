@@ -38,7 +38,7 @@ _GREY = (114, 114, 114)
 
 @dataclass(frozen=True)
 class Letterbox:
-    """How an image lies in a network's input: enlarged evenly, in the middle.
+    """An image in the middle of a network's input, enlarged evenly.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ _EXPECTED_POSE = "YOLO-pose's (1, 56, cells) or (1, n, 57)"
 
 @dataclass(frozen=True)
 class Layout:
-    """What the numbers of an output are.
+    """Meaning of the numbers of an output.
 
     Attributes
     ----------
@@ -192,7 +192,7 @@ def layout_of(
 
 
 def _counted_keypoints(numbers: int, found: str, path: str) -> tuple[int, int]:
-    """How many keypoints so many numbers are."""
+    """Number of keypoints and of numbers of each."""
     if numbers <= 0:
         raise InputError(f"{found}, without keypoints", _EXPECTED_POSE, path=path)
     if numbers % 3 or numbers // 3 not in BY_NUMBER:
@@ -339,7 +339,7 @@ def _input_size(
 
 
 def _literal(text: str | None) -> object:
-    """What a note says; None if it cannot be read."""
+    """Value of a note; None if it cannot be read."""
     try:
         return None if text is None else ast.literal_eval(text)
     except (ValueError, SyntaxError, MemoryError, RecursionError):
@@ -357,7 +357,7 @@ def _names(notes: Mapping[str, str]) -> dict[int, str] | None:
 
 
 def _keypoints(notes: Mapping[str, str]) -> tuple[int, int] | None:
-    """How many keypoints there are and how many numbers each has, where the file says so."""
+    """Number of keypoints and of numbers of each, where the file has them."""
     noted = _literal(notes.get("kpt_shape"))
     if isinstance(noted, (list, tuple)) and len(noted) == 2 and noted[1] in (2, 3):
         return int(noted[0]), int(noted[1])

@@ -209,7 +209,7 @@ _ASPECT = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Cues:
-    """What is known of a person in a frame; angles in radians in the world.
+    """Cues of a person in a frame; angles in radians in the world.
 
     Attributes
     ----------

@@ -152,7 +152,10 @@ def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera
     width = marks.line_width(picture)
     people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # near is in front
     for person in people:
-        _path(picture, person, factor, width)
+        path = person.path[np.isfinite(person.path).all(axis=1)] * factor
+        if len(path) > 1:
+            for shade, wide in ((marks.DARK, width + 2), (marks.person_colour(person.track_id), width)):
+                cv2.polylines(picture, [marks.points(path)], False, shade, wide, cv2.LINE_AA, marks.FRACTION)
     for person in people:
         colour = marks.person_colour(person.track_id)
         on_ground, at_head = _planes_of(person, camera, factor)
@@ -169,14 +172,6 @@ def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera
         marks.identity(picture, person.track_id, person.box * factor, colour, width)
     marks.text(picture, words, (8, round(16 + 12 * width)), marks.LIGHT, 0.3 + 0.25 * width)
     return picture
-
-
-def _path(picture: Image, person: ShownPerson, factor: int, width: int) -> None:
-    path = person.path[np.isfinite(person.path).all(axis=1)] * factor
-    if len(path) > 1:
-        colour = marks.person_colour(person.track_id)
-        for shade, wide in ((marks.DARK, width + 2), (colour, width)):
-            cv2.polylines(picture, [marks.points(path)], False, shade, wide, cv2.LINE_AA, marks.FRACTION)
 
 
 def _sector(picture: Image, place: Place, angle: float, std: float, colour: marks.Colour) -> None:
@@ -240,7 +235,7 @@ def _box(shown: Image, estimate: BoxEstimate, factor: int) -> None:
 
 
 def _pointer(shown: Image, estimate: BoxEstimate, pan_classes: PoseClasses, factor: int) -> None:
-    """Where the face points, seen from above: down is to the camera, right the image's right."""
+    """Draw the face's direction from above: down is to the camera, right the image's right."""
     assert estimate.pan is not None
     length = 0.9 * estimate.box[3] * factor
 

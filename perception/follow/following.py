@@ -74,7 +74,7 @@ def find_head(image: Image) -> Box:
 
 
 def background_images(path: str | Path) -> list[Image]:
-    """What is never the target: an image, or those of a folder.
+    """Images of what is never the target: one, or those of a folder.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def box_cameras(
     foot_at: float | None = None,
     middle_at: float | None = None,
 ) -> Callable[[Box], BoxCamera]:
-    """How boxes are brought to the ground, given the first one.
+    """Choose the camera that brings boxes to the ground, given the first one.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def to_track(
     filtered: bool = False,
     track_id: int = 0,
 ) -> Track:
-    """What a tracker said, as observations: places, their spread, and likelihoods of the head in the world.
+    """A tracker's estimates as observations: places, their spread, and likelihoods of the head in the world.
 
     Frames in which the target was not found, or not believed by the graph that guided the tracker, or is at
     or beyond the horizon, have no observation.
@@ -261,7 +261,7 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
 
 
 def notes(found: Sequence[Followed], track: Track) -> list[str]:
-    """What a reader of the table should know: frames without the target, and places that cannot be."""
+    """Notes on the table: frames without the target, and places that cannot be."""
     said = []
     lost = [item.frame for item in found if not item.estimate.found]
     if lost:

@@ -132,7 +132,7 @@ class BoxCamera:
     def sighting(
         self, estimate: BoxEstimate, pan_classes: PoseClasses | None, *, filtered: bool = False
     ) -> Sighting | None:
-        """Where a tracker sees its target; None if it does not, or at and beyond the horizon.
+        """The place where a tracker sees its target; None if it does not, or at and beyond the horizon.
 
         Parameters
         ----------

@@ -69,7 +69,7 @@ class Doubt:
         self._first: float | None = None
 
     def sure(self, confidence: float, t: float) -> bool:
-        """Whether an estimate of that confidence (0…1) at ``t`` seconds is as sure as those learned from."""
+        """Return whether a confidence (0…1) at ``t`` seconds is as high as those learned from."""
         p = self.parameters
         odds = float(logit(np.clip(confidence, 1e-9, 1.0 - 1e-9)))
         if self._first is None:
@@ -185,7 +185,7 @@ class GraphGuide:
             self._seen.popleft()
 
     def _is_target(self) -> bool:
-        """Whether what was found again is where the target is expected, and moves as it did."""
+        """Return whether a target found again is where it is expected, and moves as it did."""
         p = self._doubt.parameters
         first, newest = self._again[0], self._again[-1]
         since = newest.t - first.t
@@ -219,7 +219,7 @@ class GraphGuide:
             self._last = self._smoother.update(observation)
 
     def predict(self, frame: int) -> Proposal | None:
-        """Where the middle of the box will be in a frame; None where that cannot be said.
+        """Predict the middle of the box in a frame; None where that is not possible.
 
         By the velocity of the last estimate and the white noise of the model's acceleration. The box is
         taken to be as high as when it was last found.

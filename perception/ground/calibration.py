@@ -23,7 +23,7 @@ _BORDER = 2.0
 
 
 def whole(box: FloatArray, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Which boxes (n, 4) do not touch the border of an image of that size (columns, rows): others are cut."""
+    """Mask (n,) of boxes (n, 4) that do not touch the border of an image of that size (columns, rows)."""
     left, top, width, height = box.T
     columns, rows = size
     inside = (left > _BORDER) & (left + width < columns - _BORDER)
@@ -85,7 +85,7 @@ class ViewUnknown(InputError):
 
 @dataclass(frozen=True)
 class CalibrationParameters:
-    """What is enough to tell a view.
+    """Limits of what is enough to tell a view.
 
     Attributes
     ----------

@@ -22,8 +22,7 @@ RADIUS, RADIUS_STD = 0.11, 0.04
 feet and ends at the far side of the head. Silhouettes of rendered people have 0.05, boxes of
 detectors, which are drawn around a body of some breadth, up to 0.16."""
 
-_LEVEL = 0.06
-"""Heights about the camera's own within which the near side of the head's top gives way to the far one."""
+_LEVEL = 0.06  # heights about the camera's own in which the near side of the head gives way to the far one
 _AHEAD = 1e-3
 
 
@@ -45,14 +44,9 @@ class View:
     height: float
 
     @property
-    def up(self) -> FloatArray:
-        """(3,) the vertical in the camera's axes: image right, image down, and ahead."""
-        return up_of(self.tilt, self.roll)
-
-    @property
     def rotation(self) -> FloatArray:
         """World → camera (3, 3). The world's y is where the camera looks, z is up, x completes them."""
-        up = self.up
+        up = up_of(self.tilt, self.roll)
         ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
         norm = np.linalg.norm(ahead)
         ahead = ahead / norm if norm > 1e-9 else np.array([np.sin(self.roll), -np.cos(self.roll), 0.0])
@@ -84,7 +78,7 @@ class View:
 
 
 def up_of(tilt: float, roll: float) -> FloatArray:
-    """(3,) the vertical in the camera's axes."""
+    """The vertical (3,) in the camera's axes: image right, image down, and ahead."""
     return np.array([np.sin(roll) * np.cos(tilt), -np.cos(roll) * np.cos(tilt), -np.sin(tilt)])
 
 
@@ -123,8 +117,7 @@ _LEAST_DEVIATION, _LARGEST_DEVIATION = 0.01, 0.1
 _RANGE, _SHARE = 2.5, (0.5, 0.98)
 """Logarithm of the largest over the least height of anything that is taken for a person; the share of people
 among what is followed, at least and at most."""
-_SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])
-"""1-σ of what is known of any camera: log focal length, tilt, roll, log height."""
+_SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])  # 1-σ of any camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +276,7 @@ class _Weights:
         self.deviation = float(np.clip(np.sqrt(own), _LEAST_DEVIATION, _LARGEST_DEVIATION))
 
     def _densities(self, mean: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of people's mean residuals, if they are people, and if they are anything."""
+        """Densities of mean residuals of people and of anything else."""
         known = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2.0 * np.pi * variance)
         return self._share * known + 1e-300, np.full(len(mean), (1.0 - self._share) / _RANGE)
 
@@ -310,7 +303,7 @@ class _Weights:
         return weighed.T @ slope - share.T @ of_slope, weighed.T @ residual - share.T @ of_residual
 
     def curvature(self, slope: FloatArray, residual: FloatArray) -> FloatArray:
-        """That of the log density (k, k): less than of the weighed squares, since outliers count little."""
+        """Curvature (k, k) of the log density: less than of the squares, since outliers count little."""
         weight, true = self._weight, self._true
         scaled = (residual - self.own[self._who]) / self.error
         relative = 1.0 / (_TAILS + scaled**2)

@@ -35,7 +35,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Standing:
-    """How somebody stands in the picture who leans there.
+    """Pose of a person who leans in the picture.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class LeaningView:
 
     @classmethod
     def of(cls, camera: GroundCamera | None, size: tuple[int, int]) -> LeaningView | None:
-        """Of a camera whose images have ``size`` columns and rows.
+        """The view of a camera whose images have ``size`` columns and rows.
 
         None where nobody leans, and where the camera matrix is not known.
         """
@@ -95,7 +95,7 @@ class LeaningView:
         return cls(sizes) if bool(_leans(up[np.isfinite(up).all(axis=1)]).any()) else None
 
     def standing(self, box: Box) -> Standing | None:
-        """How the person in a box stands in the picture; None for those who do not lean."""
+        """The pose of the person in a box; None for people who do not lean."""
         left, top, width, height = box
         middle = np.array([left + width / 2.0, top + height / 2.0])
         up = self._up(middle)
@@ -121,12 +121,12 @@ class LeaningView:
 
 
 def _leans(up: FloatArray) -> np.ndarray:
-    """Whether people (n,) lean, of whom the way (n, 2) from feet to head is known."""
+    """Mask (n,) of people who lean, by the way (n, 2) from feet to head."""
     return np.abs(up[:, 0]) > LEAN * -up[:, 1]
 
 
 def standing_in(view: LeaningView | None, box: Box) -> Standing | None:
-    """How the person in a box stands, who leans in a view; None for all who are upright."""
+    """The pose of the person in a box; None for people who are upright."""
     return None if view is None else view.standing(box)
 
 

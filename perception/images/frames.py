@@ -49,8 +49,7 @@ _PICTURES: tuple[tuple[int, bytes], ...] = (
 )
 _RAW = b"YUV4MPEG2 "  # raw pixels after a line of text: they may look like text themselves
 _CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")  # bytes that no text has
-_PACKETS = (188, 192, 204)
-"""Bytes of a packet of an MPEG transport stream, which begins with 0x47; the first may be cut."""
+_PACKETS = (188, 192, 204)  # bytes of a packet of an MPEG transport stream, which begins with 0x47
 _HEAD = 4 * 204
 _VIDEOS = "a video (MP4, MOV, AVI, Matroska, WebM, MPEG, ...) or a folder of images"
 
@@ -92,7 +91,7 @@ def _is_transport_stream(head: bytes) -> bool:
 
 
 def is_cut_off(path: Path) -> bool:
-    """Whether a file is an MP4 without its index, which stands at the end of most."""
+    """Return whether a file is an MP4 without its index, which stands at the end of most."""
     place, length = 0, path.stat().st_size
     with path.open("rb") as stream:
         if stream.read(8)[4:] != b"ftyp":
@@ -126,7 +125,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameSource:
-    """Where frames come from.
+    """A video or folder that frames come from.
 
     Attributes
     ----------

@@ -140,7 +140,7 @@ Write = Callable[[int, Image], None]
 
 
 def is_video(path: Path) -> bool:
-    """Whether `pictures` writes a video there, rather than a folder of images."""
+    """Return whether `pictures` writes a video there, rather than a folder of images."""
     return not path.is_dir() and bool(path.suffix)
 
 

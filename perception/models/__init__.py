@@ -24,7 +24,7 @@ NAMES = (*CLASSIFIERS, HeadLocaliser.kind, "head_exemplars", KeypointPose.kind)
 
 
 def model_path(name: str) -> Path:
-    """Where the model of that name is in the package.
+    """Path of the model of that name in the package.
 
     Raises
     ------

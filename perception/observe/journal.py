@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class KnownFrames(Mapping[int, T]):
-    """What a journal knows of each frame, read from its file when it is asked for: only places are kept."""
+    """Frames of a journal, read from its file when they are asked for: only places are kept."""
 
     def __init__(self, path: Path, decode: Callable[[Any], T]) -> None:
         self._path, self._decode = path, decode

@@ -30,7 +30,7 @@ from perception.pose.keypoints import FACE, KeypointPose
 
 @dataclass(eq=False)
 class SeenPerson:
-    """What the models say of one person in one frame.
+    """Observation of one person in one frame.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class SeenPerson:
 
     @property
     def height(self) -> float:
-        """Of the box, or of somebody who leans, in pixels."""
+        """Height of the box, or of somebody who leans, in pixels."""
         return self.box[3] if self.standing is None else self.standing.length
 
     @property
@@ -113,7 +113,7 @@ class SeenFrame:
     refused: list[str]
 
     def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
+        """Return a JSON object."""
         return {"people": [person.to_record() for person in self.people], "refused": self.refused}
 
     @classmethod
@@ -131,15 +131,14 @@ def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
     return frames
 
 
-_HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065
-"""Of a head, and of its middle below the top, in heights of the person's box."""
+_HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065  # of a head and its middle, in heights of the person's box
 _LEAST = 0.2  # confidence from which on a point of the face says where the head is
 
 
 def said_by_keypoints(
     people: Sequence[PersonBox], model: KeypointPose
 ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
-    """Of each box: the body's log likelihoods (8,), the head in its crop, and its log likelihoods (1, 12).
+    """For each box: the body's log likelihoods (8,), the head in its crop, and its log likelihoods (1, 12).
 
     Whose keypoints are not known may point anywhere.
     """
@@ -170,7 +169,7 @@ _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES
 
 @dataclass(frozen=True)
 class Models:
-    """What looks at a person.
+    """Models that observe a person.
 
     Attributes
     ----------
@@ -219,7 +218,7 @@ class Models:
 def observe_frame(
     image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], object]
 ) -> list[SeenPerson]:
-    """What the models say of the people of one frame; ``refuse`` is told of boxes that hold nothing."""
+    """Observe the people of one frame; ``refuse`` receives boxes that hold nothing."""
     seen: list[SeenPerson] = []
     people: list[_Cut] = []
     light = light_of(image) if models.appearance else None
@@ -251,7 +250,7 @@ _Cut = tuple[PersonBox, Image, Standing | None]
 
 
 def _look(image: Image, people: list[_Cut], models: Models, light: FloatArray | None) -> list[SeenPerson]:
-    """What the models say of people and the pictures of their boxes; given the light, their looks too."""
+    """Observe people in the pictures of their boxes; given the light, their appearance too."""
     if not people:
         return []
     items, shown, standing = zip(*people, strict=True)
@@ -269,7 +268,7 @@ def _look(image: Image, people: list[_Cut], models: Models, light: FloatArray | 
 
 
 def _said(pictures: Sequence[Image], models: Models) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
-    """Of each picture: the body's log likelihoods, heads, and theirs, by the models of any camera."""
+    """For each picture: the body's log likelihoods, heads, and theirs, by the models of any camera."""
     body = models.body_pose.log_likelihoods(pictures)
     candidates = [models.head_localiser.locate(picture) for picture in pictures]
     heads = [
@@ -333,7 +332,7 @@ def observe(
 
 
 def is_on_ground(item: SeenPerson, camera: GroundCamera) -> bool:
-    """Whether the feet are on this side of the horizon."""
+    """Return whether the feet are on this side of the horizon."""
     return bool(np.isfinite(camera.image_to_ground(item.foot)).all())
 
 

@@ -323,7 +323,7 @@ def estimated(
     advance: Callable[[int], None],
     adapted: Callable[[Model], Model] = lambda model: model,
 ) -> tuple[TrackSet, list[str]]:
-    """Where everybody is, how they move and point, and what is to be said of it.
+    """Estimate position, motion, body and head of all tracks; return them and notes.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Which way bodies and heads point, from pictures of them."""
+"""Directions of bodies and heads in pictures of people."""

@@ -47,7 +47,7 @@ class PoseClasses:
 
     @property
     def all_around(self) -> bool:
-        """Whether the pans go around the whole circle."""
+        """Return whether the pans go around the whole circle."""
         return bool(np.isclose(self.n_pan * self.step, 2.0 * np.pi))
 
     @property
@@ -108,10 +108,9 @@ def world_likelihood(
     The classes of the world are seen at other angles in the image, by the ray to each person (Chen et al.
     2011, §3); there the likelihood is interpolated linearly. Rows sum to 1.
     """
-    p = np.exp(np.asarray(log_likelihood, float))
-    at = np.stack([camera.image_angle(np.full(len(p), pan), position) for pan in wanted.pan], axis=1)
-    found = interpolated(p, classes, at)
-    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+    n = len(position)
+    at = np.stack([camera.image_angle(np.full(n, pan), position) for pan in wanted.pan], axis=1)
+    return _likelihood_at(log_likelihood, classes, at)
 
 
 def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: PoseClasses) -> FloatArray:
@@ -119,8 +118,12 @@ def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: Po
 
     They are interpolated linearly between the centres. Rows sum to 1.
     """
-    p = np.exp(np.asarray(log_likelihood, float))
-    found = interpolated(p, classes, np.broadcast_to(wanted.pan, (len(p), wanted.n_pan)))
+    at = np.broadcast_to(wanted.pan, (len(np.asarray(log_likelihood)), wanted.n_pan))
+    return _likelihood_at(log_likelihood, classes, at)
+
+
+def _likelihood_at(log_likelihood: ArrayLike, classes: PoseClasses, angle: FloatArray) -> FloatArray:
+    found = interpolated(np.exp(np.asarray(log_likelihood, float)), classes, angle)
     return np.asarray(found / found.sum(axis=1, keepdims=True), float)
 
 

@@ -296,7 +296,7 @@ class PoseScores:
 
     @property
     def expected_calibration_error(self) -> float:
-        """Of the pan classes."""
+        """The error of the pan classes."""
         return self.reliability.expected_calibration_error
 
     def figures(self) -> dict[str, float]:

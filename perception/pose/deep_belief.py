@@ -101,7 +101,7 @@ class DeepBelief(FeatureClassifier):
         return np.asarray(self.hidden(features) @ weight + bias, float)
 
     def hidden(self, features: FloatArray) -> NDArray[np.float32]:
-        """What the last hidden layer's units (n, units) answer to equalised pixels (n, 1024)."""
+        """Activations (n, units) of the last hidden layer for equalised pixels (n, 1024)."""
         values = np.asarray(features, np.float32)
         for weight, bias in self._layers[:-1]:
             values = np.maximum(values @ weight + bias, np.float32(0.0))

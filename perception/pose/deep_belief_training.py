@@ -18,7 +18,7 @@ _START_DEVIATION = 0.02
 
 @dataclass(frozen=True)
 class Training:
-    """How to train.
+    """Parameters of the training.
 
     Attributes
     ----------

@@ -31,8 +31,7 @@ SMALLEST_DEVIATION = 0.2
 """Floor of the deviations, except in the form as published."""
 ALMOST_ZERO = 0.01
 """Deviation in place of 0 in the form as published: eq. 4 divides by it, and a cluster of one image has 0."""
-_FEW = 3
-"""Exemplars of so few images take the deviations of their whole class, except in the form as published."""
+_FEW = 3  # exemplars of so few images take the deviations of their class, unless plain
 
 _FILTERS = 1 + len(SCALES)
 _WEIGHED_ON = 1200  # images that choose the weights of the filters, at most

@@ -97,8 +97,7 @@ def multi_level_hog(
 
 
 GRID = 6
-_CROPPED = 60.0
-"""Gradients stronger than this (grey levels across two pixels) count as this: the paper crops them too."""
+_CROPPED = 60.0  # largest gradient, in grey levels across two pixels; the paper crops them too
 
 
 @lru_cache(maxsize=1)
@@ -173,8 +172,7 @@ SCALES = (1.0, 2.0, 4.0)
 FREQUENCIES = (0.5, 0.25, 0.125)
 _SPACING = 4
 _GAUSSIAN_SIGMA = 2.0
-_NOTHING = 1e-30
-"""Weights below it are taken to be 0: processors multiply subnormal numbers up to twenty times slower."""
+_NOTHING = 1e-30  # smaller weights are 0: subnormal numbers are multiplied up to 20 times slower
 
 
 def rotation_invariant_gabor(radius: FloatArray, sigma: float, frequency: float) -> FloatArray:
@@ -240,7 +238,7 @@ MASK_SIDE = 20
 
 @dataclass(frozen=True, eq=False)
 class SkinColours:
-    """How likely each colour is skin.
+    """Probabilities of skin by colour.
 
     Attributes
     ----------
@@ -288,7 +286,7 @@ class SkinColours:
         return cls(shares[0] / (shares[0] + shares[1]))
 
     def mask(self, image: Image) -> NDArray[np.bool_]:
-        """Where (h, w) an image is skin; nowhere in a grey one."""
+        """Mask (h, w) of an image's skin; empty for a grey one."""
         if image.ndim == 2:
             return np.zeros(image.shape, bool)
         index = _rgb_bins(image) if len(self.probability) == RGB_BINS else _bins(image)
@@ -377,8 +375,7 @@ PARTS = ((0, 11), (11, 22), (22, 33), (33, 57))
 LEVELS = (6, 5, 5)
 """Bins of L*, a* and b*."""
 _TEXTURED = ((1, 4), (4, 7))  # eighths of the height whose gradients count: trunk and legs
-_CHROMA = 15.0
-"""The outermost bins of a* and b* are centred on ± this; streets and clothes have little colour."""
+_CHROMA = 15.0  # centres of the outermost bins of a* and b*: clothes have little colour
 _AXIS = 0.18  # 1-σ of the weight of columns, in widths: the border is background
 
 _COLOURS = len(PARTS) * int(np.prod(LEVELS))

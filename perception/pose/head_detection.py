@@ -35,8 +35,7 @@ _FIRST_ROUNDS, _KEPT = 30, 250
 _NEGATIVE_OVERLAP = 0.35
 _HELD_OUT = 0.2
 _ANYTHING = -1e6  # A threshold below every score
-_PLACE_WEIGHTS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1)
-"""Scores that one squared deviation of the place costs, to choose from."""
+_PLACE_WEIGHTS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1)  # costs of a squared deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +267,7 @@ class HeadPath:
 def select_so_far(
     candidates: Sequence[HeadCandidates], *, smoothness: float = _SMOOTHNESS
 ) -> NDArray[np.int64]:
-    """Which candidate (n,) of each frame of a track, each chosen without the frames after it."""
+    """Choose a candidate (n,) of each frame of a track without the frames after it."""
     path = HeadPath(smoothness)
     return np.array([path.update(found) for found in candidates], np.int64)
 
@@ -276,7 +275,7 @@ def select_so_far(
 def select_along_track(
     candidates: Sequence[HeadCandidates], *, smoothness: float = _SMOOTHNESS
 ) -> NDArray[np.int64]:
-    """Which candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
+    """Choose a candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
 
     Parameters
     ----------

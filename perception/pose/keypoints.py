@@ -66,7 +66,7 @@ Points = tuple[tuple[float, float, float], ...]
 
 
 def places_of(names: Sequence[str]) -> tuple[int, ...] | None:
-    """Where COCO's points are among points of these names; None if any but a limb's is not there."""
+    """Places of COCO's points among points of these names; None if any but a limb's is missing."""
     plain = [name.lower().replace(" ", "_").replace("-", "_") for name in names]
     places = tuple(plain.index(name) if name in plain else -1 for name in NAMES)
     return None if any(places[k] < 0 for k in USED) else places
@@ -114,7 +114,7 @@ _ORDER = np.array(USED)
 
 
 def features(points: FloatArray) -> NDArray[np.float32]:
-    """What the model looks at, (n, 48), of the points (n, 9, 3) of `USED`.
+    """Features (n, 48) of the points (n, 9, 3) of `USED`.
 
     Places relative to the middle and the spread of all points, and of those of the face relative to the
     face's, weighed by confidence; confidences; the spreads in pixels and relative to each other.
@@ -208,7 +208,7 @@ class KeypointPose(Stored):
     card: ModelCard
 
     def log_likelihoods(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the body (n, 8) and of the head (n, 12), of COCO's points (n, 17, 3)."""
+        """Log likelihoods of body (n, 8) and head (n, 12) for COCO's points (n, 17, 3)."""
         used = np.asarray(points, float).reshape(-1, 17, 3)[:, _ORDER]
         return self.body.log_likelihoods(used), self.head.log_likelihoods(used)
 

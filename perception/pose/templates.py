@@ -25,8 +25,7 @@ _SIDE = 64
 _LEVELS = ((2, 2), (4, 4))
 _TEXTURE = 720
 _FOLDS = 5
-_COLOUR_SCALE = 0.1
-"""A skin mask's 400 values weigh as much as this before the projection; 0.1–0.4 give the same errors."""
+_COLOUR_SCALE = 0.1  # weight of the 400 values of a skin mask; 0.1–0.4 give the same errors
 
 Metric = Literal["euclidean", "fisher"]
 

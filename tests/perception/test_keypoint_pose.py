@@ -36,6 +36,7 @@ from perception.synthetic.skeletons import (
 )
 from perception.training import train_keypoints
 
+MODEL = load_keypoint_pose()
 CERTAIN = NetworkErrors(0.3, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 
 
@@ -49,7 +50,7 @@ def all_17(used: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("angle", np.deg2rad([0.0, 45.0, 90.0, 135.0, 180.0, -135.0, -90.0, -45.0]))
 def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
     """Of a rendered person who looks where the body points, before a camera at 5 m, without errors."""
-    rng, model = np.random.default_rng(3), load_keypoint_pose()
+    rng = np.random.default_rng(3)
     camera = Camera((5.0, 0.0, 1.5), np.pi, -0.1, 400.0, (400, 400))
     found = []
     for _ in range(20):
@@ -57,32 +58,32 @@ def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
         pixels = camera.project(joints_of(person.look, person.posture))
         seen = seen_joints(person, camera)
         found.append(perceived(pixels[None], seen[None], 140.0, rng, CERTAIN)[0])
-    body, head = model.log_likelihoods(all_17(np.array(found)))
+    body, head = MODEL.log_likelihoods(all_17(np.array(found)))
     for classes, said in ((BODY, body), (HEAD, head)):
         error = np.degrees(np.abs(difference(classes.mean_pan(said), angle)))
         assert np.median(error) < 45.0 and (error > 90.0).mean() <= 0.1
 
 
 def test_the_mirror_image_has_the_mirrored_likelihoods() -> None:
-    rng, model = np.random.default_rng(0), load_keypoint_pose()
+    rng = np.random.default_rng(0)
     people = make_skeletons(50, rng)
     points = all_17(perceived(people.points, people.visibility, people.height, rng))
     for said, turned in zip(
-        model.log_likelihoods(points), model.log_likelihoods(mirrored(points)), strict=True
+        MODEL.log_likelihoods(points), MODEL.log_likelihoods(mirrored(points)), strict=True
     ):
         np.testing.assert_allclose(turned, said[:, (-np.arange(said.shape[1])) % said.shape[1]], atol=1e-5)
     np.testing.assert_array_equal(mirrored(mirrored(points)), points)
 
 
 def test_likelihoods_are_flat_where_no_point_is_there_and_flatter_where_few_are() -> None:
-    rng, model = np.random.default_rng(1), load_keypoint_pose()
+    rng = np.random.default_rng(1)
     people = make_skeletons(400, rng, (80.0, 200.0))
     points = all_17(perceived(people.points, people.visibility, people.height, rng, CERTAIN))
-    for said in model.log_likelihoods(points * 0.0):
+    for said in MODEL.log_likelihoods(points * 0.0):
         np.testing.assert_allclose(said, -np.log(said.shape[1]))
 
     def sure(given: np.ndarray) -> tuple[float, float]:
-        body, head = (np.exp(said).max(axis=1).mean() for said in model.log_likelihoods(given))
+        body, head = (np.exp(said).max(axis=1).mean() for said in MODEL.log_likelihoods(given))
         return float(body), float(head)
 
     without_face, unsure = points.copy(), points.copy()
@@ -96,17 +97,17 @@ def test_likelihoods_are_flat_where_no_point_is_there_and_flatter_where_few_are(
     assert sure(alone)[0] < 0.45 and sure(alone)[1] < 0.5
     # Likelihoods are exact numbers for points far away or on top of each other too.
     for odd in (points + np.array([1e7, -1e7, 0.0]), points * [0.0, 0.0, 1.0]):
-        assert all(np.isfinite(said).all() for said in model.log_likelihoods(odd))
+        assert all(np.isfinite(said).all() for said in MODEL.log_likelihoods(odd))
 
 
 def test_an_unseen_face_above_shoulders_that_are_seen_from_behind_says_so() -> None:
-    rng, model = np.random.default_rng(2), load_keypoint_pose()
+    rng = np.random.default_rng(2)
     people = make_skeletons(6000, rng, (80.0, 200.0))
     behind = (np.abs(difference(people.head, np.pi)) < 0.3) & (np.abs(difference(people.body, np.pi)) < 0.5)
     points = perceived(people.points, people.visibility, people.height, rng, CERTAIN)[behind]
     assert np.median(points[:, :3, 2]) < 0.2
     points[:, :3] = 0.0  # as networks that leave out what they are not sure of
-    _, head = model.log_likelihoods(all_17(points))
+    _, head = MODEL.log_likelihoods(all_17(points))
     p = np.exp(head)
     back = np.abs(wrap(HEAD.pan - np.pi)) < np.deg2rad(50.0)
     assert p[:, back].sum(axis=1).mean() > 0.7
@@ -114,11 +115,11 @@ def test_an_unseen_face_above_shoulders_that_are_seen_from_behind_says_so() -> N
 
 @pytest.mark.parametrize("rendered", [False, True])
 def test_likelihoods_are_calibrated(rendered: bool) -> None:
-    rng, model = np.random.default_rng(11), load_keypoint_pose()
+    rng = np.random.default_rng(11)
     people = make_rendered_skeletons(600, rng) if rendered else make_skeletons(6000, rng)
     points = all_17(perceived(people.points, people.visibility, people.height, rng))
     for classes, said, angle, most in zip(
-        (BODY, HEAD), model.log_likelihoods(points), (people.body, people.head), (30.0, 22.0), strict=True
+        (BODY, HEAD), MODEL.log_likelihoods(points), (people.body, people.head), (30.0, 22.0), strict=True
     ):
         error = np.degrees(np.abs(difference(classes.mean_pan(said), angle)))
         assert error.mean() < most

@@ -62,6 +62,20 @@ def images_read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+def frames_looked_at(monkeypatch: pytest.MonkeyPatch, error: type[BaseException] | None) -> list[int]:
+    """The frames that models look at from here on; the fourth raises an error."""
+    looked: list[int] = []
+
+    def look(image: np.ndarray, frame: int, *rest: object) -> list[SeenPerson]:
+        looked.append(frame)
+        if error is not None and len(looked) == 4:
+            raise error
+        return observe_frame(image, frame, *rest)
+
+    monkeypatch.setattr("perception.observe.pipeline.observe_frame", look)
+    return looked
+
+
 def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "observations.csv"
     options = ["--boxes", clip / "boxes.txt", "--homography", clip / "homography.txt", "--fps", 5]
@@ -210,18 +224,11 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
-    looked: list[int] = []
-
-    def look(image: np.ndarray, frame: int, *rest: object) -> list[SeenPerson]:
-        looked.append(frame)
-        if where == "observing" and len(looked) == 4:
-            raise MemoryError
-        return observe_frame(image, frame, *rest)
+    looked = frames_looked_at(monkeypatch, MemoryError if where == "observing" else None)
 
     def full(*rest: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("perception.observe.pipeline.observe_frame", look)
     with monkeypatch.context() as patch:
         if where == "writing":
             patch.setattr("graphtrack.io.write", full)
@@ -245,15 +252,7 @@ def drawn(folder: Path) -> dict[int, np.ndarray]:
 def test_a_run_that_was_broken_off_is_drawn_whole(
     clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    looked: list[int] = []
-
-    def look(image: np.ndarray, frame: int, *rest: object) -> list[SeenPerson]:
-        looked.append(frame)
-        if len(looked) == 4:
-            raise KeyboardInterrupt
-        return observe_frame(image, frame, *rest)
-
-    monkeypatch.setattr("perception.observe.pipeline.observe_frame", look)
+    frames_looked_at(monkeypatch, KeyboardInterrupt)
     outside = "0,9,5000,0,30,80,1,-1,-1,-1\n"
     (tmp_path / "boxes.txt").write_text(outside + (clip / "boxes.txt").read_text())
     options = ["--boxes", tmp_path / "boxes.txt", "--homography", clip / "homography.txt"]

@@ -133,19 +133,25 @@ def test_what_is_done_can_be_viewed(
             np.testing.assert_allclose([one[0] for one in positions.values()], track.position, atol=1e-5)
 
 
-def test_a_run_that_breaks_off_goes_on(
-    reported: tuple[Path, str], arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def breaking_off(monkeypatch: pytest.MonkeyPatch, at: int) -> list[int]:
+    """The frames that are looked at from here on; a run breaks off at one of them."""
     looked: list[int] = []
     look = pipeline.observe_frame
 
     def breaks_off(image: np.ndarray, frame: int, *rest: object) -> object:
         looked.append(frame)
-        if len(looked) == 9:
+        if len(looked) == at:
             raise KeyboardInterrupt
         return look(image, frame, *rest)
 
     monkeypatch.setattr(pipeline, "observe_frame", breaks_off)
+    return looked
+
+
+def test_a_run_that_breaks_off_goes_on(
+    reported: tuple[Path, str], arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = breaking_off(monkeypatch, 9)
     run("report", *arguments, "-o", tmp_path / "out")
     assert not (tmp_path / "out" / "observations.csv").exists()
     done = run("report", *arguments, "-o", tmp_path / "out")
@@ -338,16 +344,7 @@ def test_what_is_learned_is_learned_once(
     assert run("adapt", *arguments, "-o", tmp_path / "camera.npz").returncode == 0
     done = run("observe", *arguments, "--models", tmp_path / "camera.npz", "-o", tmp_path / "apart.csv")
     assert done.returncode == 0, done.stderr
-    looked: list[int] = []
-    look = pipeline.observe_frame
-
-    def breaks_off(image: np.ndarray, frame: int, *rest: object) -> object:
-        looked.append(frame)
-        if len(looked) == 5:
-            raise KeyboardInterrupt
-        return look(image, frame, *rest)
-
-    monkeypatch.setattr(pipeline, "observe_frame", breaks_off)
+    looked = breaking_off(monkeypatch, 5)
     for _ in range(2):
         done = run("observe", *arguments, "--adapt", "-o", tmp_path / "at_once.csv")
     assert done.returncode == 0, done.stderr
