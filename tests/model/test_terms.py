@@ -466,15 +466,7 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
                 if not any(kernel.orientation == name for kernel in searched):
                     assert not found[name].any() and not quarters[name].any()
                     continue
-
-                def cost(
-                    angle: float, k: int = k, place: int = place, rows: Any = rows, alone: Any = alone
-                ) -> float:
-                    turned = rows[k].copy()
-                    turned[place] = angle
-                    return evaluate(term, alone, k, rows[k], turned)[0]
-
-                expected = np.array([cost(angle) for angle in angles])
+                expected = costs_at(term, alone, k, rows[k], place, angles)
                 np.testing.assert_allclose(
                     np.diff(found[name][k]), np.diff(expected), atol=1e-6 * (1.0 + np.ptp(expected))
                 )

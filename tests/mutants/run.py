@@ -169,8 +169,8 @@ MUTANTS = (
     ),
     Mutant(
         "lag-off-by-one",
-        "self._steps[n].observation.t < horizon",
-        "self._steps[n].observation.t <= horizon",
+        "observation.t - lag - TIME_TOLERANCE",
+        "observation.t - lag + TIME_TOLERANCE",
     ),
     Mutant(
         "modes-before-off-by-one",
