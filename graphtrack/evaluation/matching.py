@@ -1,7 +1,4 @@
-"""Detections with an identity: positions on the ground or boxes in the image.
-
-Similarity of two detections, from 0 to 1, and the frames in which truth and estimates are compared.
-"""
+"""Detections with an identity, their similarity from 0 to 1, and the frames of truth and estimates."""
 
 from __future__ import annotations
 
