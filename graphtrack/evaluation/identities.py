@@ -12,7 +12,8 @@ other rows of the true person and of the track. With DetA = TP / (TP + FN + FP) 
 is √(DetA·AssA). The figure is the mean over α.
 
 IDF1: Ristani et al., ECCV workshops 2016, section 3.2. True and computed trajectories are paired once for
-the whole sequence: IDP = IDTP / (IDTP + IDFP), IDR = IDTP / (IDTP + IDFN), IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
+the whole sequence: IDP = IDTP / (IDTP + IDFP), IDR = IDTP / (IDTP + IDFN),
+IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
 """
 
 from __future__ import annotations
