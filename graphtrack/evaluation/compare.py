@@ -1,9 +1,4 @@
-"""Every method behind one protocol, so that comparing them is a loop over a list of names.
-
-One method on one track: its estimates, its errors, its time, or why it failed.
-
-Methods against each other on the same tracks, with the same frames and the same parameters.
-"""
+"""Comparison of filters and smoothers on the same tracks, frames and parameters, behind one protocol."""
 
 from __future__ import annotations
 

@@ -1,14 +1,9 @@
-"""CLEAR MOT: misses, false positives, switches of identity and fragmentations, frame by frame.
+"""Tracking scores: CLEAR MOT, HOTA and IDF1, of a sequence and of all sequences together.
 
-Bernardin and Stiefelhagen, *Evaluating multiple object tracking performance: the CLEAR MOT metrics*, EURASIP
-Journal on Image and Video Processing 2008, section 2; mostly tracked, mostly lost and fragmentations as in
-Li, Huang and Nevatia, *Learning to associate*, CVPR 2009. Where those leave something open, it is as in
-TrackEval, so that figures can be compared.
+CLEAR MOT: Bernardin and Stiefelhagen, EURASIP Journal on Image and Video Processing 2008, section 2; mostly
+tracked, mostly lost and fragmentations: Li, Huang and Nevatia, CVPR 2009. Open details are as in TrackEval.
 
-HOTA: detection and association in one figure, over all demands on how close a match has to be.
-
-Luiten, Ošep, Dendorfer, Torr, Geiger, Leal-Taixé and Leibe, *HOTA: a higher order metric for evaluating
-multi-object tracking*, International Journal of Computer Vision 129, 2021, section 5: at one α
+HOTA: Luiten et al., International Journal of Computer Vision 129, 2021, section 5. At one α
 
     HOTA = √(Σ_c A(c) / (TP + FN + FP)),    A(c) = TPA(c) / (TPA(c) + FNA(c) + FPA(c)),
 
@@ -16,16 +11,9 @@ over the matches c, where TPA(c) counts the frames in which the same two are mat
 other rows of the true person and of the track. With DetA = TP / (TP + FN + FP) and AssA the mean of A(c) it
 is √(DetA·AssA). The figure is the mean over α.
 
-IDF1: how many rows one lasting pairing of true people and tracks gets right.
-
-Ristani, Solera, Zou, Cucchiara and Tomasi, *Performance measures and a data set for multi-target,
-multi-camera tracking*, ECCV workshops 2016, section 3.2: true and computed trajectories are paired once,
-for the whole sequence, and
-IDP = IDTP / (IDTP + IDFP), IDR = IDTP / (IDTP + IDFN), IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
-
-Metrics from counts: of a sequence, and of all sequences together.
-
-`score`: from files or tracks to figures.
+IDF1: Ristani et al., ECCV workshops 2016, section 3.2. True and computed trajectories are paired once for
+the whole sequence: IDP = IDTP / (IDTP + IDFP), IDR = IDTP / (IDTP + IDFN),
+IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
 """
 
 from __future__ import annotations

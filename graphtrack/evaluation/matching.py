@@ -1,7 +1,4 @@
-"""Detections with an identity: positions on the ground or boxes in the image.
-
-Similarity of two detections, from 0 to 1, and the frames in which truth and estimates are compared.
-"""
+"""Detections with an identity, their similarity from 0 to 1, and the frames of truth and estimates."""
 
 from __future__ import annotations
 
@@ -213,7 +210,8 @@ def share_frames(
             path=name or None,
         )
     frames = np.unique(np.concatenate([truth.frame, estimates.frame]))
-    (truth_ids, true_person), (estimate_ids, estimated_person) = _numbered(truth), _numbered(estimates)
+    truth_ids, true_person = np.unique(truth.track_id, return_inverse=True)
+    estimate_ids, estimated_person = np.unique(estimates.track_id, return_inverse=True)
     here = list(zip(_slices(truth, frames), _slices(estimates, frames), strict=True))
     return SharedFrames(
         truth=tuple(true_person[of_truth] for of_truth, _ in here),
@@ -226,11 +224,6 @@ def share_frames(
 
 def _span(detections: Detections) -> str:
     return f"frames {detections.frame[0]} to {detections.frame[-1]}"
-
-
-def _numbered(detections: Detections) -> tuple[IntArray, IntArray]:
-    ids, person = np.unique(detections.track_id, return_inverse=True)
-    return ids, person
 
 
 def _slices(detections: Detections, frames: IntArray) -> list[slice]:

@@ -1,13 +1,7 @@
-"""Errors of estimates against the truth, and normalised ones (NEES).
+"""Errors of estimates against the truth, their confidence intervals, and the calibration of covariances.
 
 Frames where the estimate or the truth is missing, and those outside the mask, do not count; a metric with no
-frame left is NaN.
-
-Confidence intervals by resampling the people, paired: every method saw the same ones.
-
-Calibration of covariances: NEES with its χ² band, and the coverage of intervals, by quantity.
-
-Errors of estimated states against the truth, of people whose identities are those of the truth.
+frame left is NaN. Intervals resample the people, paired: every method is applied to the same ones.
 """
 
 from __future__ import annotations

@@ -1,16 +1,9 @@
-"""Trackers of other people, who know boxes in an image and no ground: ByteTrack and OC-SORT.
+"""Trackers of many people behind one protocol, and their comparison on the same detections.
 
-The code is that of the package ``trackers`` (Roboflow), which is not installed with this one: see `load`.
-ByteTrack: Zhang et al. 2022 (ECCV). OC-SORT: Cao et al. 2023 (CVPR).
-
-The best parameters of a tracker on made-up crowds.
-
-``python -m graphtrack.evaluation.trackers hungarian bytetrack ocsort`` prints them. So each tracker
-that others are compared with does as well as it can, and none has seen the recordings that judge it.
-
-Trackers of many people behind one protocol: who is who, from detections alone.
-
-Trackers against each other on the same detections, judged against the same truth.
+The peers, ByteTrack (Zhang et al. 2022, ECCV) and OC-SORT (Cao et al. 2023, CVPR), track boxes in an image;
+their code is the package ``trackers`` (Roboflow), which is not installed with this one: see `load`.
+``python -m graphtrack.evaluation.trackers hungarian bytetrack ocsort`` prints the best parameters of trackers
+on simulated crowds, so that none is tuned on the recordings that judge it.
 """
 
 from __future__ import annotations
@@ -52,9 +45,6 @@ INSTALL = (
     "pip install 'graphtrack[peers]', then pip install --no-deps 'trackers>=2.6': "
     "the opencv-python that it asks for would overwrite opencv-python-headless"
 )
-
-CONFIDENT = 1.0
-"""Confidence of every box: a detector's own are on no common scale."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +115,8 @@ def load(name: PeerName) -> tuple[MakeTracker, MakeBoxes]:
     def boxes_of(corners: FloatArray) -> Any:
         return boxes(
             xyxy=corners,
-            confidence=np.full(len(corners), CONFIDENT, np.float32),
+            # A detector's own confidences are on no common scale.
+            confidence=np.ones(len(corners), np.float32),
             data={"row": np.arange(len(corners))},
         )
 
@@ -299,10 +290,6 @@ def main(names: Sequence[str]) -> None:
         other = judged(partial(run, best), others)
         print(f"{name}: {best}")
         print(f"  other crowds: HOTA {other.hota:.3f}, IDF1 {other.idf1:.3f}, MOTA {other.mota:.3f}")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
 
 
 TRACKERS = ("associate", "online", "hungarian")
@@ -621,3 +608,7 @@ def _boxes(rows: Rows, path: Path, format: str | None, options: ReadOptions) -> 
     of_line = {boxed.line_of(i): box for i, box in enumerate(boxed.channels["box"])}
     found = np.array([of_line[rows.line_of(i)] for i in range(len(rows))]).reshape(-1, 4)
     return found if np.isfinite(found).all() else None
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

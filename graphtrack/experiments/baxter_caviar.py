@@ -1,8 +1,6 @@
-"""CAVIAR's people with labelled heads, seen as often as asked, and filters fitted on some of them.
+"""Baxter et al. 2014, §IV-B, Fig. 5(a): one-step prediction of CAVIAR's people with labelled heads.
 
-Causes of Baxter et al.'s gains on CAVIAR: one thing changed at a time.
-
-Baxter et al. 2014, §IV-B, Fig. 5(a): one-step prediction of CAVIAR's people with labelled heads.
+Filters are fitted on some of the people; controls change one condition at a time.
 """
 
 from __future__ import annotations

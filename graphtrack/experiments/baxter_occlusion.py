@@ -1,6 +1,6 @@
-"""The methods of baxter-occlusion, each with the parameters that make its own error least.
+"""Baxter et al. 2014, Table I: a window is withheld around each sharp turn, and predicted.
 
-Baxter et al. 2014, Table I: a window is withheld around each sharp turn, and predicted.
+Each method has the parameters that minimise its own error.
 """
 
 from __future__ import annotations

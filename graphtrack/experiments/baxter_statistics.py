@@ -1,7 +1,4 @@
-"""Deviation of the head from the direction of travel (Baxter et al. 2014, §II); heads made of the future.
-
-Baxter et al. 2014, §II, Fig. 2: how far people look from where they go.
-"""
+"""Baxter et al. 2014, §II, Fig. 2: deviation of the head from the direction of travel."""
 
 from __future__ import annotations
 

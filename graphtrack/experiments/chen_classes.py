@@ -1,10 +1,7 @@
-"""Class likelihoods as a camera has them: answered in the image, and turned to the world once (Chen et al.
-2011, §3).
+"""Chen et al. 2011, §3, on its own observations: class likelihoods of body and head, many of them wrong.
 
-Every engine on the same class likelihoods, with the preset ``joint``.
-
-Chen et al. 2011 with the observations that it has: class likelihoods of body and head, many of them
-wrong.
+A camera answers in the image; the likelihoods are turned to the world once. All engines
+use the preset ``joint``.
 """
 
 from __future__ import annotations

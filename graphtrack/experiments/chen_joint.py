@@ -1,11 +1,7 @@
-"""The errors of Chen et al.'s experiments: of body and head by method and model, as tables and pictures.
-
-Chen et al.'s separate and joint filtering, each method with the parameters that are best for it.
+"""Chen et al. 2011, Table 2: body and head from observations alone, filtered separately, and jointly.
 
 The methods share five parameters: q, D_body, D_head, κ₁ and κ₂. They are fitted for each method and for both
 presets alike, on people who are not reported.
-
-Chen et al. 2011, Table 2: body and head from observations alone, filtered separately, and jointly.
 """
 
 from __future__ import annotations
@@ -509,9 +505,6 @@ def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Records:
                     "full (°)": float(own.mean()),
                     **paired("full − separate (°)", own, separate, rng),
                 }
-
-
-NO_ENDS: Mapping[str, Cell] = {"low": None, "high": None}
 
 
 def _panels(found: Sequence[Scores], rng: np.random.Generator) -> list[Panel]:

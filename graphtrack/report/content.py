@@ -1,7 +1,4 @@
-"""Tables of a comparison as plain rows, checked to have their columns.
-
-Parts of a report: plain data, without HTML.
-"""
+"""Parts of a report as plain data without HTML, and tables of a comparison as checked rows."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""The replay and the chart of angles as HTML: ``assets/replay.html`` and ``assets/angles.html``, filled in.
+"""The report as one HTML file that needs nothing else: no network, no server, no other file.
 
-What the controls do is in ``assets/replay_*.js`` and ``assets/angles_*.js``.
-
-The report as one HTML file that needs nothing else: no network, no server, no other file.
+The replay and the charts fill in the templates ``assets/*.html``; ``assets/*.js`` has their behaviour.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Groups, looks and forecasts that are shown with tracks, checked to be of their people.
-
-Summary of each group: times, members, sizes and probability.
-"""
+"""Groups, looks and forecasts shown with tracks, checked against their people; summaries of groups."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""An estimated track beside the observations it came from, frame by frame.
-
-When people were there, when they were not seen in between, and how sure it is that they are the same.
-"""
+"""Estimates aligned with observations, and each person's birth, death, gaps and identity probability."""
 
 from __future__ import annotations
 

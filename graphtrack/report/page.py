@@ -1,7 +1,4 @@
-"""The usual report of a tracking run, from tracks and comparison tables to a `Report`.
-
-The page of a set of tracks, with what people do: `graphtrack report`, and `write_report` in Python.
-"""
+"""The usual report of a tracking run: `graphtrack report`, and `write_report` in Python."""
 
 from __future__ import annotations
 

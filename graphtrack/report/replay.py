@@ -1,8 +1,6 @@
-"""Series as the page holds them: rounded, and as differences, which pack well.
+"""Data of the replay and the charts: thinned, quantised and delta-coded, to be small.
 
-Groups, looks and forecasts as the replay holds them, in step with the samples of people that it keeps.
-
-The data of the replay and the chart of angles: thinned, quantised and delta-coded, to be small.
+Groups, looks and forecasts are in step with the kept samples of people.
 """
 
 from __future__ import annotations

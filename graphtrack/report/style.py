@@ -1,10 +1,8 @@
-"""Shared style of figures, charts and pages: colours, an empty figure, plain axes.
+"""Shared style of figures, charts and pages, and the shapes in them: ellipses, curves and bands cut at ±π.
 
 The colours are those of Okabe & Ito (2008), which people with any common colour blindness can tell apart.
 Three of them are kept for body, head and velocity; people get the others and, since those repeat, a pattern
-of dashes and an id beside their path.
-
-Shapes behind the pictures: uncertainty ellipses, and curves and bands on the circle cut at ±π.
+of dashes and an id next to their path.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The video with people's boxes, as entities of a recording.
-
-People's boxes, from files that have them.
-"""
+"""The video and people's boxes, read from files, as entities of a recording."""
 
 from __future__ import annotations
 

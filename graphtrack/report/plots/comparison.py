@@ -1,9 +1,4 @@
-"""Methods against each other: errors with their spread, and consistency (NEES) with its χ² band.
-
-Reliability diagrams: coverage of intervals against their probability.
-
-Body and head over time.
-"""
+"""Plots of methods (errors, NEES, reliability diagrams) and of body and head over time."""
 
 from __future__ import annotations
 

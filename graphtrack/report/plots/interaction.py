@@ -1,7 +1,4 @@
-"""Groups over time.
-
-Plots of gaze: on the ground, over time, and who looks at whom.
-"""
+"""Plots of groups over time, and of gaze: on the ground, over time and between people."""
 
 from __future__ import annotations
 

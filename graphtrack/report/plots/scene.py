@@ -1,7 +1,4 @@
-"""Many people from above: how long they were where, and which ways they went.
-
-The scene from above: paths, observations, body and head arrows, uncertainty and gaps.
-"""
+"""The scene from above: paths, observations, arrows, uncertainty, gaps; density and flow of people."""
 
 from __future__ import annotations
 
