@@ -1,4 +1,4 @@
-"""Town Centre's people as they are found without boxes: how often a detection is right, by what it says."""
+"""Reliability of the detections of people in Town Centre, by their score."""
 
 from __future__ import annotations
 

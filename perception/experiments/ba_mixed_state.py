@@ -1,8 +1,4 @@
-"""The page of figures of ba-mixed-state: Ba & Odobez's Figs. 3 and 4, and Table 2.
-
-Ba & Odobez 2003: identification of still heads, and tracking and pose together against tracking, then
-pose.
-"""
+"""Ba & Odobez 2003: still heads, and tracking with the pose against tracking, then pose; Figs. 3 and 4."""
 
 from __future__ import annotations
 
@@ -356,15 +352,12 @@ def _rows(pans: str, done: Done) -> list[dict[str, Cell]]:
 def _over_seeds(runs: Sequence[tuple[int, Run]], attribute: str, form: str = ".1f") -> str:
     """Mean ± deviation over seeds; errors in radians become degrees."""
     factor = 1.0 if attribute == "error" else float(np.degrees(1.0))
-    values = _by_seed([(seed, factor * float(getattr(run, attribute).mean())) for seed, run in runs])
+    by_seed: dict[int, list[float]] = {}
+    for seed, run in runs:
+        by_seed.setdefault(seed, []).append(factor * float(getattr(run, attribute).mean()))
+    values = np.array([np.mean(of_seed) for of_seed in by_seed.values()])
     spread = f" ± {values.std():{form}}" if len(values) > 1 else ""
     return f"{values.mean():{form}}{spread}"
-
-
-def _by_seed(values: Sequence[tuple[int, float]]) -> FloatArray:
-    """Means (seeds,) of the values of each seed."""
-    seeds = sorted({seed for seed, _ in values})
-    return np.array([np.mean([value for k, value in values if k == seed]) for seed in seeds])
 
 
 def _beside(facing: Done) -> Table:

@@ -74,6 +74,7 @@ class PersonWithHeads:
     size: FloatArray
 
 
+@cache
 def people_with_heads(folder: Path) -> list[PersonWithHeads]:
     """Everybody with `LEAST_FRAMES` labelled heads among the frames of ``folder``, a CAVIAR folder.
 
@@ -297,12 +298,7 @@ def _street(settings: Settings) -> Path | None:
 
 def _people(settings: Settings) -> list[PersonWithHeads]:
     path = settings.recording(*CAVIAR)
-    return [] if path is None else _read(path.parents[1])
-
-
-@cache
-def _read(folder: Path) -> list[PersonWithHeads]:
-    return people_with_heads(folder)
+    return [] if path is None else people_with_heads(path.parents[1])
 
 
 def _split_table(found: Sequence[Split]) -> Table:

@@ -1,12 +1,6 @@
-"""Estimates drawn on the frames, separately and jointly, and seen from above (Chen et al. 2011, Fig. 6, 7
-and 9).
+"""Chen et al. 2011, Table 2 from pixels: online methods on rendered clips, drawn as in its Figs. 6, 7 and 9.
 
-People of motion capture as classifiers answer for them, of whose poses pictures are rendered.
-
-Chen et al. 2011, Table 2 from pixels, online beside online, with estimates drawn on the frames as in its
-Fig. 6–9.
-
-Then people of motion capture, whose poses are rendered and answered for by Chen et al.'s classifiers.
+Also people of motion capture, whose poses are rendered and classified.
 """
 
 from __future__ import annotations

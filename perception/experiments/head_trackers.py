@@ -1,12 +1,6 @@
-"""What the graph adds to a tracker: errors of its boxes and pans before and after, and lost targets.
+"""Head trackers on rendered sequences and on Oxford Town Centre, scored as in Ba & Odobez 2003, §4.2.
 
-The head trackers on rendered sequences before things of the head's own colours, scored as in Ba & Odobez
-2003, §4.2.
-
-The trackers of heads on real heads of Oxford Town Centre, at the few frames a second that are at hand.
-
-Ba & Odobez 2003, Tables 1 to 3: identification of the pan of still heads, and which pans are taken for
-which.
+Also the identification of the pan of still heads (Tables 1 to 3).
 """
 
 from __future__ import annotations
@@ -40,8 +34,6 @@ from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
 from perception.trackers.mixed_state import ColourMemory, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal, Tracker
-
-_HALF = 0.5
 
 
 @dataclass(frozen=True)
@@ -141,7 +133,7 @@ def survives(
     """
     hidden = np.flatnonzero(visible == 0.0)
     last = int(hidden[-1]) if len(hidden) else -1
-    back = np.flatnonzero((visible >= _HALF) & (np.arange(len(visible)) > last))
+    back = np.flatnonzero((visible >= 0.5) & (np.arange(len(visible)) > last))
     if not len(back) or back[0] + after >= len(visible):
         raise ValueError("the target does not come back before the end")
     rest = slice(int(back[0]) + after, None)
@@ -489,8 +481,6 @@ _PAPER: dict[tuple[int, Density, int], str] = {
 """Ba & Odobez 2003, Tables 1 and 3: identification in per cent, by people (half of them learned from) and
 exemplars."""
 
-FIRST = 68
-"""People of Ba & Odobez's Tables 1 and 2."""
 _EXEMPLARS = {68: (1, 2), 140: (1, 2, 3, 4)}
 
 
@@ -527,14 +517,14 @@ def _record(people: int, row: RecognitionRow, printed: RecognitionRow) -> dict[s
 def _confusions(ours: FloatArray) -> Table:
     """A row for each true pan, of the paper and of ours."""
     records: list[dict[str, Cell]] = [
-        {"true pan (°)": pan, "of": name, **_cells(matrix[k])}
+        {
+            "true pan (°)": pan,
+            "of": name,
+            **{f"{other:g}": round(float(value), 1) for other, value in zip(PANS, matrix[k], strict=True)},
+        }
         for k, pan in enumerate(PANS)
         for name, matrix in (("paper", CONFUSION), ("ours", ours))
     ]
     return Table.of(
         "Confusions of pans in per cent, 2 exemplars, saturated density (Ba & Odobez 2003, Table 2)", records
     )
-
-
-def _cells(row: Sequence[float] | FloatArray) -> dict[str, Cell]:
-    return {f"{pan:g}": round(float(value), 1) for pan, value in zip(PANS, row, strict=True)}

@@ -1,7 +1,4 @@
-"""Cameras of synthetic scenes: the rays of their pixels and where points are seen.
-
-From light to the bytes of a file: exposure, blur, noise, JPEG; and backgrounds for crops.
-"""
+"""Cameras of synthetic scenes: rays, projection, sensors (exposure, blur, noise, JPEG), backgrounds."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""What people do in a room under a ceiling camera, and the ways they go.
+"""Rendered rooms under a fisheye camera: the kinds of sequence of Yan, Weber & Wermter (2011), Table 1.
 
-A room under a fisheye camera: someone comes in, walks, sits; furniture is moved; somebody else comes.
-
-The kinds of sequence of Yan, Weber & Wermter (2011), Table 1, with exact boxes of the person to track.
+Someone comes in, walks and sits, furniture is moved, somebody else comes; boxes are exact.
 """
 
 from __future__ import annotations
@@ -272,7 +270,8 @@ def ceiling_sequence(
     empty : frames before the person comes in
     """
     furniture = _furniture(rng)
-    chair = _chair(rng)
+    place = rng.uniform(-1.0, 1.0, 2) * INSIDE
+    chair = Furniture((float(place[0]), float(place[1])), _CHAIR, rng.uniform(0.0, np.pi), _colour(rng))
     tables = tuple(_table(rng, k) for k in range(len(kind.moves)))
     bearing, height = rng.uniform(-np.pi, np.pi), rng.uniform(1.0, 1.45)
     tint, key = rng.normal(1.0, 0.04, 3), rng.uniform(0.2, 0.5)
@@ -348,11 +347,6 @@ def _furniture(rng: np.random.Generator) -> list[Furniture]:
     size = (rng.uniform(0.4, 0.6), rng.uniform(1.0, 1.8), rng.uniform(0.5, 1.8))
     found.append(Furniture((-x + size[0] / 2 + 0.05, rng.uniform(-0.4, 0.4)), size, 0.0, _colour(rng)))
     return found
-
-
-def _chair(rng: np.random.Generator) -> Furniture:
-    place = rng.uniform(-1.0, 1.0, 2) * INSIDE
-    return Furniture((float(place[0]), float(place[1])), _CHAIR, rng.uniform(0.0, np.pi), _colour(rng))
 
 
 def _table(rng: np.random.Generator, k: int) -> Furniture:

@@ -1,7 +1,4 @@
-"""Short rendered videos of people who walk and look around, with the boxes a detector would give.
-
-A street with rendered people pasted into its frames: quick to make, and every direction is known.
-"""
+"""Short rendered videos: people who walk and look around, and a street with people pasted into its frames."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Many crops in one picture, to look at.
-
-Folders of rendered clips and crops, with what belongs to them: boxes, camera, labels, and the truth.
-"""
+"""Folders of rendered clips and crops with boxes, camera, labels and truth; contact sheets."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Compiled kernels of the ray caster: rays against ellipsoids, tubes and boxes in their local coordinates.
+"""Ray casting of solids over a ground plane, with one light, an ambient term and shadows on the ground.
 
-Ray casting of solids over a ground plane, with one light, an ambient term and shadows on the ground.
+The compiled kernels intersect rays with ellipsoids, tubes and boxes in their local coordinates.
 """
 
 from __future__ import annotations
@@ -389,13 +389,6 @@ def cast(
 
     flat = np.ascontiguousarray(rays, float).reshape(-1, 3)
     make_ready("the renderer", Rehearsal("renderer", lambda: follow(flat[:1]), 7.0))
-    colour, covered, skin, nearest, extent, covers, shows = follow(flat)
-    return Cast(
-        colour.reshape(h, w, 3),
-        covered.reshape(h, w),
-        skin.reshape(h, w),
-        nearest.reshape(h, w),
-        extent,
-        covers,
-        shows,
-    )
+    colour, *images, extent, covers, shows = follow(flat)
+    covered, skin, nearest = (image.reshape(h, w) for image in images)
+    return Cast(colour.reshape(h, w, 3), covered, skin, nearest, extent, covers, shows)

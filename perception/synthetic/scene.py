@@ -1,7 +1,4 @@
-"""Whole frames: people among furniture on a floor, before a camera, with exact labels.
-
-A scene whose camera and furniture stand still: cast once, then only the rays near what moves.
-"""
+"""Whole frames: people among furniture on a floor, before a camera, with exact labels."""
 
 from __future__ import annotations
 

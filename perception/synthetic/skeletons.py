@@ -1,11 +1,9 @@
-"""Skeletons of people who walk and stand, before random cameras, and what a pose network would say of them.
+"""Skeletons of people who walk and stand, as a pose network would see them.
 
 The pelvis turns against the shoulders as in motion capture of people who walk (1-σ: 9°). Heads turn much
-farther than there (16°): how heads go with bodies is for the graph to say, and not to be said twice. Those
-recordings have no joints: these stand at heights and widths of anthropometry (Drillis & Contini 1966), which
-vary from one person to the next.
-
-Where the eyes, ears, shoulders and hips of rendered people are, and whether the camera sees them.
+farther than there (16°), since the graph already models how heads go with bodies. Heights and widths are
+those of anthropometry (Drillis & Contini 1966) and vary between people. Also the joints of rendered people,
+and whether a camera sees them.
 """
 
 from __future__ import annotations
@@ -28,7 +26,8 @@ from perception.synthetic.solids import Builder, Solids, rotation_roll, rotation
 _TWIST, _HEAD_TURN, _FARTHEST = np.deg2rad([9.0, 35.0, 110.0])
 _EVEN = 0.5
 """Share of the heads that turn anywhere up to the farthest, all alike."""
-_LEFT, _RIGHT = 1.0, -1.0
+_SIDES = (1.0, -1.0)
+"""Left and right."""
 _NORMALS = np.array(
     [
         [1.0, 0.0, -0.1],
@@ -146,7 +145,7 @@ def _joints(
     def about(mean: float, deviation: float) -> FloatArray:
         return rng.normal(mean, deviation, n)
 
-    side = np.array([_LEFT, _RIGHT])
+    side = np.array(_SIDES)
     points, normals = np.zeros((n, N_USED, 3)), np.zeros((n, N_USED, 3))
     lean, sway = about(0.05, 0.09), about(0.0, 0.05)
     chest = rotation_z(body)
@@ -279,7 +278,6 @@ def _written(found: FloatArray, rng: np.random.Generator, errors: NetworkErrors)
     return np.asarray(np.where(lost[..., None], 0.0, result), float)
 
 
-_SIDES = (1.0, -1.0)
 _FACE = ((0.126, 0.0, -0.02), *((0.090, side * 0.033, 0.012) for side in _SIDES))
 _EARS = tuple((-0.008, side * 0.088, 0.0) for side in _SIDES)
 _DEPTH = np.array([0.02, 0.025, 0.025, 0.025, 0.025, 0.13, 0.13, 0.18, 0.18])

@@ -1,6 +1,6 @@
-"""Histograms of hue, saturation and value: of boxes, and of pixels with weights, projected back.
+"""The colour tracker: a particle filter on histograms of hue, saturation and value, then the head's pose.
 
-A particle filter on colour histograms (Pérez, Hue, Vermaak & Gangnet 2002), and then the head's pose.
+Pérez, Hue, Vermaak & Gangnet 2002. The histograms of weighed pixels are those of the Sigma-Pi tracker's cue.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
-"""Windows of the Sigma-Pi tracker: the pixels that they cover, and how active a saliency is in them.
+"""The cues of the Sigma-Pi tracker: motion, colour, and shape by local features or by views.
 
-Shape: local features of the target in the last frames, against those of the background (Yan et al. 2011,
-§3).
-
-Shape of a person whose box was given: views of the whole window, which need fewer pixels than features.
-
-The three cues of the Sigma-Pi tracker: what each remembers, and how active it is in windows of a frame.
+Local features of the target in the last frames are compared with those of the background (Yan et al. 2011,
+§3); views of the whole window need fewer pixels.
 """
 
 from __future__ import annotations

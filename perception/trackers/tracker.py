@@ -1,9 +1,6 @@
-"""What every tracker on pixels takes and gives.
+"""The interface of trackers on pixels, and their parts: states of boxes, motion, and patches.
 
-Second-order autoregressive motion of boxes (Ba & Odobez 2003, §3.3), with another's prediction mixed
-in.
-
-Grey patches of many boxes at once: cut, resized and equalised without a loop in Python.
+Boxes move by a second-order autoregression (Ba & Odobez 2003, §3.3), mixed with a proposal from outside.
 """
 
 from __future__ import annotations
