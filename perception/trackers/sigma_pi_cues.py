@@ -203,14 +203,9 @@ _GRAIN = 0.3
 """Root of the mean gradient of a cell (grey levels a pixel) below which a window counts as blank."""
 
 
-def _pooling() -> NDArray[np.float32]:
-    """Shares (cells, pixels) of a side's pixels in its cells: triangles that reach into the next ones."""
-    middle = (np.arange(_CELLS) + 0.5) * _SIDE / _CELLS
-    apart = np.abs(np.arange(_SIDE) + 0.5 - middle[:, None])
-    return np.asarray(np.maximum(1.0 - apart * _CELLS / _SIDE, 0.0) * _CELLS / _SIDE, np.float32)
-
-
-_POOLING = _pooling()
+_APART = np.abs(np.arange(_SIDE) + 0.5 - (np.arange(_CELLS)[:, None] + 0.5) * _SIDE / _CELLS)
+_POOLING = np.asarray(np.maximum(1.0 - _APART * _CELLS / _SIDE, 0.0) * _CELLS / _SIDE, np.float32)
+"""Shares (cells, pixels) of a side's pixels in its cells: triangles that reach into the next ones."""
 
 
 def descriptors(image: Image, windows: FloatArray) -> NDArray[np.float32]:
@@ -301,30 +296,38 @@ class Cue(Protocol):
         ...
 
 
-class MotionCue:
-    """What differs from a running average of the frames."""
+class _SaliencyCue:
+    """A cue that is active where windows overlap with a saliency of the pixels."""
+
+    def __init__(self, parameters: CueParameters, image: Image, rise: tuple[float, float]) -> None:
+        self._parameters, self._rise = parameters, rise
+        self._show(np.zeros(image.shape[:2], np.float32))
+
+    def _show(self, saliency: NDArray[np.float32]) -> None:
+        self.saliency, self._table = saliency, integral(saliency)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        return activation(salient_overlap(self._table, windows, self._parameters.surround), *self._rise)
+
+
+class MotionCue(_SaliencyCue):
+    """Differences from a running average of the frames."""
 
     def __init__(self, parameters: CueParameters, image: Image, target: NDArray[np.bool_] | None) -> None:
-        self._parameters = parameters
+        super().__init__(parameters, image, parameters.motion_overlap)
         self._background = smoothed(image)
         # What the target hides in the first frame is seen when it has gone from there.
         self._unknown = target
-        self.saliency = np.zeros(image.shape[:2], np.float32)
-        self._table = integral(self.saliency)
         self._image = self._background
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
         self._image = smoothed(image)
-        self.saliency = foreground(self._background, self._image, self._parameters.motion_threshold)
+        saliency = foreground(self._background, self._image, self._parameters.motion_threshold)
         if self._unknown is not None:
-            self.saliency[self._unknown] = 0.0
-        self._table = integral(self.saliency)
-
-    def activity(self, windows: FloatArray) -> FloatArray:
-        """Activities (n,) of windows (n, 4)."""
-        p = self._parameters
-        return activation(salient_overlap(self._table, windows, p.surround), *p.motion_overlap)
+            saliency[self._unknown] = 0.0
+        self._show(saliency)
 
     def adapt(self, target: NDArray[np.bool_] | None) -> None:
         """Let the background follow; ``target`` (h, w) says where it may be hidden."""
@@ -338,19 +341,17 @@ class MotionCue:
                 self._unknown = None
 
 
-class ColourCue:
-    """What has the target's colours rather than those around it."""
+class ColourCue(_SaliencyCue):
+    """The target's colours rather than those around it."""
 
     def __init__(self, parameters: CueParameters, image: Image) -> None:
-        self._parameters = parameters
+        super().__init__(parameters, image, parameters.colour_overlap)
         self._numbers = pixel_bins(image)
         self.target: FloatArray | None = None
         """The target's histogram (COUNT,), once there is one."""
         self.frames = 0
         """Of which the target's histogram is made."""
         self._background: FloatArray | None = None
-        self.saliency = np.zeros(image.shape[:2], np.float32)
-        self._table = integral(self.saliency)
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
@@ -358,13 +359,7 @@ class ColourCue:
         if self.target is None or self._background is None:
             return
         share = target_share(self.target, self._background, self._parameters.colour_odds)
-        self.saliency = share.astype(np.float32)[self._numbers]
-        self._table = integral(self.saliency)
-
-    def activity(self, windows: FloatArray) -> FloatArray:
-        """Activities (n,) of windows (n, 4)."""
-        p = self._parameters
-        return activation(salient_overlap(self._table, windows, p.surround), *p.colour_overlap)
+        self._show(share.astype(np.float32)[self._numbers])
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
         """Adapt the background's histogram to where the target is not (h, w)."""
@@ -425,8 +420,7 @@ class ShapeCue:
         self._of_background = np.maximum(
             similarity(descriptors, self._background), similarity(descriptors, self._given)
         )
-        weights = np.array(self._rates)
-        of_target = memory_similarity(descriptors, self._memory, weights)
+        of_target = memory_similarity(descriptors, self._memory, np.array(self._rates))
         self.scores = point_scores(of_target, self._of_background, p.matched, p.margin)
 
     def activity(self, windows: FloatArray) -> FloatArray:
@@ -463,13 +457,11 @@ class ShapeCue:
         if not len(new):
             return
         if self._memory:
-            rate = matching_rate(self._memory[-1], new, p.matched)
-            self._rates[-1] = rate
+            self._rates[-1] = matching_rate(self._memory[-1], new, p.matched)
         self.frames += 1
         self._memory.append(new)
         self._rates.append(1.0)
-        sizes = [len(frame) for frame in self._memory]
-        self._expected = float(np.mean(sizes))
+        self._expected = float(np.mean([len(frame) for frame in self._memory]))
 
 
 def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:
