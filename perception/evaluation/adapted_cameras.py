@@ -258,27 +258,20 @@ def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence
     return Table.of("Town Centre's first minute by every method, models of other people", rows)
 
 
-Reference = dict[int, tuple[FloatArray, FloatArray, FloatArray]]
-"""By frame: true positions (n, 2), directions of travel (n,), and speeds (n,)."""
+Reference = dict[int, FloatArray]
+"""By frame: true positions, directions of travel and speeds (n, 4)."""
 
 
 def _travel(truth: TrackSet) -> Reference:
-    """Where people truly are and go, of those who are seen in more than a few frames."""
+    """True positions, directions of travel and speeds of those who are seen in four frames or more."""
     long = truth.with_tracks(replace(track, body=None, head=None) for track in truth if len(track) >= 4)
-    found: dict[int, list[tuple[FloatArray, float, float]]] = {}
+    found: dict[int, list[list[float]]] = {}
     for track in smooth(long, "position"):
         assert track.velocity is not None
         speed, way = np.linalg.norm(track.velocity, axis=1), direction(track.velocity)
         for k, frame in enumerate(track.frame.tolist()):
-            found.setdefault(frame, []).append((track.position[k], float(way[k]), float(speed[k])))
-    return {
-        frame: (
-            np.array([place for place, _, _ in one]),
-            np.array([way for _, way, _ in one]),
-            np.array([speed for _, _, speed in one]),
-        )
-        for frame, one in found.items()
-    }
+            found.setdefault(frame, []).append([*track.position[k], way[k], speed[k]])
+    return {frame: np.array(rows) for frame, rows in found.items()}
 
 
 def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
@@ -292,7 +285,7 @@ def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
     for frame, rows in of_frame.items():
         if frame not in reference:
             continue
-        places, ways, speeds = reference[frame]
+        places, (ways, speeds) = reference[frame][:, :2], reference[frame][:, 2:].T
         apart = np.linalg.norm(np.array([track.position[k] for track, k in rows])[:, None] - places, axis=2)
         for i, j in zip(*linear_sum_assignment(np.minimum(apart, 2.0 * _MATCH)), strict=True):
             if apart[i, j] > _MATCH or speeds[j] < _WALKING:

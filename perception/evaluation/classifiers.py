@@ -111,7 +111,7 @@ def draw_confusion(
 
 @dataclass(frozen=True, eq=False)
 class SplitScores:
-    """What the last layer makes of heads that it was not learned from, over all repetitions.
+    """Scores of the last layer on heads that it was not learned from, over all repetitions.
 
     Attributes
     ----------

@@ -76,7 +76,7 @@ class PersonWithHeads:
 
 @cache
 def people_with_heads(folder: Path) -> list[PersonWithHeads]:
-    """Everybody with `LEAST_FRAMES` labelled heads among the frames of ``folder``, a CAVIAR folder.
+    """People with `LEAST_FRAMES` labelled heads among the frames of ``folder``, a CAVIAR folder.
 
     It has ``xml/NAME.xml``, and frames in ``frames/NAME`` named by their numbers.
     """

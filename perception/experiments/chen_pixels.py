@@ -66,7 +66,7 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """What is drawn.
+    """Content of the drawn sheet.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Sheet:
 
     @property
     def shown(self) -> ObservedPerson:
-        """Who is drawn on the frames: the first of those who are seen longest."""
+        """The person drawn on the frames: the first of those who are seen longest."""
         return max(self.people, key=lambda person: len(person.causal))
 
     @property
@@ -207,7 +207,7 @@ LEVELS = ("down", "level", "up")
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What classifiers answered for pictures of known poses, all in the image.
+    """Answers of classifiers for pictures of known poses, all in the image.
 
     Attributes
     ----------

@@ -98,7 +98,7 @@ def survives(
     after: int = 10,
     share: float = 0.9,
 ) -> bool:
-    """Whether a tracker is on its target again after an occlusion.
+    """Return whether a tracker is on its target again after an occlusion.
 
     That is: its boxes (n, 4) overlap the true ones (n, 4) in at least ``share`` of the frames from ``after``
     frames after the target's reappearance on. It reappears when half of it is seen (``visible`` (n,), 0…1)
@@ -193,7 +193,7 @@ class Run:
 
     @property
     def lost(self) -> bool:
-        """Whether the box did not touch the head's in some frame."""
+        """Return whether the box did not touch the head's in some frame."""
         return bool((self.error >= 1.0).any())
 
 
@@ -208,7 +208,7 @@ def run_job(job: HeadJob) -> tuple[HeadClip, dict[str, Run]]:
 
 
 def run_occlusion(job: HeadJob) -> dict[tuple[str, bool], bool]:
-    """Whether each method, without and with the graph's guidance, is on the head after it was hidden."""
+    """Survival of each method, without and with the graph's guidance, after the head was hidden."""
     clip = job.render()
     survived = {}
     for name in job.methods:
@@ -342,7 +342,7 @@ def _methods(seed: int) -> Mapping[str, tuple[Tracker, bool]]:
 
 
 def heads_table(folder: Path, people: int, seed: int, progress: Progress) -> Table:
-    """What each tracker makes of heads, begun with the first labelled box."""
+    """Follow heads with each tracker, begun with the first labelled box."""
     frames, heads = heads_of(folder, people)
     rows: list[dict[str, Cell]] = []
     every: dict[str, list[dict[str, float]]] = {}

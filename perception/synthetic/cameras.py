@@ -108,7 +108,7 @@ def _camera_rays(size: tuple[int, int], focal: float, lens: str, oversampling: i
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a camera does to an image.
+    """Exposure, blur, noise and compression of a camera.
 
     Attributes
     ----------

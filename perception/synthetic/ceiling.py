@@ -31,7 +31,7 @@ _TURNING = 4.0
 
 @dataclass(frozen=True)
 class CeilingKind:
-    """What happens in a sequence; times are shares of its length.
+    """Events of a sequence; times are shares of its length.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Walk:
     sitting: FloatArray
 
     def posture(self, k: int) -> Posture | None:
-        """How they stand in frame k; None where they are not there."""
+        """Return the posture in frame k, None outside the room."""
         if not self.there[k]:
             return None
         x, y = (float(value) for value in self.position[k])
@@ -243,7 +243,7 @@ class CeilingSequence:
             yield CeilingFrame(frame.image, labels.get(0), labels.get(1))
 
     def _furniture(self, k: int) -> tuple[list[Furniture], list[Furniture]]:
-        """What stands still in frame k of the furniture that is moved, and what is on its way."""
+        """Moved furniture that rests in frame k, and that on its way."""
         resting: list[Furniture] = []
         pushed: list[Furniture] = []
         for item, places in self.moved:
@@ -350,7 +350,7 @@ def _furniture(rng: np.random.Generator) -> list[Furniture]:
 
 
 def _table(rng: np.random.Generator, k: int) -> Furniture:
-    """What is moved: at first in a corner on the left."""
+    """A table to be moved, at first in a corner on the left."""
     place = (-INSIDE[0] - 0.35, (1.0 if k % 2 else -1.0) * (INSIDE[1] - 0.1))
     size = tuple(np.array(_TABLE) * rng.uniform(0.75, 1.1, 3))
     return Furniture(place, size, rng.uniform(-0.4, 0.4), _colour(rng))

@@ -77,7 +77,7 @@ class Walks:
         return len(self.truth.tracks[0])
 
     def people(self, k: int) -> list[Person]:
-        """Everybody in frame k, in the order of the tracks."""
+        """People in frame k, in the order of the tracks."""
         postures = [_posture(track, k) for track in self.truth]
         return [Person(*both) for both in zip(self.looks, postures, strict=True)]
 

@@ -35,7 +35,7 @@ _BODY, _CORE, _EXTRA = 0, 1, 2
 
 @dataclass(frozen=True)
 class HeadClipParameters:
-    """What is rendered.
+    """Parameters of a rendered sequence.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _HeadPath:
 
 
 def _passes(walk: _HeadPath, occlusion: tuple[int, int]) -> bool:
-    """Whether the head goes one way all through the occlusion and a little before and after."""
+    """Return whether the head goes one way all through the occlusion and a little before and after."""
     first, length = occlusion
     step = np.diff(walk.pixel[max(first - 4, 0) : first + length + 4, 0])
     return bool((step > 0.6).all() or (step < -0.6).all())

@@ -58,7 +58,7 @@ _TEXTURE_SHARE = (0.55, 0.15, 0.18, 0.12)
 
 @dataclass(frozen=True)
 class Appearance:
-    """How one person looks.
+    """Appearance of one person.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ def _hat(make: Builder, extra: Builder, look: Appearance) -> None:
 
 
 def neck_and_shoulders(look: Appearance) -> Solids:
-    """What shows below a head, in the body's frame with the head's origin at 0."""
+    """Neck and shoulders, in the body's frame with the head's origin at 0."""
     make = Builder()
     make.limb((-0.022, 0.0, -0.05), (-0.030, 0.0, -0.17), 0.052, np.array(look.skin) * 0.9, skin=True)
     make.ellipsoid(
@@ -258,7 +258,7 @@ _THIGH = 0.42
 
 @dataclass(frozen=True)
 class Posture:
-    """Where a person is and how they stand.
+    """Place and posture of a person.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ def group_balls(centre: Any, radius: Any, first: Any) -> Any:
 
 @njit(cache=True, inline="always")
 def _misses_ball(dx: float, dy: float, dz: float, x: float, y: float, z: float, radius: float) -> bool:
-    """Whether the half line along d from the origin passes the ball around (x, y, z)."""
+    """Return whether the half line along d from the origin passes the ball around (x, y, z)."""
     along = x * dx + y * dy + z * dz
     outside = x * x + y * y + z * z - radius * radius
     return outside > 0.0 and (along <= 0.0 or along * along < outside)
@@ -153,7 +153,7 @@ def _in_shadow(
     balls: Any,
     scratch: Any,
 ) -> bool:
-    """Whether a solid lies between a point and the light."""
+    """Return whether a solid lies between a point and the light."""
     lx, ly, lz = toward
     for g in range(len(balls)):
         b = balls[g]
@@ -311,7 +311,7 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """What the rays of an image of h × w pixels met.
+    """Hits of the rays of an image of h × w pixels.
 
     Attributes
     ----------

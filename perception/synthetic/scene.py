@@ -126,7 +126,7 @@ def render_frame(
 
 
 def cast_scene(scene: Scene, people: Sequence[Person], rays: FloatArray) -> Cast:
-    """What the camera's rays (h, w, 3) meet; the groups 3k … 3k + 2 are person k, the last ones furniture."""
+    """Follow the camera's rays (h, w, 3); groups 3k … 3k + 2 are person k, the last ones furniture."""
     parts: list[Solids] = []
     for k, person in enumerate(people):
         body, head = person.solids()

@@ -26,7 +26,7 @@ _BORDER = 3.0
 
 
 def cut_off(window: FloatArray, shape: FloatArray) -> bool:
-    """Whether a window (4,) ends at the border of a frame of width and height (2,)."""
+    """Return whether a window (4,) ends at the border of a frame of width and height (2,)."""
     return bool((window[:2] <= _BORDER).any() or (window[:2] + window[2:] >= shape - _BORDER).any())
 
 
@@ -69,7 +69,7 @@ def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
 
 
 def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatArray:
-    """How well windows fit what is salient (n,), 0…1: inside / (area + what is salient around them).
+    """Fit (n,) of windows to what is salient, 0…1: inside / (area + what is salient around them).
 
     This is the intersection over union of the window with what is salient in it and around it.
 
@@ -181,7 +181,7 @@ def memory_similarity(
 
 
 def point_scores(target: FloatArray, background: FloatArray, matched: float, margin: float) -> FloatArray:
-    """How much each feature speaks for the target (n,), −1…1, by its similarities (n,) to both.
+    """Evidence (n,) of each feature for the target, −1…1, by its similarities (n,) to both.
 
     It is the lead of the target over the background in units of ``margin``, less a half, for features that
     are at least as similar as ``matched`` to either: what is alike to both speaks against the target. Others
@@ -192,7 +192,7 @@ def point_scores(target: FloatArray, background: FloatArray, matched: float, mar
 
 
 def inside(points: FloatArray, windows: FloatArray) -> NDArray[np.bool_]:
-    """Whether each window (m, 4) holds each point (n, 2): (m, n)."""
+    """Return a mask (m, n) of the points (n, 2) in each window (m, 4)."""
     low = windows[:, None, :2]
     return np.asarray(((points >= low) & (points < low + windows[:, None, 2:])).all(axis=2))
 
@@ -228,7 +228,7 @@ def descriptors(image: Image, windows: FloatArray) -> NDArray[np.float32]:
 
 
 class ViewCue:
-    """What looks as the target did in the box that was given, or in the last views of it.
+    """Likeness to the target in the box that was given, or to the last views of it.
 
     A view is remembered only where it is new, and the first is never forgotten: who stands is always
     compared with what was given, so that windows do not creep off (Matthews, Ishikawa & Baker 2004, "The
@@ -258,7 +258,7 @@ class ViewCue:
         self._grey = grey(image)
 
     def gain(self, windows: FloatArray) -> FloatArray:
-        """How alike windows (n, 4) are to any view (n,): 1 as the first one, 0 as what was beside it."""
+        """Likeness (n,) of windows (n, 4) to any view: 1 as the first one, 0 as what was beside it."""
         known = np.array([self._first, *self._later])
         found = (descriptors(self._grey, windows) @ known.T).max(axis=1)
         most = float(self._first @ self._first)
@@ -281,7 +281,7 @@ class ViewCue:
         """Windows are looked at one by one anyway."""
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
-        """What is beside the target was seen in the first frame."""
+        """Ignored: the surroundings were seen in the first frame."""
 
 
 class Cue(Protocol):
@@ -384,7 +384,7 @@ class ShapeCue:
         self._sift: Any = cv2.SIFT_create(contrastThreshold=parameters.contrast)  # type: ignore[attr-defined]
         self.features = Features(np.zeros((0, 2)), none())
         self.scores = np.zeros(0)
-        """How much each feature of the frame speaks for the target (n,), −1…1."""
+        """Evidence (n,) of each feature of the frame for the target, −1…1."""
         self._of_background = np.zeros(0)
         self._memory: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
         self._rates: deque[float] = deque(maxlen=parameters.memory)

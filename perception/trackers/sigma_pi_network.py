@@ -56,7 +56,7 @@ Estimate = Literal["cluster", "mean"]
 
 @dataclass(frozen=True)
 class CueParameters:
-    """How the cues look and remember. Lengths are pixels of the reduced frame.
+    """Parameters of the cues. Lengths are pixels of the reduced frame.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Where somebody else expects the target in the next frame: a normal density of its box's centre.
+    """A prediction of the target in the next frame from outside: a normal density of its box's centre.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class BoxEstimate:
-    """What a tracker says of one frame.
+    """A tracker's estimate in one frame.
 
     Attributes
     ----------
