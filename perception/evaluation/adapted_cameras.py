@@ -6,8 +6,8 @@ turns them upright.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -99,6 +99,10 @@ def _ignore(*values: object) -> None:
     """Report neither progress nor boxes that hold nothing."""
 
 
+def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
+    return nullcontext(_ignore)
+
+
 def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
     """Errors in each sequence by what the others taught."""
     package = _package()
@@ -106,9 +110,7 @@ def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress)
     for one in sequences:
         others = [other.recording for other in sequences if other is not one]
         rng = np.random.default_rng(seed)
-        found = adapted(
-            others, lobby_camera(), package, rng, lambda count, unit="": nullcontext(_ignore), _ignore
-        )
+        found = adapted(others, lobby_camera(), package, rng, _silent, _ignore)
         rows.append(_sequence_errors(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)

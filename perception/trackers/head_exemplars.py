@@ -189,13 +189,16 @@ class HeadExemplars(Stored):
         plain = bool(card.parameters.get("plain", False))
         kept = partial(_as_type, np.float32) if plain else from_steps
         centre, deviation = kept(arrays["centre"], arrays["deviation"])
-        of_background = kept(arrays["background_centre"], arrays["background_deviation"])
+        background_centre, background_deviation = kept(
+            arrays["background_centre"], arrays["background_deviation"]
+        )
         return cls(
             PoseClasses(**card.parameters["classes"]),
             centre,
             deviation,
             arrays["log_weight"].astype(float),
-            *of_background,
+            background_centre,
+            background_deviation,
             arrays["background_log_weight"].astype(float),
             arrays["exponent"].astype(float),
             arrays["shared"].astype(np.float32),
@@ -206,8 +209,8 @@ class HeadExemplars(Stored):
         )
 
 
-def _as_type(dtype: Any, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    return tuple(array.astype(dtype) for array in arrays)
+def _as_type(dtype: Any, centre: NDArray[Any], deviation: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    return centre.astype(dtype), deviation.astype(dtype)
 
 
 def combined(
