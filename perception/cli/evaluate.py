@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from graphtrack.experiments.harness import Table
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
-_REAL = ("sigma-pi", "heads", "lobby", "street", "people")
+_REAL = ("heads", "lobby", "street", "people")
 """Tables of recordings, which are made where they are asked for."""
 
 Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
@@ -32,7 +32,6 @@ def evaluate(
     head_pose: str = "deep_belief",
     plot: Path | None = None,
     data: Annotated[Path | None, typer.Option(envvar="GRAPHTRACK_DATA")] = None,
-    seeds: Annotated[int, typer.Option(min=1)] = 10,
     heads: Annotated[int, typer.Option(min=1)] = 6,
     json_path: options.Json = None,
     seed: options.Seed = 1000,
@@ -44,16 +43,15 @@ def evaluate(
     tables : pose (errors and calibration of all classifiers; Baxter et al. 2014, Fig. 3), localisation (Chen
         et al. 2011, Table 1), recognition (Ba & Odobez 2003, Tables 1-3), joint (Chen et al. 2011, Table 2),
         published (Chen et al.'s perception as printed beside ours), keypoints (body and head by keypoints);
-        these by default. Of recordings in --data: sigma-pi (Yan et al.'s tracker on CAVIAR's people), heads
-        (Ba & Odobez's trackers on Town Centre's heads), lobby (adapted to CAVIAR's lobby), street (adapted to
-        Town Centre, by every method), people (found in Town Centre: how often detections are right).
+        these by default. Of recordings in --data: heads (Ba & Odobez's trackers on Town Centre's heads),
+        lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), people (found in
+        Town Centre: how often detections are right).
     count : Rendered images to judge on.
     train : Rendered images to train on: localisation, published.
     clips : Rendered clips of the table joint.
     head_pose : Classifier of the table joint.
     plot : Picture of reliability and confusion to write (.png).
     data : Folder with caviar and towncentre in it, for tables of recordings; else ../shared/data.
-    seeds : Runs of each person: sigma-pi.
     heads : Heads of the table heads.
     """
     from graphtrack.cli.reproduce import BESIDE
@@ -87,8 +85,8 @@ def evaluate(
         if name in makers:
             makers[name](np.random.default_rng(seed))  # a table is the same alone and among others
         else:
-            for table in _of_recordings(name, recordings, seeds, heads, seed):
-                show(table.title, table.records())
+            table = _of_recordings(name, recordings, heads, seed)
+            show(table.title, table.records())
     write_json(json_path, [table.to_dict() for table in shown])
 
 
@@ -157,10 +155,12 @@ def _localisation(count: int, train: int, rng: np.random.Generator, show: Show) 
         model = HeadLocaliser(weak)
         models[f"{weak}, trained on {train}"] = model.fit(people.images, people.head_box)
     rows = [{"head localiser": name, **localisation_figures(m, judged)} for name, m in models.items()]
-    names = ("head localiser", "overlap_of_first", "best_overlap_of_all", "candidates")
-    for published in (("differential", 0.60, 0.64, 2.3), ("Fisher", 0.58, 0.65, 3.0)):
-        row = dict(zip(names, published, strict=True))
-        rows.append(row | {"head localiser": f"{published[0]}, paper (real pictures)"})
+    columns = ("head localiser", "overlap_of_first", "best_overlap_of_all", "candidates")
+    for printed in (
+        ("differential, paper (real pictures)", 0.60, 0.64, 2.3),
+        ("Fisher, paper (real pictures)", 0.58, 0.65, 3.0),
+    ):
+        rows.append(dict(zip(columns, printed, strict=True)))
     show(f"Head localisation on {count} rendered people (Chen et al. 2011, Table 1)", rows)
 
 
@@ -228,34 +228,28 @@ def _joint(count: int, head_pose: str, rng: np.random.Generator, show: Show) -> 
     emit("  the paper's separate filtering is joint-body (κ₂ = 0); ±: standard error")
 
 
-def _of_recordings(name: str, data: Path, seeds: int, heads: int, seed: int) -> list[Table]:
-    """The tables of a name that are made of recordings, with a progress bar."""
-    town, caviar = data / "towncentre", data / "caviar"
-    if name == "sigma-pi":
-        from perception.experiments.yan_sigma_pi import people_of, sigma_pi_table
-
-        people = people_of(caviar)
-        with progress_bar(len(people) * seeds, "runs") as advance:
-            return sigma_pi_table(people, seeds, seed, advance)
+def _of_recordings(name: str, data: Path, heads: int, seed: int) -> Table:
+    """Return a table that is made of recordings, and show a progress bar."""
+    town = data / "towncentre"
     if name == "heads":
         from perception.experiments.head_trackers import heads_table
 
         with progress_bar(heads, "heads") as advance:
-            return [heads_table(town, heads, seed, advance)]
+            return heads_table(town, heads, seed, advance)
     if name == "lobby":
         from perception.evaluation.adapted_cameras import adapted_table, sequences_of
 
-        sequences = sequences_of(caviar)
+        sequences = sequences_of(data / "caviar")
         with progress_bar(len(sequences), "sequences") as advance:
-            return [adapted_table(sequences, seed, advance)]
+            return adapted_table(sequences, seed, advance)
     if name == "street":
         from perception.evaluation.adapted_cameras import METHODS, PARTS, methods_table
 
         with progress_bar(PARTS + len(METHODS), "steps") as advance:
-            return [methods_table(town, seed, advance)]
+            return methods_table(town, seed, advance)
     from perception.evaluation.found_people import reliability_table
     from perception.images.frames import FrameSource
 
     count = len(FrameSource.open(town / "frames_001_150" / "img1").numbers())
     with progress_bar(count, "frames") as advance:
-        return [reliability_table(town, seed, advance)]
+        return reliability_table(town, seed, advance)

@@ -1,1 +1,1 @@
-"""How good poses are."""
+"""Measures of pose classifiers and detectors."""

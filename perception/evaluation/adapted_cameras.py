@@ -1,8 +1,7 @@
-"""CAVIAR's lobby adapted to itself: learned on some sequences of the view, judged on another one.
+"""Cameras adapted to themselves: CAVIAR's lobby on other sequences, and Town Centre by every method.
 
-The camera looks down, so that people lean in the picture; `perception.ground.upright` turns them upright.
-
-Town Centre adapted to itself, and tracked by every method: nobody is judged by models that saw them.
+Nobody is judged by models that saw them. People lean in the lobby's picture; `perception.ground.upright`
+turns them upright.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from graphtrack.errors import InputError
@@ -38,10 +36,9 @@ from perception.adaptation.learning import (
     thinned,
 )
 from perception.adaptation.models import CameraModels
-from perception.detection.boxes import PersonBox, read_boxes
+from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
-from perception.images.pixels import Image
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 from perception.observe.pipeline import Models, SeenPerson, by_frame, observe_frame
 from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
@@ -94,21 +91,26 @@ def _sequence(path: Path, folder: Path) -> LobbySequence:
     return LobbySequence(path.stem, Recording(frames, people, FPS), gaze)
 
 
+def _package() -> PackageModels:
+    return PackageModels(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
+
+
+def _ignore(*values: object) -> None:
+    """Report neither progress nor boxes that hold nothing."""
+
+
 def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
-    """Tells nobody how far it came."""
-    return nullcontext(lambda done: None)
+    return nullcontext(_ignore)
 
 
 def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
     """Errors in each sequence by what the others taught."""
-    package = PackageModels(
-        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
-    )
+    package = _package()
     rows = []
     for one in sequences:
         others = [other.recording for other in sequences if other is not one]
         rng = np.random.default_rng(seed)
-        found = adapted(others, lobby_camera(), package, rng, _silent, lambda reason: None)
+        found = adapted(others, lobby_camera(), package, rng, _silent, _ignore)
         rows.append(_sequence_errors(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)
@@ -136,7 +138,7 @@ def _sequence_errors(
             of_frame = [item for item in of_frame if item.frame == frame.number]
             if frame.image is None or not of_frame:
                 continue
-            for seen in observe_frame(frame.image, frame.number, of_frame, looking, lambda reason: None):
+            for seen in observe_frame(frame.image, frame.number, of_frame, looking, _ignore):
                 key = seen.frame, seen.track_id
                 everybody += [seen] if key in walking else []
                 body[key] = float(CLASSES.mean_pan(seen.body[None])[0])
@@ -166,7 +168,7 @@ def _smoothed(seen: list[SeenPerson], models: CameraModels, rate: float) -> dict
     camera = lobby_camera()
     tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, rate).tracks
     found: dict[tuple[int, int], float] = {}
-    for track in estimated(tracks, camera, "smoother", lambda count: None, models.graph)[0]:
+    for track in estimated(tracks, camera, "smoother", _ignore, models.graph)[0]:
         if track.body is None:
             continue
         angles = camera.image_angle(track.body, track.position)
@@ -205,17 +207,15 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
     camera = read_calibration(folder / "calibration.ci")
     frames = FrameSource.open(folder / "frames_001_150" / "img1")
     people = read_boxes(folder / "frames_001_150" / "det.txt")
-    looks, usable = looks_of(frames, people, _nothing)
-    found = patches_in(frames, people, _nothing)
+    looks, usable = looks_of(frames, people, _ignore)
+    found = patches_in(frames, people, _ignore)
     labels = walking_labels(people, looks, camera, RATE)
     rng = np.random.default_rng(seed)
     fold = folds_of(labels.person, rng, PARTS)
     part_of = np.zeros(len(people), np.int64)
     part_of[labels.box] = fold
     seconds = len(frames.numbers()) / RATE
-    package = PackageModels(
-        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
-    )
+    package = _package()
     seen: list[SeenPerson] = []
     shares: list[float] = []
     for part in range(PARTS):
@@ -224,31 +224,16 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
         patches = [found[k] for k in rest.box.tolist()]
         models = learn(patches, rest, seconds, frames.size(), package, rng, parameters)
         rows = [k for k in np.flatnonzero(usable & (part_of == part)).tolist() if k in found]
-        seen += _seen(models, rows, people, found, looks)
+        said = models.look_at([found[k] for k in rows], [people[k].box for k in rows])
+        for k, one in zip(rows, said, strict=True):
+            item = people[k]
+            seen.append(
+                SeenPerson(item.frame, item.track_id, item.box, *one, score=item.score, looks=looks[k])
+            )
         shares.append(models.class_outlier_probability or 0.0)
         progress(1)
     table = to_detections(by_frame(seen), CameraModels.classes.pans, camera, RATE)
     return associated(table.columns, table.number, people), camera, float(np.mean(shares))
-
-
-def _seen(
-    models: CameraModels,
-    rows: Sequence[int],
-    people: Sequence[PersonBox],
-    patches: dict[int, Image],
-    looks: NDArray[np.uint8],
-) -> list[SeenPerson]:
-    said = models.look_at([patches[k] for k in rows], [people[k].box for k in rows])
-    return [
-        SeenPerson(
-            people[k].frame, people[k].track_id, people[k].box, *one, score=people[k].score, looks=looks[k]
-        )
-        for k, one in zip(rows, said, strict=True)
-    ]
-
-
-def _nothing(reason: str) -> None:
-    """Of boxes that hold nothing."""
 
 
 def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
@@ -260,7 +245,7 @@ def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence
     for method in methods:
         for news in (None, share):
             graph = (lambda model: model) if news is None else partial(with_outliers, share=news)
-            found, _ = estimated(tracks, camera, method, lambda count: None, graph)
+            found, _ = estimated(tracks, camera, method, _ignore, graph)
             known = score(found, truth, metres=_MATCH).together
             rows.append(
                 {
@@ -275,27 +260,20 @@ def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence
     return Table.of("Town Centre's first minute by every method, models of other people", rows)
 
 
-Reference = dict[int, tuple[FloatArray, FloatArray, FloatArray]]
-"""By frame: true positions (n, 2), directions of travel (n,), and speeds (n,)."""
+Reference = dict[int, FloatArray]
+"""By frame: true positions, directions of travel and speeds (n, 4)."""
 
 
 def _travel(truth: TrackSet) -> Reference:
-    """Where people truly are and go, of those who are seen in more than a few frames."""
+    """True positions, directions of travel and speeds of those who are seen in four frames or more."""
     long = truth.with_tracks(replace(track, body=None, head=None) for track in truth if len(track) >= 4)
-    found: dict[int, list[tuple[FloatArray, float, float]]] = {}
+    found: dict[int, list[list[float]]] = {}
     for track in smooth(long, "position"):
         assert track.velocity is not None
         speed, way = np.linalg.norm(track.velocity, axis=1), direction(track.velocity)
         for k, frame in enumerate(track.frame.tolist()):
-            found.setdefault(frame, []).append((track.position[k], float(way[k]), float(speed[k])))
-    return {
-        frame: (
-            np.array([place for place, _, _ in one]),
-            np.array([way for _, way, _ in one]),
-            np.array([speed for _, _, speed in one]),
-        )
-        for frame, one in found.items()
-    }
+            found.setdefault(frame, []).append([*track.position[k], way[k], speed[k]])
+    return {frame: np.array(rows) for frame, rows in found.items()}
 
 
 def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
@@ -309,7 +287,7 @@ def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
     for frame, rows in of_frame.items():
         if frame not in reference:
             continue
-        places, ways, speeds = reference[frame]
+        places, (ways, speeds) = reference[frame][:, :2], reference[frame][:, 2:].T
         apart = np.linalg.norm(np.array([track.position[k] for track, k in rows])[:, None] - places, axis=2)
         for i, j in zip(*linear_sum_assignment(np.minimum(apart, 2.0 * _MATCH)), strict=True):
             if apart[i, j] > _MATCH or speeds[j] < _WALKING:

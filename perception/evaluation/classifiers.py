@@ -1,20 +1,15 @@
-"""The reliability and the confusion of pose classifiers, as a figure.
+"""Measures of pose classifiers on rendered people.
 
-The network's last layer learned anew on a part of heads and judged on the rest (Baxter et al. 2014,
-§III-C, Fig. 3).
-
-Recognition of nine pans as Ba & Odobez (2003) measure it, on rendered heads.
-
-How good body and head by keypoints are, on rendered people whose skeleton is known.
-
-Chen et al.'s perception as printed beside ours, learned from the same rendered images and judged on the
-same.
+Reliability and confusion; the last layer learned again on a part of the heads (Baxter et al. 2014, §III-C,
+Fig. 3); recognition of nine pans (Ba & Odobez 2003, Tables 1 to 3); keypoints; and Chen et al.'s (2011) forms
+as printed beside ours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -114,13 +109,9 @@ def draw_confusion(
     axes.set_title(title, fontsize=9)
 
 
-PENALTY = 1e-3
-"""Of the squared weights, for standardised inputs."""
-
-
 @dataclass(frozen=True, eq=False)
 class SplitScores:
-    """What the last layer makes of heads that it was not learned from, over all repetitions.
+    """Scores of the last layer on heads that it was not learned from, over all repetitions.
 
     Attributes
     ----------
@@ -184,9 +175,12 @@ def hidden_both_ways(
 
 
 def softmax_layer(
-    inputs: NDArray[np.floating], labels: NDArray[np.int64], n_classes: int, *, penalty: float = PENALTY
+    inputs: NDArray[np.floating], labels: NDArray[np.int64], n_classes: int, *, penalty: float = 1e-3
 ) -> tuple[FloatArray, FloatArray]:
-    """Weights (d, n_classes) and biases (n_classes,) of multinomial logistic regression; it is convex."""
+    """Weights (d, n_classes) and biases (n_classes,) of multinomial logistic regression.
+
+    ``penalty`` is that of the squared weights, for standardised inputs.
+    """
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
     x = (np.asarray(inputs, float) - mean) / spread
     rows, size = np.arange(len(labels)), x.shape[1] * n_classes
@@ -246,9 +240,12 @@ def recognition_table(
     rates: dict[tuple[int, Density], list[float]] = {}
     confusion = np.zeros((len(classes), len(classes)))
     shown = 2 if 2 in exemplars else exemplars[-1]
-    for train, test in _splits(people, repetitions, rng):
-        fitted, judged = (np.flatnonzero(np.isin(person, part)) for part in (train, test))
-        for count, density in _cells(exemplars):
+    densities: tuple[Density, ...] = ("gaussian", "saturated")
+    for _ in range(repetitions):
+        order = rng.permutation(people)
+        halves = order[: people // 2], order[people // 2 :]
+        fitted, judged = (np.flatnonzero(np.isin(person, half)) for half in halves)
+        for count, density in product(exemplars, densities):
             model = Exemplars(classes, exemplars=count, density=density, plain=as_published)
             features = model.features([heads.images[i] for i in fitted])
             model.fit_features(features, labels[fitted], np.random.default_rng(0))
@@ -258,12 +255,6 @@ def recognition_table(
                 np.add.at(confusion, (labels[judged], found), 1.0)
     rows = [RecognitionRow(*cell, float(np.mean(r)), float(np.std(r))) for cell, r in rates.items()]
     return rows, 100.0 * confusion / confusion.sum(axis=1, keepdims=True)
-
-
-def _cells(exemplars: Sequence[int]) -> Iterator[tuple[int, Density]]:
-    for count in exemplars:
-        yield count, "gaussian"
-        yield count, "saturated"
 
 
 def _one_of_each(
@@ -276,14 +267,6 @@ def _one_of_each(
     return make_heads(
         count, rng, ALIGNED, pan=classes.pan[labels], tilt=np.zeros(count), people=looks
     ), labels
-
-
-def _splits(
-    people: int, repetitions: int, rng: np.random.Generator
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    for _ in range(repetitions):
-        order = rng.permutation(people)
-        yield order[: people // 2], order[people // 2 :]
 
 
 _SIZES = ((30.0, 50.0), (50.0, 100.0), (100.0, 200.0))

@@ -1,4 +1,4 @@
-"""Town Centre's people as they are found without boxes: how often a detection is right, by what it says."""
+"""Reliability of the detections of people in Town Centre, by their score."""
 
 from __future__ import annotations
 
@@ -27,31 +27,23 @@ _MATCH = 1.0
 _BINS = 10
 
 
-def candidates_of(folder: Path, progress: Progress) -> tuple[dict[int, Candidates], GroundSearch]:
-    """Where people may be in each frame of Town Centre's first minute."""
-    frames = FrameSource.open(folder / "frames_001_150" / "img1")
-    camera, numbers = read_calibration(folder / "calibration.ci"), frames.numbers()
-    backgrounds = Backgrounds.of(frames, background_samples(numbers, RATE), numbers)
-    search = GroundSearch(camera, frames.size())
-    found = {}
-    for frame in frames:
-        if frame.image is not None:
-            found[frame.number] = search.candidates(frame.image, backgrounds.at(frame.number))
-        progress(1)
-    return found, search
-
-
 def reliability_table(folder: Path, seed: int, progress: Progress) -> Table:
-    """How often there is somebody where a detection is, each half of the minute taught by the other one.
+    """Share of detections that are right, each half of the minute taught by the other one.
 
     The truth has nobody whom the border of the image cuts off, so that detections that are wholly in the
     image stand apart.
     """
-    candidates, search = candidates_of(folder, progress)
-    camera = read_calibration(folder / "calibration.ci")
+    frames = FrameSource.open(folder / "frames_001_150" / "img1")
+    camera, numbers = read_calibration(folder / "calibration.ci"), frames.numbers()
+    backgrounds = Backgrounds.of(frames, background_samples(numbers, RATE), numbers)
+    search = GroundSearch(camera, frames.size())
+    candidates = {}
+    for frame in frames:
+        if frame.image is not None:
+            candidates[frame.number] = search.candidates(frame.image, backgrounds.at(frame.number))
+        progress(1)
     truth = _truth(folder / "boxes.csv", camera, len(candidates))
-    numbers = sorted(candidates)
-    first, second = np.array_split(np.array(numbers), 2)
+    first, second = np.array_split(np.array(sorted(candidates)), 2)
     parts = []
     for learned, judged in ((first, second), (second, first)):
         of_half = {k: candidates[k] for k in learned.tolist()}

@@ -1,5 +1,4 @@
-"""What estimating body and head together makes of what is seen frame by frame, from pixels (Chen et al.
-2011, Table 2)."""
+"""Effect of estimating body and head jointly, from pixels (Chen et al. 2011, Table 2)."""
 
 from __future__ import annotations
 
@@ -86,7 +85,7 @@ def _particle(person: ObservedPerson, model: Model, seed: int) -> Track:
 
 
 def _in_image(person: ObservedPerson, model: Model, seed: int) -> Track:
-    """As printed: eq. 12 in pixels, eq. 13–14 the closest class in the image, at each particle's position."""
+    """Eq. 12 in pixels, eq. 13–14 with the closest class in the image, at each particle's position."""
     options = ParticleOptions(pose="closest", image_pose=True)
     return particle_filter(person.image, model, camera=person.camera, options=options, seed=seed).track
 
@@ -117,7 +116,7 @@ METHODS: Mapping[str, Method] = {
 
 
 def seen_in_clip(clip: Clip, models: Models) -> list[SeenPerson]:
-    """What the models say of everybody in a clip."""
+    """Return the models' answers for everybody in a clip."""
     seen: list[SeenPerson] = []
     for k, image in enumerate(clip.images):
         boxes = [item for item in clip.boxes if item.frame == k]

@@ -1,8 +1,4 @@
-"""The page of figures of ba-mixed-state: Ba & Odobez's Figs. 3 and 4, and Table 2.
-
-Ba & Odobez 2003: identification of still heads, and tracking and pose together against tracking, then
-pose.
-"""
+"""Ba & Odobez 2003: still heads, and tracking with the pose against tracking, then pose; Figs. 3 and 4."""
 
 from __future__ import annotations
 
@@ -34,7 +30,7 @@ from perception.experiments.head_trackers import (
 )
 from perception.experiments.sigma_pi_runs import run_all
 from perception.images.pixels import Image
-from perception.synthetic.head_clips import HeadClip
+from perception.synthetic.head_clips import HeadClip, HeadClipParameters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -188,30 +184,28 @@ def _effort(settings: Settings) -> tuple[int, int, int]:
 def _jobs(settings: Settings) -> dict[str, list[HeadJob]]:
     """Sequences by what heads do: face the camera, as in the paper, all the same and nod, or turn around."""
     seeds, sequences, frames = _effort(settings)
-    every = tuple(METHODS)
     facing = [
-        HeadJob((settings.seed, k, i), frames, methods=every) for k in range(seeds) for i in range(sequences)
-    ]
-    nodding = [
-        HeadJob((settings.seed, k, 50), frames, tilt=_NODDING, methods=(SEQUENTIAL, JOINT))
+        HeadJob((settings.seed, k, i), HeadClipParameters(frames), tuple(METHODS))
         for k in range(seeds)
+        for i in range(sequences)
     ]
+    nods = HeadClipParameters(frames, tilt=_NODDING)
+    nodding = [HeadJob((settings.seed, k, 50), nods) for k in range(seeds)]
     # The paper's own filter knows no heads that face away.
     others = tuple(name for name in METHODS if name not in (AS_PRINTED, OUR_EXEMPLARS))
-    around = [HeadJob((settings.seed, k, 4), frames, all_around=True, methods=others) for k in range(seeds)]
+    turns = HeadClipParameters(frames, all_around=True)
+    around = [HeadJob((settings.seed, k, 4), turns, others) for k in range(seeds)]
     return {_FACING: facing, f"{_FACING}, nodding": nodding, "all around": around}
 
 
 def _occlusions(settings: Settings) -> list[HeadJob]:
     seeds, _, _ = _effort(settings)
     if settings.quick:
-        return [HeadJob((settings.seed, 0, 100), 80, occlusion=(25, _HIDDEN), clutter=_SOME)]
+        clip = HeadClipParameters(80, occlusion=(25, _HIDDEN), clutter=_SOME)
+        return [HeadJob((settings.seed, 0, 100), clip)]
     # Two sequences a seed with some clutter, and one with much.
-    return [
-        HeadJob((settings.seed, k, 100 + i), 110, occlusion=(35, _HIDDEN), clutter=1.0 if i == 2 else _SOME)
-        for k in range(seeds)
-        for i in range(3)
-    ]
+    clips = [HeadClipParameters(110, occlusion=(35, _HIDDEN), clutter=c) for c in (_SOME, _SOME, 1.0)]
+    return [HeadJob((settings.seed, k, 100 + i), clip) for k in range(seeds) for i, clip in enumerate(clips)]
 
 
 def work(settings: Settings) -> int:
@@ -316,8 +310,8 @@ def _on_top(facing: Done) -> Table:
 
 def _survived(hidden: Sequence[tuple[HeadJob, dict[tuple[str, bool], bool]]]) -> Table:
     records: list[dict[str, Cell]] = []
-    for clutter in sorted({job.clutter for job, _ in hidden}):
-        found = [survived for job, survived in hidden if job.clutter == clutter]
+    for clutter in sorted({job.clip.clutter for job, _ in hidden}):
+        found = [survived for job, survived in hidden if job.clip.clutter == clutter]
         records += [
             {
                 "clutter": clutter,
@@ -356,15 +350,12 @@ def _rows(pans: str, done: Done) -> list[dict[str, Cell]]:
 def _over_seeds(runs: Sequence[tuple[int, Run]], attribute: str, form: str = ".1f") -> str:
     """Mean ± deviation over seeds; errors in radians become degrees."""
     factor = 1.0 if attribute == "error" else float(np.degrees(1.0))
-    values = _by_seed([(seed, factor * float(getattr(run, attribute).mean())) for seed, run in runs])
+    by_seed: dict[int, list[float]] = {}
+    for seed, run in runs:
+        by_seed.setdefault(seed, []).append(factor * float(getattr(run, attribute).mean()))
+    values = np.array([np.mean(of_seed) for of_seed in by_seed.values()])
     spread = f" ± {values.std():{form}}" if len(values) > 1 else ""
     return f"{values.mean():{form}}{spread}"
-
-
-def _by_seed(values: Sequence[tuple[int, float]]) -> FloatArray:
-    """Means (seeds,) of the values of each seed."""
-    seeds = sorted({seed for seed, _ in values})
-    return np.array([np.mean([value for k, value in values if k == seed]) for seed in seeds])
 
 
 def _beside(facing: Done) -> Table:

@@ -74,8 +74,9 @@ class PersonWithHeads:
     size: FloatArray
 
 
+@cache
 def people_with_heads(folder: Path) -> list[PersonWithHeads]:
-    """Everybody with `LEAST_FRAMES` labelled heads among the frames of ``folder``, a CAVIAR folder.
+    """People with `LEAST_FRAMES` labelled heads among the frames of ``folder``, a CAVIAR folder.
 
     It has ``xml/NAME.xml``, and frames in ``frames/NAME`` named by their numbers.
     """
@@ -160,12 +161,10 @@ SHARES = {"80:20": 0.8, "50:50": 0.5}
 PAPER_GAIN = 1.158
 """Baxter et al. 2014, §IV-C: the median gain in CLL on CAVIAR with the network's heads."""
 
-_PICTURE = "in the picture of Fig. 3 alone"
-
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Some heads, how they were split, and what came out."""
+    """Scores of some heads by a way to split them."""
 
     data: str
     split: str
@@ -297,12 +296,7 @@ def _street(settings: Settings) -> Path | None:
 
 def _people(settings: Settings) -> list[PersonWithHeads]:
     path = settings.recording(*CAVIAR)
-    return [] if path is None else _read(path.parents[1])
-
-
-@cache
-def _read(folder: Path) -> list[PersonWithHeads]:
-    return people_with_heads(folder)
+    return [] if path is None else people_with_heads(path.parents[1])
 
 
 def _split_table(found: Sequence[Split]) -> Table:
@@ -314,7 +308,7 @@ def _split_table(found: Sequence[Split]) -> Table:
                 "heads": one.data,
                 "split": one.split,
                 "number": one.heads,
-                "paper": _PICTURE,
+                "paper": "in the picture of Fig. 3 alone",
                 "right (%)": 100.0 * float(one.scores.rates.mean()),
                 "± splits": 100.0 * float(one.scores.rates.std()),
                 "mean error (°)": one.scores.mean_error,

@@ -1,12 +1,6 @@
-"""Estimates drawn on the frames, separately and jointly, and seen from above (Chen et al. 2011, Fig. 6, 7
-and 9).
+"""Chen et al. 2011, Table 2 from pixels: online methods on rendered clips, drawn as in its Figs. 6, 7 and 9.
 
-People of motion capture as classifiers answer for them, of whose poses pictures are rendered.
-
-Chen et al. 2011, Table 2 from pixels, online beside online, with estimates drawn on the frames as in its
-Fig. 6–9.
-
-Then people of motion capture, whose poses are rendered and answered for by Chen et al.'s classifiers.
+Also people of motion capture, whose poses are rendered and classified.
 """
 
 from __future__ import annotations
@@ -72,7 +66,7 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """What is drawn.
+    """Content of the drawn sheet.
 
     Attributes
     ----------
@@ -87,7 +81,7 @@ class Sheet:
 
     @property
     def shown(self) -> ObservedPerson:
-        """Who is drawn on the frames: the first of those who are seen longest."""
+        """The person drawn on the frames: the first of those who are seen longest."""
         return max(self.people, key=lambda person: len(person.causal))
 
     @property
@@ -213,7 +207,7 @@ LEVELS = ("down", "level", "up")
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What classifiers answered for pictures of known poses, all in the image.
+    """Answers of classifiers for pictures of known poses, all in the image.
 
     Attributes
     ----------

@@ -1,12 +1,6 @@
-"""What the graph adds to a tracker: errors of its boxes and pans before and after, and lost targets.
+"""Head trackers on rendered sequences and on Oxford Town Centre, scored as in Ba & Odobez 2003, §4.2.
 
-The head trackers on rendered sequences before things of the head's own colours, scored as in Ba & Odobez
-2003, §4.2.
-
-The trackers of heads on real heads of Oxford Town Centre, at the few frames a second that are at hand.
-
-Ba & Odobez 2003, Tables 1 to 3: identification of the pan of still heads, and which pans are taken for
-which.
+Also the identification of the pan of still heads (Tables 1 to 3).
 """
 
 from __future__ import annotations
@@ -41,8 +35,6 @@ from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplar
 from perception.trackers.mixed_state import ColourMemory, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal, Tracker
 
-_HALF = 0.5
-
 
 @dataclass(frozen=True)
 class GraphOnTop:
@@ -60,59 +52,33 @@ class GraphOnTop:
     graph_pan: float
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """Where the target is in n frames.
-
-    Attributes
-    ----------
-    boxes : (n, 4) pixels
-    pan : (n,) of the head, radians in the image frame
-    fps : frames a second
-    """
-
-    boxes: FloatArray
-    pan: FloatArray
-    fps: float
-
-
 def graph_on_top(
     estimates: Sequence[BoxEstimate],
-    truth: Truth,
+    true_boxes: FloatArray,
+    true_pan: FloatArray,
     boxes: BoxCamera,
     pan_classes: PoseClasses | None,
+    fps: float,
     model: Model | str | None = None,
-    *,
-    filtered: bool = False,
-    believed: Sequence[bool] | None = None,
-    hidden: bool = False,
 ) -> GraphOnTop:
-    """Smooth what a tracker said, and compare both with the truth where the target was found.
+    """Smooth a tracker's estimates, and compare both with the truth where the target was found.
 
     Parameters
     ----------
-    estimates : of all frames
-    truth : of the same
+    estimates : of all n frames
+    true_boxes, true_pan : (n, 4) pixels, and (n,) radians in the image frame
     boxes : to the ground and back
     model : of the graph; by default the package's
-    filtered : whether the graph is given the tracker's own distribution of the pan; see `to_track`
-    believed : n, whether the graph that guided the tracker believes each; by default all
-    hidden : whether frames count in which the target was not found, or not believed
     """
-    if believed is None:
-        believed = [True] * len(estimates)
-    followed = [
-        Followed(k, estimate, bool(is_true))
-        for k, (estimate, is_true) in enumerate(zip(estimates, believed, strict=True))
-    ]
-    observed = to_track(followed, boxes, pan_classes, truth.fps, filtered=filtered)
+    followed = [Followed(k, estimate, True) for k, estimate in enumerate(estimates)]
+    observed = to_track(followed, boxes, pan_classes, fps)
     smoothed = smooth(TrackSet((observed,)), model).tracks[0]
-    found = np.asarray(np.isfinite(observed.position).all(axis=1) | hidden)
+    found = np.asarray(np.isfinite(observed.position).all(axis=1))
     middle = np.array([estimate.centre for estimate in estimates])
     height = np.array([estimate.box[3] for estimate in estimates])
-    true_middle = truth.boxes[:, :2] + truth.boxes[:, 2:] / 2.0
+    true_middle = true_boxes[:, :2] + true_boxes[:, 2:] / 2.0
     of_centre = [
-        np.linalg.norm(place - true_middle, axis=1) / truth.boxes[:, 2]
+        np.linalg.norm(place - true_middle, axis=1) / true_boxes[:, 2]
         for place in (middle, boxes.box_centre(smoothed.position, height))
     ]
     of_pan = [np.full(len(found), np.nan)] * 2
@@ -120,9 +86,8 @@ def graph_on_top(
     if pan_classes is not None and smoothed.head is not None and len(pans) == len(estimates):
         of_tracker = pan_classes.mean_of(np.array(pans))
         of_graph = boxes.camera.image_angle(smoothed.head, smoothed.position)
-        of_pan = [np.abs(difference(pan, truth.pan)) for pan in (of_tracker, of_graph)]
-    means = [float(error[found].mean()) for error in (*of_centre, *of_pan)]
-    return GraphOnTop(*means)
+        of_pan = [np.abs(difference(pan, true_pan)) for pan in (of_tracker, of_graph)]
+    return GraphOnTop(*(float(error[found].mean()) for error in (*of_centre, *of_pan)))
 
 
 def survives(
@@ -133,7 +98,7 @@ def survives(
     after: int = 10,
     share: float = 0.9,
 ) -> bool:
-    """Whether a tracker is on its target again after an occlusion.
+    """Return whether a tracker is on its target again after an occlusion.
 
     That is: its boxes (n, 4) overlap the true ones (n, 4) in at least ``share`` of the frames from ``after``
     frames after the target's reappearance on. It reappears when half of it is seen (``visible`` (n,), 0…1)
@@ -141,7 +106,7 @@ def survives(
     """
     hidden = np.flatnonzero(visible == 0.0)
     last = int(hidden[-1]) if len(hidden) else -1
-    back = np.flatnonzero((visible >= _HALF) & (np.arange(len(visible)) > last))
+    back = np.flatnonzero((visible >= 0.5) & (np.arange(len(visible)) > last))
     if not len(back) or back[0] + after >= len(visible):
         raise ValueError("the target does not come back before the end")
     rest = slice(int(back[0]) + after, None)
@@ -183,37 +148,22 @@ class HeadJob:
     Attributes
     ----------
     seed : of the sequence and of the trackers
-    frames : its length
-    all_around : whether the head turns through all pans; if not, methods know that it faces the camera
-    occlusion : first frame and number of frames in which the head is hidden
-    clutter : amount of things of the head's colours
-    tilt : 1-σ of the head's tilt, radians
+    clip : parameters of the sequence; where not ``all_around``, methods know that the head faces the camera
     methods : which of `METHODS`
     """
 
     seed: tuple[int, ...]
-    frames: int = 100
-    all_around: bool = False
-    occlusion: tuple[int, int] | None = None
-    clutter: float = 1.0
-    tilt: float = 0.12
+    clip: HeadClipParameters
     methods: tuple[str, ...] = (SEQUENTIAL, JOINT)
 
     def render(self) -> HeadClip:
-        """The sequence."""
-        parameters = HeadClipParameters(
-            frames=self.frames,
-            all_around=self.all_around,
-            occlusion=self.occlusion,
-            clutter=self.clutter,
-            tilt=self.tilt,
-        )
-        return head_clip(np.random.default_rng(self.seed), parameters)
+        """Render the sequence."""
+        return head_clip(np.random.default_rng(self.seed), self.clip)
 
     def tracker(self, method: str) -> Tracker:
-        """A tracker for it."""
+        """Make a tracker for it."""
         exemplars = load_head_exemplars()
-        if not self.all_around:
+        if not self.clip.all_around:
             exemplars = exemplars.within(PAN_LIMIT)
         return METHODS[method](exemplars, self.seed[-1])
 
@@ -243,7 +193,7 @@ class Run:
 
     @property
     def lost(self) -> bool:
-        """Whether the box did not touch the head's in some frame."""
+        """Return whether the box did not touch the head's in some frame."""
         return bool((self.error >= 1.0).any())
 
 
@@ -258,7 +208,7 @@ def run_job(job: HeadJob) -> tuple[HeadClip, dict[str, Run]]:
 
 
 def run_occlusion(job: HeadJob) -> dict[tuple[str, bool], bool]:
-    """Whether each method, without and with the graph's guidance, is on the head after it was hidden."""
+    """Survival of each method, without and with the graph's guidance, after the head was hidden."""
     clip = job.render()
     survived = {}
     for name in job.methods:
@@ -289,7 +239,7 @@ def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: Head
     pan, mode = classes.mean_of(distribution), classes.pan[distribution.argmax(axis=1)]
     boxes, tilt = np.array([item.box for item in found]), np.array([item.tilt for item in found], float)
     ground = BoxCamera.from_box(found[0].box, PERSON_IN_HEADS)
-    on_top = graph_on_top(found, Truth(clip.boxes, clip.pan, clip.fps), ground, classes)
+    on_top = graph_on_top(found, clip.boxes, clip.pan, ground, classes, clip.fps)
     return Run(
         boxes=boxes,
         error=tracking_error(boxes, clip.boxes),
@@ -392,7 +342,7 @@ def _methods(seed: int) -> Mapping[str, tuple[Tracker, bool]]:
 
 
 def heads_table(folder: Path, people: int, seed: int, progress: Progress) -> Table:
-    """What each tracker makes of heads, begun with the first labelled box."""
+    """Follow heads with each tracker, begun with the first labelled box."""
     frames, heads = heads_of(folder, people)
     rows: list[dict[str, Cell]] = []
     every: dict[str, list[dict[str, float]]] = {}
@@ -489,8 +439,6 @@ _PAPER: dict[tuple[int, Density, int], str] = {
 """Ba & Odobez 2003, Tables 1 and 3: identification in per cent, by people (half of them learned from) and
 exemplars."""
 
-FIRST = 68
-"""People of Ba & Odobez's Tables 1 and 2."""
 _EXEMPLARS = {68: (1, 2), 140: (1, 2, 3, 4)}
 
 
@@ -527,14 +475,14 @@ def _record(people: int, row: RecognitionRow, printed: RecognitionRow) -> dict[s
 def _confusions(ours: FloatArray) -> Table:
     """A row for each true pan, of the paper and of ours."""
     records: list[dict[str, Cell]] = [
-        {"true pan (°)": pan, "of": name, **_cells(matrix[k])}
+        {
+            "true pan (°)": pan,
+            "of": name,
+            **{f"{other:g}": round(float(value), 1) for other, value in zip(PANS, matrix[k], strict=True)},
+        }
         for k, pan in enumerate(PANS)
         for name, matrix in (("paper", CONFUSION), ("ours", ours))
     ]
     return Table.of(
         "Confusions of pans in per cent, 2 exemplars, saturated density (Ba & Odobez 2003, Table 2)", records
     )
-
-
-def _cells(row: Sequence[float] | FloatArray) -> dict[str, Cell]:
-    return {f"{pan:g}": round(float(value), 1) for pan, value in zip(PANS, row, strict=True)}

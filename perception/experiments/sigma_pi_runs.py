@@ -1,7 +1,4 @@
-"""Independent runs of an experiment, on all processors.
-
-Runs of the Sigma-Pi tracker on rendered ceilings and on real frames, scored as in Yan et al.'s Table 1.
-"""
+"""Runs of the Sigma-Pi tracker on rendered ceilings and real frames (Yan et al. 2011, Table 1)."""
 
 from __future__ import annotations
 
@@ -37,7 +34,7 @@ def run_all(
     *,
     processes: int | None = None,
 ) -> list[Answer]:
-    """What a function of a module gives for each job, in their order.
+    """Return the results of a module's function for all jobs, in their order.
 
     Parameters
     ----------
@@ -59,8 +56,7 @@ def run_all(
 
 
 def _alone() -> None:
-    """One thread for each process: more would wait for each other."""
-    import cv2
+    """Use one thread in this process: more would wait for each other."""
     from threadpoolctl import threadpool_limits
 
     cv2.setNumThreads(1)

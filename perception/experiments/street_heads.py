@@ -81,7 +81,7 @@ class StreetPerson:
 
 
 def street_people(folder: Path) -> tuple[list[StreetPerson], GroundCamera]:
-    """Everybody who is in `FEWEST` pictures in a row of a Town Centre folder, and its camera.
+    """People in `FEWEST` pictures in a row of a Town Centre folder, and its camera.
 
     Labels of frames without a picture are not used.
     """
@@ -226,7 +226,7 @@ def _fitted(pairs: Sequence[tuple[Track, BoolArray]], kappa: float, evaluations:
 def occlusion_tables(
     folder: Path, model: DeepBelief, rng: np.random.Generator, *, quick: bool
 ) -> list[Table]:
-    """How far the network's heads are off, and the error in withheld windows of two seconds with them.
+    """Errors of the network's heads, and of prediction with them in withheld windows of two seconds.
 
     Parameters
     ----------

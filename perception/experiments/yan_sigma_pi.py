@@ -1,9 +1,4 @@
-"""The page of figures of yan-sigma-pi: cues and reliabilities over time, and success.
-
-Yan et al. 2011, Table 1: a person under a ceiling camera, tracked by three cues, and by motion alone.
-
-The Sigma-Pi tracker on people of real recordings, begun with their first labelled box.
-"""
+"""Yan et al. 2011, Table 1: a person under a ceiling camera, tracked by three cues, and by motion alone."""
 
 from __future__ import annotations
 
@@ -13,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.errors import InputError
 from graphtrack.evaluation.metrics import bootstrap
 from graphtrack.experiments.harness import Cell, Experiment, Progress, Reproduction, Settings, Table
 from graphtrack.report.style import new_figure, tidy
@@ -32,7 +26,6 @@ from perception.experiments.sigma_pi_runs import (
 )
 from perception.synthetic.ceiling import ALL_KINDS, KINDS
 from perception.trackers.sigma_pi_network import CUES, TERM_NAMES
-from perception.trackers.tracker import BoxEstimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,69 +46,6 @@ _COLOURS = {
     "local features": "#E69F00",
     "motion alone": "#9AA1AB",
 }
-
-
-def page(
-    shown: str,
-    estimates: Sequence[BoxEstimate],
-    success: Mapping[str, Mapping[str, np.ndarray]],
-    paper: Mapping[str, float],
-) -> Figure:
-    """Cues and reliabilities in one sequence, and the success of all.
-
-    Parameters
-    ----------
-    shown, estimates : name and estimates of the sequence
-    success : sequence → method → (seeds,) per cent
-    paper : sequence → per cent
-    """
-    figure = new_figure(12.0, 11.0)
-    cues, reliabilities, bars = figure.subplots(3, 1, height_ratios=[1.0, 1.0, 1.3])
-    frames = np.arange(len(estimates))
-    for name in CUES:
-        cues.plot(frames, [e.cues[name] for e in estimates], color=_COLOURS[name], lw=1.1, label=name)
-    lost = np.array([not e.found for e in estimates])
-    cues.fill_between(frames, 0, 1, where=lost, color="#D9DCE1", step="mid", label="not found", zorder=0)
-    cues.set(ylabel="activity at the estimate", ylim=(0.0, 1.02), title=shown)
-    for name in TERM_NAMES:
-        values = [e.cues[f"reliability {name}"] for e in estimates]
-        style = "-" if name in CUES else "--"
-        reliabilities.plot(frames, values, style, color=_COLOURS[name], lw=1.1, label=name)
-    reliabilities.set(ylabel="reliability α", xlabel="frame")
-    for axes in (cues, reliabilities):
-        axes.set_xlim(0, len(estimates) - 1)
-        axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-        tidy(axes, grid="y")
-    _bars(bars, success, paper)
-    return figure
-
-
-def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]], paper: Mapping[str, float]) -> None:
-    labelled = set()
-    for k, (name, found) in enumerate(success.items()):
-        width = 0.8 / len(found)
-        for j, (method, values) in enumerate(found.items()):
-            x = k + (j - (len(found) - 1) / 2.0) * width
-            label = None if method in labelled else method
-            labelled.add(method)
-            axes.bar(x, values.mean(), 0.92 * width, color=_COLOURS[method], label=label, zorder=2)
-            if len(values) > 1:
-                axes.plot([x, x], [values.min(), values.max()], color="#222222", lw=1.0, zorder=3)
-        if name in paper:
-            label = "Yan et al. 2011, Table 1" if k == 0 else None
-            axes.plot([k - 0.4, k + 0.4], [paper[name]] * 2, color="#D55E00", lw=1.6, zorder=4, label=label)
-    many = len(success) > 6
-    names = [name if many else name.replace(" and ", "\nand ") for name in success]
-    axes.set_xticks(range(len(success)), names, fontsize=8)
-    if many:
-        axes.tick_params(axis="x", labelrotation=30)
-        for tick in axes.get_xticklabels():
-            tick.set_horizontalalignment("right")
-    seeds = max(len(values) for found in success.values() for values in found.values())
-    spread = f"; lines: least to greatest of {seeds} seeds" if seeds > 1 else ", one seed"
-    axes.set(ylabel=f"success (%){spread}", ylim=(0.0, 102.0))
-    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    tidy(axes, grid="y")
 
 
 PAPER: Mapping[str, tuple[int, int, int, float]] = dict(
@@ -214,7 +144,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def success(runs: Sequence[Mapping[str, Tally]], method: str) -> np.ndarray:
-    """Of one method in per cent, for each seed."""
+    """Success (seeds,) of a method in per cent."""
     return np.array([100.0 * found[method].success for found in runs])
 
 
@@ -312,10 +242,59 @@ def _beside(runs: Runs) -> Table:
 
 
 def _figure(drawn: Runs, real: Runs) -> Figure:
+    """Cues and reliabilities in one sequence, and the success in all."""
+    estimates = drawn[_SHOWN][0][OURS].estimates
+    figure = new_figure(12.0, 11.0)
+    cues, reliabilities, bars = figure.subplots(3, 1, height_ratios=[1.0, 1.0, 1.3])
+    frames = np.arange(len(estimates))
+    for name in CUES:
+        cues.plot(frames, [e.cues[name] for e in estimates], color=_COLOURS[name], lw=1.1, label=name)
+    lost = np.array([not e.found for e in estimates])
+    cues.fill_between(frames, 0, 1, where=lost, color="#D9DCE1", step="mid", label="not found", zorder=0)
+    cues.set(ylabel="activity at the estimate", ylim=(0.0, 1.02), title=_SHOWN)
+    for name in TERM_NAMES:
+        values = [e.cues[f"reliability {name}"] for e in estimates]
+        style = "-" if name in CUES else "--"
+        reliabilities.plot(frames, values, style, color=_COLOURS[name], lw=1.1, label=name)
+    reliabilities.set(ylabel="reliability α", xlabel="frame")
+    for axes in (cues, reliabilities):
+        axes.set_xlim(0, len(estimates) - 1)
+        axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        tidy(axes, grid="y")
+    everything = {**drawn, **real}
+    _bars(bars, {name: {m: success(found, m) for m in found[0]} for name, found in everything.items()})
+    return figure
 
-    bars = {name: {m: success(found, m) for m in found[0]} for name, found in {**drawn, **real}.items()}
-    paper = {kind: values[3] for kind, values in PAPER.items()}
-    return page(_SHOWN, drawn[_SHOWN][0][OURS].estimates, bars, paper)
+
+def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+    """Draw sequence → method → (seeds,) per cent, and the paper's numbers."""
+    labelled = set()
+    for k, (name, found) in enumerate(success.items()):
+        width = 0.8 / len(found)
+        for j, (method, values) in enumerate(found.items()):
+            x = k + (j - (len(found) - 1) / 2.0) * width
+            label = None if method in labelled else method
+            labelled.add(method)
+            axes.bar(x, values.mean(), 0.92 * width, color=_COLOURS[method], label=label, zorder=2)
+            if len(values) > 1:
+                axes.plot([x, x], [values.min(), values.max()], color="#222222", lw=1.0, zorder=3)
+        if name in PAPER:
+            label = "Yan et al. 2011, Table 1" if k == 0 else None
+            axes.plot(
+                [k - 0.4, k + 0.4], [PAPER[name][3]] * 2, color="#D55E00", lw=1.6, zorder=4, label=label
+            )
+    many = len(success) > 6
+    names = [name if many else name.replace(" and ", "\nand ") for name in success]
+    axes.set_xticks(range(len(success)), names, fontsize=8)
+    if many:
+        axes.tick_params(axis="x", labelrotation=30)
+        for tick in axes.get_xticklabels():
+            tick.set_horizontalalignment("right")
+    seeds = max(len(values) for found in success.values() for values in found.values())
+    spread = f"; lines: least to greatest of {seeds} seeds" if seeds > 1 else ", one seed"
+    axes.set(ylabel=f"success (%){spread}", ylim=(0.0, 102.0))
+    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    tidy(axes, grid="y")
 
 
 EXPERIMENT = Experiment(
@@ -325,48 +304,3 @@ EXPERIMENT = Experiment(
     run,
     "1 sequence of 120 frames of each kind",
 )
-
-
-_FEWEST_OF_PERSON = 50
-"""Frames in a row in which somebody is labelled, to be counted."""
-
-
-def people_of(folder: Path) -> list[Recording]:
-    """Everybody in the recordings of a CAVIAR folder, ``frames/NAME/NUMBER.jpg`` and ``xml/NAME.xml``.
-
-    Raises
-    ------
-    InputError
-        If nobody is labelled in fifty frames in a row that are there.
-    """
-    names = sorted(path.name for path in (folder / "frames").glob("*") if path.is_dir())
-    found = recordings(folder, names, _FEWEST_OF_PERSON)
-    if not found:
-        expected = (
-            f"frames/NAME/NUMBER.jpg, and xml/NAME.xml with people in {_FEWEST_OF_PERSON} of them in a row"
-        )
-        raise InputError("no recordings of labelled people", expected, path=folder)
-    return found
-
-
-def sigma_pi_table(people: list[Recording], seeds: int, seed: int, progress: Progress) -> list[Table]:
-    """Success of each method on each person, and over all, from ``seeds`` seeds each."""
-    jobs = [PersonJob(person, (seed, k), None) for person in people for k in range(seeds)]
-    runs: dict[str, list[dict[str, Tally]]] = {}
-    for job, found in zip(jobs, run_all(run_job, jobs, progress), strict=True):
-        runs.setdefault(job.name, []).append(found)
-    rows: list[dict[str, Cell]] = []
-    for method in next(iter(runs.values()))[0]:
-        means = [success(found, method) for found in runs.values()]
-        rows.append(
-            {
-                "method": method,
-                "people": len(means),
-                "seeds": seeds,
-                "mean success (%)": float(np.mean([one.mean() for one in means])),
-                "least of a person": float(min(one.mean() for one in means)),
-                "least of a seed": float(min(one.min() for one in means)),
-            }
-        )
-    title = "Sigma-Pi on real people, from the first labelled box: found, and the centre in the labelled box"
-    return [method_table(runs, title), Table.of("Sigma-Pi on real people: everybody", rows)]

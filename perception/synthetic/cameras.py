@@ -1,7 +1,4 @@
-"""Cameras of synthetic scenes: the rays of their pixels and where points are seen.
-
-From light to the bytes of a file: exposure, blur, noise, JPEG; and backgrounds for crops.
-"""
+"""Cameras of synthetic scenes: rays, projection, sensors (exposure, blur, noise, JPEG), backgrounds."""
 
 from __future__ import annotations
 
@@ -111,7 +108,7 @@ def _camera_rays(size: tuple[int, int], focal: float, lens: str, oversampling: i
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a camera does to an image.
+    """Exposure, blur, noise and compression of a camera.
 
     Attributes
     ----------

@@ -1,8 +1,6 @@
-"""What people do in a room under a ceiling camera, and the ways they go.
+"""Rendered rooms under a fisheye camera: the kinds of sequence of Yan, Weber & Wermter (2011), Table 1.
 
-A room under a fisheye camera: someone comes in, walks, sits; furniture is moved; somebody else comes.
-
-The kinds of sequence of Yan, Weber & Wermter (2011), Table 1, with exact boxes of the person to track.
+Someone comes in, walks and sits, furniture is moved, somebody else comes; boxes are exact.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ _TURNING = 4.0
 
 @dataclass(frozen=True)
 class CeilingKind:
-    """What happens in a sequence; times are shares of its length.
+    """Events of a sequence; times are shares of its length.
 
     Attributes
     ----------
@@ -74,7 +72,7 @@ class Walk:
     sitting: FloatArray
 
     def posture(self, k: int) -> Posture | None:
-        """How they stand in frame k; None where they are not there."""
+        """Return the posture in frame k, None outside the room."""
         if not self.there[k]:
             return None
         x, y = (float(value) for value in self.position[k])
@@ -245,7 +243,7 @@ class CeilingSequence:
             yield CeilingFrame(frame.image, labels.get(0), labels.get(1))
 
     def _furniture(self, k: int) -> tuple[list[Furniture], list[Furniture]]:
-        """What stands still in frame k of the furniture that is moved, and what is on its way."""
+        """Moved furniture that rests in frame k, and that on its way."""
         resting: list[Furniture] = []
         pushed: list[Furniture] = []
         for item, places in self.moved:
@@ -272,7 +270,8 @@ def ceiling_sequence(
     empty : frames before the person comes in
     """
     furniture = _furniture(rng)
-    chair = _chair(rng)
+    place = rng.uniform(-1.0, 1.0, 2) * INSIDE
+    chair = Furniture((float(place[0]), float(place[1])), _CHAIR, rng.uniform(0.0, np.pi), _colour(rng))
     tables = tuple(_table(rng, k) for k in range(len(kind.moves)))
     bearing, height = rng.uniform(-np.pi, np.pi), rng.uniform(1.0, 1.45)
     tint, key = rng.normal(1.0, 0.04, 3), rng.uniform(0.2, 0.5)
@@ -350,13 +349,8 @@ def _furniture(rng: np.random.Generator) -> list[Furniture]:
     return found
 
 
-def _chair(rng: np.random.Generator) -> Furniture:
-    place = rng.uniform(-1.0, 1.0, 2) * INSIDE
-    return Furniture((float(place[0]), float(place[1])), _CHAIR, rng.uniform(0.0, np.pi), _colour(rng))
-
-
 def _table(rng: np.random.Generator, k: int) -> Furniture:
-    """What is moved: at first in a corner on the left."""
+    """A table to be moved, at first in a corner on the left."""
     place = (-INSIDE[0] - 0.35, (1.0 if k % 2 else -1.0) * (INSIDE[1] - 0.1))
     size = tuple(np.array(_TABLE) * rng.uniform(0.75, 1.1, 3))
     return Furniture(place, size, rng.uniform(-0.4, 0.4), _colour(rng))

@@ -1,7 +1,4 @@
-"""Short rendered videos of people who walk and look around, with the boxes a detector would give.
-
-A street with rendered people pasted into its frames: quick to make, and every direction is known.
-"""
+"""Short rendered videos: people who walk and look around, and a street with people pasted into its frames."""
 
 from __future__ import annotations
 
@@ -80,7 +77,7 @@ class Walks:
         return len(self.truth.tracks[0])
 
     def people(self, k: int) -> list[Person]:
-        """Everybody in frame k, in the order of the tracks."""
+        """People in frame k, in the order of the tracks."""
         postures = [_posture(track, k) for track in self.truth]
         return [Person(*both) for both in zip(self.looks, postures, strict=True)]
 

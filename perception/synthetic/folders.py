@@ -1,7 +1,4 @@
-"""Many crops in one picture, to look at.
-
-Folders of rendered clips and crops, with what belongs to them: boxes, camera, labels, and the truth.
-"""
+"""Folders of rendered clips and crops with boxes, camera, labels and truth; contact sheets."""
 
 from __future__ import annotations
 
@@ -65,7 +62,7 @@ HOMOGRAPHY, CALIBRATION, KEYPOINTS = "homography.txt", "camera.ci", "keypoints.j
 
 Advance = Callable[[int], None]
 TARGETS = {"person": "person moving 1", "robot": "robot moving"}
-"""Who can come into the room → kind of the sequence."""
+"""Target in the room → kind of the sequence."""
 _BATCH = 20
 _UNTIL_THERE = 30
 _ALL_WAYS = HeadVariation(tilt_deviation=None)
@@ -103,7 +100,7 @@ def write_street(
 
 
 def _write_keypoints(path: Path, walks: Walks, boxes: Iterable[PersonBox], rng: np.random.Generator) -> None:
-    """What a pose network would say of the people in boxes, as COCO results."""
+    """Write a pose network's answers for the people in boxes, as COCO results."""
     place = {track.track_id: number for number, track in enumerate(walks.truth)}
     entries = []
     for item in boxes:
@@ -206,7 +203,7 @@ KINDS: Mapping[str, Callable[..., list[PersonBox]]] = MappingProxyType(
         "people": write_people,
     }
 )
-"""What can be rendered into a folder; the keywords are the options of each."""
+"""Kinds of folders; the keywords are the options of each."""
 
 
 def _write_frames(

@@ -33,7 +33,7 @@ _SPARE = 20_000
 
 @dataclass(frozen=True)
 class HeadVariation:
-    """What varies in a set of heads.
+    """Variation in a set of heads.
 
     Attributes
     ----------

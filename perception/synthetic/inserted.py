@@ -27,12 +27,12 @@ _EXPOSED = 0.45
 _BRIGHTNESS = (30.0, 200.0)
 """Grey levels that the light is taken from a picture within."""
 _EDGE = 4.0
-"""How fast the picture around a person is sharp again where they are blurred."""
+"""Steepness of the edge between a blurred person and the sharp picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a camera sees people stand.
+    """A place where a camera sees people stand.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Insertion:
-    """What varies among people who are put into pictures.
+    """Variation among people who are put into pictures.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ _DISTANCE = 9.0
 
 @dataclass(frozen=True)
 class PedestrianVariation:
-    """What varies in a set of pedestrians.
+    """Variation in a set of pedestrians.
 
     Attributes
     ----------

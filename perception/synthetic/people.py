@@ -1,10 +1,7 @@
-"""What people look like: skin, hair, hats, glasses and clothes, drawn at random.
+"""People and robots made of solids: appearance, head, body and posture.
 
-A head made of solids, in its own frame: origin between the ears, x where the face points, y left, z up.
-
-A walking person made of solids: on the ground at the origin, x where the body points, y left, z up.
-
-A mobile robot made of solids: on the floor at the origin, x where it drives, z up.
+Frames: x is where the face or body points, y left, z up; the origin is between the ears (heads) or on the
+ground.
 """
 
 from __future__ import annotations
@@ -61,7 +58,7 @@ _TEXTURE_SHARE = (0.55, 0.15, 0.18, 0.12)
 
 @dataclass(frozen=True)
 class Appearance:
-    """How one person looks.
+    """Appearance of one person.
 
     Attributes
     ----------
@@ -138,9 +135,6 @@ def _colour(values: np.ndarray) -> Reflectance:
     return b, g, r
 
 
-NECK_BELOW = 0.10
-"""Metres from the head's origin down to the neck's pivot."""
-
 CORE, EXTRA = 0, 1
 """Groups of a head's solids: what its box encloses, and what hangs or sticks out."""
 
@@ -195,8 +189,7 @@ def _face(make: Builder, look: Appearance) -> None:
 def _hair(make: Builder, look: Appearance) -> None:
     colour, strands = look.hair_colour, (SPECKLED, 0.22, 8.0)
     # Everything in front of and below the hair line is cut off: the face and what is below the ears.
-    lines = {"receding": (0.80, 0.0, 0.10, 0.02), "bald": (0.70, 0.0, 0.72, -0.22)}
-    line = lines.get(look.hair, (0.80, 0.0, -0.60, 0.16))
+    line = (0.70, 0.0, 0.72, -0.22) if look.hair == "bald" else (0.80, 0.0, -0.60, 0.16)
     size = {"afro": 1.38, "bald": 1.02}.get(look.hair, 1.09)
     semi = np.array((0.097, 0.076, 0.092)) * size
     if look.hair == "receding":
@@ -220,10 +213,10 @@ def _long_hair(make: Builder, look: Appearance) -> None:
 
 
 def _hat(make: Builder, extra: Builder, look: Appearance) -> None:
-    colour, cloth = look.hat_colour, (PLAIN, 0.0, 0.0)
+    colour = look.hat_colour
     dome = np.array((0.108, 0.088, 0.104))
     if look.hat == "cap":
-        make.ellipsoid((-0.010, 0.0, 0.042), dome, colour, clip=(0.0, 0.0, -1.0, -0.12), texture=cloth)
+        make.ellipsoid((-0.010, 0.0, 0.042), dome, colour, clip=(0.0, 0.0, -1.0, -0.12))
         extra.ellipsoid((0.115, 0.0, 0.058), (0.070, 0.070, 0.009), np.array(colour) * 0.8)
     elif look.hat == "beanie":
         make.ellipsoid(
@@ -241,7 +234,7 @@ def _hat(make: Builder, extra: Builder, look: Appearance) -> None:
 
 
 def neck_and_shoulders(look: Appearance) -> Solids:
-    """What shows below a head, in the body's frame with the head's origin at 0."""
+    """Neck and shoulders, in the body's frame with the head's origin at 0."""
     make = Builder()
     make.limb((-0.022, 0.0, -0.05), (-0.030, 0.0, -0.17), 0.052, np.array(look.skin) * 0.9, skin=True)
     make.ellipsoid(
@@ -265,7 +258,7 @@ _THIGH = 0.42
 
 @dataclass(frozen=True)
 class Posture:
-    """Where a person is and how they stand.
+    """Place and posture of a person.
 
     Attributes
     ----------
@@ -342,25 +335,20 @@ def _upper_body(look: Appearance, posture: Posture) -> Solids:
 
 
 def _legs(look: Appearance, posture: Posture) -> Solids:
-    make = Builder()
-    swing = posture.stride * np.sin(posture.phase)
+    make, bend = Builder(), _bend(posture)
     for side in (-1.0, 1.0):
-        _leg(make, look, side, side * swing, posture)
+        swing = side * posture.stride * np.sin(posture.phase)
+        hip = hip_of(look, side) - np.array([0.0, 0.0, _THIGH * (1.0 - np.cos(bend))])
+        thigh = 0.45 * swing + bend
+        # The knee bends while the leg comes forward.
+        lifted = max(0.0, side * np.cos(posture.phase)) * posture.stride
+        shin = 0.45 * swing - 0.75 * lifted - 0.1 * posture.stride
+        knee = hip + _THIGH * np.array([np.sin(thigh), 0.0, -np.cos(thigh)])
+        ankle = knee + 0.41 * np.array([np.sin(shin), 0.0, -np.cos(shin)])
+        make.limb(hip, knee, 0.078 * look.build, look.trousers)
+        make.limb(knee, ankle, 0.054 * look.build, look.trousers)
+        make.ellipsoid(ankle + np.array([0.065, 0.0, -0.025]), (0.135, 0.05, 0.044), look.shoes)
     return make.build()
-
-
-def _leg(make: Builder, look: Appearance, side: float, swing: float, posture: Posture) -> None:
-    bend = _bend(posture)
-    hip = hip_of(look, side) - np.array([0.0, 0.0, _THIGH * (1.0 - np.cos(bend))])
-    thigh = 0.45 * swing + bend
-    # The knee bends while the leg comes forward.
-    lifted = max(0.0, side * np.cos(posture.phase)) * posture.stride
-    shin = 0.45 * swing - 0.75 * lifted - 0.1 * posture.stride
-    knee = hip + _THIGH * np.array([np.sin(thigh), 0.0, -np.cos(thigh)])
-    ankle = knee + 0.41 * np.array([np.sin(shin), 0.0, -np.cos(shin)])
-    make.limb(hip, knee, 0.078 * look.build, look.trousers)
-    make.limb(knee, ankle, 0.054 * look.build, look.trousers)
-    make.ellipsoid(ankle + np.array([0.065, 0.0, -0.025]), (0.135, 0.05, 0.044), look.shoes)
 
 
 def shoulder_of(look: Appearance, side: float) -> FloatArray:
@@ -387,9 +375,6 @@ def _arm(make: Builder, look: Appearance, side: float, swing: float) -> None:
     make.ellipsoid(wrist + np.array([0.02, 0.0, -0.07]), (0.035, 0.03, 0.075), look.skin, skin=True)
 
 
-Colour = tuple[float, float, float]
-
-
 @dataclass(frozen=True)
 class RobotLook:
     """A round base, a trunk with a screen, and a head with cameras.
@@ -403,17 +388,16 @@ class RobotLook:
 
     radius: float
     height: float
-    base: Colour
-    trunk: Colour
-    screen: Colour
+    base: Reflectance
+    trunk: Reflectance
+    screen: Reflectance
 
 
 def random_robot(rng: np.random.Generator) -> RobotLook:
     """Another robot at each call: 0.44 to 0.56 m across, 0.9 to 1.3 m high."""
 
-    def colour() -> Colour:
-        b, g, r = (float(v) for v in np.clip(rng.uniform(0.1, 0.85) + rng.normal(0.0, 0.12, 3), 0.04, 0.9))
-        return b, g, r
+    def colour() -> Reflectance:
+        return _colour(np.clip(rng.uniform(0.1, 0.85) + rng.normal(0.0, 0.12, 3), 0.04, 0.9))
 
     return RobotLook(
         float(rng.uniform(0.22, 0.28)), float(rng.uniform(0.9, 1.3)), colour(), colour(), colour()

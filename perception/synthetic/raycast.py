@@ -1,6 +1,6 @@
-"""Compiled kernels of the ray caster: rays against ellipsoids, tubes and boxes in their local coordinates.
+"""Ray casting of solids over a ground plane, with one light, an ambient term and shadows on the ground.
 
-Ray casting of solids over a ground plane, with one light, an ambient term and shadows on the ground.
+The compiled kernels intersect rays with ellipsoids, tubes and boxes in their local coordinates.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def group_balls(centre: Any, radius: Any, first: Any) -> Any:
 
 @njit(cache=True, inline="always")
 def _misses_ball(dx: float, dy: float, dz: float, x: float, y: float, z: float, radius: float) -> bool:
-    """Whether the half line along d from the origin passes the ball around (x, y, z)."""
+    """Return whether the half line along d from the origin passes the ball around (x, y, z)."""
     along = x * dx + y * dy + z * dz
     outside = x * x + y * y + z * z - radius * radius
     return outside > 0.0 and (along <= 0.0 or along * along < outside)
@@ -153,7 +153,7 @@ def _in_shadow(
     balls: Any,
     scratch: Any,
 ) -> bool:
-    """Whether a solid lies between a point and the light."""
+    """Return whether a solid lies between a point and the light."""
     lx, ly, lz = toward
     for g in range(len(balls)):
         b = balls[g]
@@ -311,7 +311,7 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """What the rays of an image of h × w pixels met.
+    """Hits of the rays of an image of h × w pixels.
 
     Attributes
     ----------
@@ -389,13 +389,6 @@ def cast(
 
     flat = np.ascontiguousarray(rays, float).reshape(-1, 3)
     make_ready("the renderer", Rehearsal("renderer", lambda: follow(flat[:1]), 7.0))
-    colour, covered, skin, nearest, extent, covers, shows = follow(flat)
-    return Cast(
-        colour.reshape(h, w, 3),
-        covered.reshape(h, w),
-        skin.reshape(h, w),
-        nearest.reshape(h, w),
-        extent,
-        covers,
-        shows,
-    )
+    colour, *images, extent, covers, shows = follow(flat)
+    covered, skin, nearest = (image.reshape(h, w) for image in images)
+    return Cast(colour.reshape(h, w, 3), covered, skin, nearest, extent, covers, shows)

@@ -1,7 +1,4 @@
-"""Whole frames: people among furniture on a floor, before a camera, with exact labels.
-
-A scene whose camera and furniture stand still: cast once, then only the rays near what moves.
-"""
+"""Whole frames: people among furniture on a floor, before a camera, with exact labels."""
 
 from __future__ import annotations
 
@@ -129,7 +126,7 @@ def render_frame(
 
 
 def cast_scene(scene: Scene, people: Sequence[Person], rays: FloatArray) -> Cast:
-    """What the camera's rays (h, w, 3) meet; the groups 3k … 3k + 2 are person k, the last ones furniture."""
+    """Follow the camera's rays (h, w, 3); groups 3k … 3k + 2 are person k, the last ones furniture."""
     parts: list[Solids] = []
     for k, person in enumerate(people):
         body, head = person.solids()

@@ -1,11 +1,9 @@
-"""Skeletons of people who walk and stand, before random cameras, and what a pose network would say of them.
+"""Skeletons of people who walk and stand, as a pose network would see them.
 
 The pelvis turns against the shoulders as in motion capture of people who walk (1-σ: 9°). Heads turn much
-farther than there (16°): how heads go with bodies is for the graph to say, and not to be said twice. Those
-recordings have no joints: these stand at heights and widths of anthropometry (Drillis & Contini 1966), which
-vary from one person to the next.
-
-Where the eyes, ears, shoulders and hips of rendered people are, and whether the camera sees them.
+farther than there (16°), since the graph already models how heads go with bodies. Heights and widths are
+those of anthropometry (Drillis & Contini 1966) and vary between people. Also the joints of rendered people,
+and whether a camera sees them.
 """
 
 from __future__ import annotations
@@ -28,7 +26,8 @@ from perception.synthetic.solids import Builder, Solids, rotation_roll, rotation
 _TWIST, _HEAD_TURN, _FARTHEST = np.deg2rad([9.0, 35.0, 110.0])
 _EVEN = 0.5
 """Share of the heads that turn anywhere up to the farthest, all alike."""
-_LEFT, _RIGHT = 1.0, -1.0
+_SIDES = (1.0, -1.0)
+"""Left and right."""
 _NORMALS = np.array(
     [
         [1.0, 0.0, -0.1],
@@ -42,9 +41,9 @@ _NORMALS = np.array(
         [0.0, -1.0, 0.0],
     ]
 )
-"""Where the points of `USED` look, in the frame of head, shoulders or pelvis (x forward, y left, z up)."""
+"""Normals of the points of `USED`, in the frame of head, shoulders or pelvis (x forward, y left, z up)."""
 _ROUND = np.array([0.25, 0.08, 0.08, 0.40, 0.40, 0.40, 0.40, 0.30, 0.30])
-"""How far round a corner each still is seen: the sine of the angle, on average."""
+"""Mean sine of the angle round a corner up to which each is still seen."""
 _DEVIATION = 0.45 * np.array([0.026, 0.025, 0.025, 0.035, 0.035, 0.079, 0.079, 0.107, 0.107])
 """1-σ of a network's points in heights of the person: as much as COCO's annotators differ by.
 
@@ -81,7 +80,7 @@ class Skeletons:
 
 @dataclass(frozen=True)
 class NetworkErrors:
-    """How wrong and how sure a pose network is; numbers are those of one draw, and vary from one to the next.
+    """Errors and confidence of a pose network; numbers are those of one draw, and vary between draws.
 
     Attributes
     ----------
@@ -146,7 +145,7 @@ def _joints(
     def about(mean: float, deviation: float) -> FloatArray:
         return rng.normal(mean, deviation, n)
 
-    side = np.array([_LEFT, _RIGHT])
+    side = np.array(_SIDES)
     points, normals = np.zeros((n, N_USED, 3)), np.zeros((n, N_USED, 3))
     lean, sway = about(0.05, 0.09), about(0.0, 0.05)
     chest = rotation_z(body)
@@ -182,7 +181,7 @@ def _joints(
 
 
 def _projected(world: FloatArray, camera: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Where cameras (n, 3) see points (n, k, 3), in focal lengths; people stand anywhere in the image."""
+    """Project points (n, k, 3) into cameras (n, 3), in focal lengths; people stand anywhere in the image."""
     n = len(world)
     aside, above = rng.uniform(-0.5, 0.5, n), rng.uniform(-0.25, 0.25, n)
     pitch = np.arctan2(0.9 - camera[:, 2], camera[:, 0]) + above
@@ -206,7 +205,7 @@ def perceived(
     rng: np.random.Generator,
     errors: NetworkErrors = NetworkErrors(),
 ) -> FloatArray:
-    """What a pose network would say: points (n, 9, 3) with confidences; those that are not there are 0.
+    """Simulate a pose network: points (n, 9, 3) with confidences; absent points are 0.
 
     Parameters
     ----------
@@ -236,7 +235,7 @@ def perceived(
 
 
 def _covered(n: int, rng: np.random.Generator, share: float) -> NDArray[np.bool_]:
-    """Which points (n, 9) are behind something: hips, all of the face, one side, or any."""
+    """Points (n, 9) behind something: hips, all of the face, one side, or any."""
     kind = np.where(rng.random(n) < share, rng.integers(1, 5, n), 0)
     covered = np.zeros((n, N_USED), bool)
     covered[:, 7:] |= (kind == 1)[:, None]
@@ -279,7 +278,6 @@ def _written(found: FloatArray, rng: np.random.Generator, errors: NetworkErrors)
     return np.asarray(np.where(lost[..., None], 0.0, result), float)
 
 
-_SIDES = (1.0, -1.0)
 _FACE = ((0.126, 0.0, -0.02), *((0.090, side * 0.033, 0.012) for side in _SIDES))
 _EARS = tuple((-0.008, side * 0.088, 0.0) for side in _SIDES)
 _DEPTH = np.array([0.02, 0.025, 0.025, 0.025, 0.025, 0.13, 0.13, 0.18, 0.18])
@@ -310,7 +308,7 @@ def _balls(places: list[FloatArray]) -> Builder:
 
 
 def seen_joints(person: Person, camera: Camera, furniture: tuple[Furniture, ...] = ()) -> FloatArray:
-    """Which of `joints_of` (9,) the camera sees: 1, or 0 where something else is before them."""
+    """Visibility (9,) of `joints_of`: 1, or 0 where something else is in front."""
     assert isinstance(person.look, Appearance)
     joints = joints_of(person.look, person.posture)
     eye = np.array(camera.position)

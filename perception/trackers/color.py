@@ -1,6 +1,6 @@
-"""Histograms of hue, saturation and value: of boxes, and of pixels with weights, projected back.
+"""The colour tracker: a particle filter on histograms of hue, saturation and value, then the head's pose.
 
-A particle filter on colour histograms (Pérez, Hue, Vermaak & Gangnet 2002), and then the head's pose.
+Pérez, Hue, Vermaak & Gangnet 2002. The histograms of weighed pixels are those of the Sigma-Pi tracker's cue.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from perception.trackers.tracker import (
 )
 
 Bins = tuple[int, int, int]
-"""How many of hue, of saturation and of value."""
+"""Numbers of bins of hue, saturation and value."""
 
 BINS: Bins = (12, 5, 8)
 """Of a pixel's colour, where all three together tell it."""
@@ -143,7 +143,7 @@ def _tables(bins: Bins, strides: Bins) -> list[NDArray[np.int32]]:
 
 @dataclass(frozen=True)
 class ColourParameters:
-    """How the colour tracker moves, looks and remembers.
+    """Parameters of the colour tracker.
 
     Attributes
     ----------

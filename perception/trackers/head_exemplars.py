@@ -10,6 +10,7 @@ one was on the head for 83 % of them, 55 % without the division.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -168,7 +169,7 @@ class HeadExemplars(Stored):
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Exemplars (in whole steps, plain ones with 11 bits), weights, and shared people."""
-        keep = _in_half_precision if self.plain else in_steps
+        keep = partial(_as_type, np.float16) if self.plain else in_steps
         centre, deviation = keep(self.centre, self.deviation)
         background_centre, background_deviation = keep(self.background_centre, self.background_deviation)
         return {
@@ -186,15 +187,18 @@ class HeadExemplars(Stored):
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
         """The exemplars of a file."""
         plain = bool(card.parameters.get("plain", False))
-        kept = _from_half_precision if plain else from_steps
+        kept = partial(_as_type, np.float32) if plain else from_steps
         centre, deviation = kept(arrays["centre"], arrays["deviation"])
-        of_background = kept(arrays["background_centre"], arrays["background_deviation"])
+        background_centre, background_deviation = kept(
+            arrays["background_centre"], arrays["background_deviation"]
+        )
         return cls(
             PoseClasses(**card.parameters["classes"]),
             centre,
             deviation,
             arrays["log_weight"].astype(float),
-            *of_background,
+            background_centre,
+            background_deviation,
             arrays["background_log_weight"].astype(float),
             arrays["exponent"].astype(float),
             arrays["shared"].astype(np.float32),
@@ -205,16 +209,8 @@ class HeadExemplars(Stored):
         )
 
 
-def _in_half_precision(
-    centre: NDArray[np.float32], deviation: NDArray[np.float32]
-) -> tuple[NDArray[np.float16], NDArray[np.float16]]:
-    return centre.astype(np.float16), deviation.astype(np.float16)
-
-
-def _from_half_precision(
-    centre: NDArray[Any], deviation: NDArray[Any]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return centre.astype(np.float32), deviation.astype(np.float32)
+def _as_type(dtype: Any, centre: NDArray[Any], deviation: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    return centre.astype(dtype), deviation.astype(dtype)
 
 
 def combined(

@@ -39,7 +39,7 @@ Likelihood = Literal["ratio", "density"]
 
 @dataclass(frozen=True)
 class ColourMemory:
-    """What the head's colours add to the logarithm of the ratio: ``sharpness``·(similarity − ``typical``).
+    """Term of the head's colours in the logarithm of the ratio: ``sharpness``·(similarity − ``typical``).
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class ColourMemory:
 
 @dataclass(frozen=True)
 class MixedStateParameters:
-    """How the mixed-state tracker moves, looks and doubts.
+    """Parameters of the mixed-state tracker.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class MixedStateTracker:
         return total
 
     def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
-        """What the colours add to the log ratio (n,), and the bins (h, w) of the frame."""
+        """Terms of the colours in the log ratio (n,), and the bins (h, w) of the frame."""
         memory = self.parameters.colour
         if memory is None or self._colours is None:
             return np.zeros(len(self._cloud.weights)), None

@@ -237,7 +237,7 @@ class SigmaPiTracker:
         return np.asarray(chosen @ now / chosen.sum())
 
     def _estimate(self, best: FloatArray) -> BoxEstimate:
-        """What is said of a state; decides whether the person is found, and adapts the reliabilities."""
+        """Estimate of a state; decides whether the person is found."""
         p = self.parameters
         window = boxes_of(best[None])
         self._active = self._activities(window)[0]

@@ -1,11 +1,7 @@
-"""Windows of the Sigma-Pi tracker: the pixels that they cover, and how active a saliency is in them.
+"""The cues of the Sigma-Pi tracker: motion, colour, and shape by local features or by views.
 
-Shape: local features of the target in the last frames, against those of the background (Yan et al. 2011,
-§3).
-
-Shape of a person whose box was given: views of the whole window, which need fewer pixels than features.
-
-The three cues of the Sigma-Pi tracker: what each remembers, and how active it is in windows of a frame.
+Local features of the target in the last frames are compared with those of the background (Yan et al. 2011,
+§3); views of the whole window need fewer pixels.
 """
 
 from __future__ import annotations
@@ -30,7 +26,7 @@ _BORDER = 3.0
 
 
 def cut_off(window: FloatArray, shape: FloatArray) -> bool:
-    """Whether a window (4,) ends at the border of a frame of width and height (2,)."""
+    """Return whether a window (4,) ends at the border of a frame of width and height (2,)."""
     return bool((window[:2] <= _BORDER).any() or (window[:2] + window[2:] >= shape - _BORDER).any())
 
 
@@ -73,7 +69,7 @@ def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
 
 
 def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatArray:
-    """How well windows fit what is salient (n,), 0…1: inside / (area + what is salient around them).
+    """Fit (n,) of windows to what is salient, 0…1: inside / (area + what is salient around them).
 
     This is the intersection over union of the window with what is salient in it and around it.
 
@@ -185,7 +181,7 @@ def memory_similarity(
 
 
 def point_scores(target: FloatArray, background: FloatArray, matched: float, margin: float) -> FloatArray:
-    """How much each feature speaks for the target (n,), −1…1, by its similarities (n,) to both.
+    """Evidence (n,) of each feature for the target, −1…1, by its similarities (n,) to both.
 
     It is the lead of the target over the background in units of ``margin``, less a half, for features that
     are at least as similar as ``matched`` to either: what is alike to both speaks against the target. Others
@@ -196,7 +192,7 @@ def point_scores(target: FloatArray, background: FloatArray, matched: float, mar
 
 
 def inside(points: FloatArray, windows: FloatArray) -> NDArray[np.bool_]:
-    """Whether each window (m, 4) holds each point (n, 2): (m, n)."""
+    """Return a mask (m, n) of the points (n, 2) in each window (m, 4)."""
     low = windows[:, None, :2]
     return np.asarray(((points >= low) & (points < low + windows[:, None, 2:])).all(axis=2))
 
@@ -207,14 +203,9 @@ _GRAIN = 0.3
 """Root of the mean gradient of a cell (grey levels a pixel) below which a window counts as blank."""
 
 
-def _pooling() -> NDArray[np.float32]:
-    """Shares (cells, pixels) of a side's pixels in its cells: triangles that reach into the next ones."""
-    middle = (np.arange(_CELLS) + 0.5) * _SIDE / _CELLS
-    apart = np.abs(np.arange(_SIDE) + 0.5 - middle[:, None])
-    return np.asarray(np.maximum(1.0 - apart * _CELLS / _SIDE, 0.0) * _CELLS / _SIDE, np.float32)
-
-
-_POOLING = _pooling()
+_APART = np.abs(np.arange(_SIDE) + 0.5 - (np.arange(_CELLS)[:, None] + 0.5) * _SIDE / _CELLS)
+_POOLING = np.asarray(np.maximum(1.0 - _APART * _CELLS / _SIDE, 0.0) * _CELLS / _SIDE, np.float32)
+"""Shares (cells, pixels) of a side's pixels in its cells: triangles that reach into the next ones."""
 
 
 def descriptors(image: Image, windows: FloatArray) -> NDArray[np.float32]:
@@ -237,7 +228,7 @@ def descriptors(image: Image, windows: FloatArray) -> NDArray[np.float32]:
 
 
 class ViewCue:
-    """What looks as the target did in the box that was given, or in the last views of it.
+    """Likeness to the target in the box that was given, or to the last views of it.
 
     A view is remembered only where it is new, and the first is never forgotten: who stands is always
     compared with what was given, so that windows do not creep off (Matthews, Ishikawa & Baker 2004, "The
@@ -267,7 +258,7 @@ class ViewCue:
         self._grey = grey(image)
 
     def gain(self, windows: FloatArray) -> FloatArray:
-        """How alike windows (n, 4) are to any view (n,): 1 as the first one, 0 as what was beside it."""
+        """Likeness (n,) of windows (n, 4) to any view: 1 as the first one, 0 as what was beside it."""
         known = np.array([self._first, *self._later])
         found = (descriptors(self._grey, windows) @ known.T).max(axis=1)
         most = float(self._first @ self._first)
@@ -290,7 +281,7 @@ class ViewCue:
         """Windows are looked at one by one anyway."""
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
-        """What is beside the target was seen in the first frame."""
+        """Ignored: the surroundings were seen in the first frame."""
 
 
 class Cue(Protocol):
@@ -305,30 +296,38 @@ class Cue(Protocol):
         ...
 
 
-class MotionCue:
-    """What differs from a running average of the frames."""
+class _SaliencyCue:
+    """A cue that is active where windows overlap with a saliency of the pixels."""
+
+    def __init__(self, parameters: CueParameters, image: Image, rise: tuple[float, float]) -> None:
+        self._parameters, self._rise = parameters, rise
+        self._show(np.zeros(image.shape[:2], np.float32))
+
+    def _show(self, saliency: NDArray[np.float32]) -> None:
+        self.saliency, self._table = saliency, integral(saliency)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        return activation(salient_overlap(self._table, windows, self._parameters.surround), *self._rise)
+
+
+class MotionCue(_SaliencyCue):
+    """Differences from a running average of the frames."""
 
     def __init__(self, parameters: CueParameters, image: Image, target: NDArray[np.bool_] | None) -> None:
-        self._parameters = parameters
+        super().__init__(parameters, image, parameters.motion_overlap)
         self._background = smoothed(image)
         # What the target hides in the first frame is seen when it has gone from there.
         self._unknown = target
-        self.saliency = np.zeros(image.shape[:2], np.float32)
-        self._table = integral(self.saliency)
         self._image = self._background
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
         self._image = smoothed(image)
-        self.saliency = foreground(self._background, self._image, self._parameters.motion_threshold)
+        saliency = foreground(self._background, self._image, self._parameters.motion_threshold)
         if self._unknown is not None:
-            self.saliency[self._unknown] = 0.0
-        self._table = integral(self.saliency)
-
-    def activity(self, windows: FloatArray) -> FloatArray:
-        """Activities (n,) of windows (n, 4)."""
-        p = self._parameters
-        return activation(salient_overlap(self._table, windows, p.surround), *p.motion_overlap)
+            saliency[self._unknown] = 0.0
+        self._show(saliency)
 
     def adapt(self, target: NDArray[np.bool_] | None) -> None:
         """Let the background follow; ``target`` (h, w) says where it may be hidden."""
@@ -342,19 +341,17 @@ class MotionCue:
                 self._unknown = None
 
 
-class ColourCue:
-    """What has the target's colours rather than those around it."""
+class ColourCue(_SaliencyCue):
+    """The target's colours rather than those around it."""
 
     def __init__(self, parameters: CueParameters, image: Image) -> None:
-        self._parameters = parameters
+        super().__init__(parameters, image, parameters.colour_overlap)
         self._numbers = pixel_bins(image)
         self.target: FloatArray | None = None
         """The target's histogram (COUNT,), once there is one."""
         self.frames = 0
         """Of which the target's histogram is made."""
         self._background: FloatArray | None = None
-        self.saliency = np.zeros(image.shape[:2], np.float32)
-        self._table = integral(self.saliency)
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
@@ -362,13 +359,7 @@ class ColourCue:
         if self.target is None or self._background is None:
             return
         share = target_share(self.target, self._background, self._parameters.colour_odds)
-        self.saliency = share.astype(np.float32)[self._numbers]
-        self._table = integral(self.saliency)
-
-    def activity(self, windows: FloatArray) -> FloatArray:
-        """Activities (n,) of windows (n, 4)."""
-        p = self._parameters
-        return activation(salient_overlap(self._table, windows, p.surround), *p.colour_overlap)
+        self._show(share.astype(np.float32)[self._numbers])
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
         """Adapt the background's histogram to where the target is not (h, w)."""
@@ -393,7 +384,7 @@ class ShapeCue:
         self._sift: Any = cv2.SIFT_create(contrastThreshold=parameters.contrast)  # type: ignore[attr-defined]
         self.features = Features(np.zeros((0, 2)), none())
         self.scores = np.zeros(0)
-        """How much each feature of the frame speaks for the target (n,), −1…1."""
+        """Evidence (n,) of each feature of the frame for the target, −1…1."""
         self._of_background = np.zeros(0)
         self._memory: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
         self._rates: deque[float] = deque(maxlen=parameters.memory)
@@ -429,8 +420,7 @@ class ShapeCue:
         self._of_background = np.maximum(
             similarity(descriptors, self._background), similarity(descriptors, self._given)
         )
-        weights = np.array(self._rates)
-        of_target = memory_similarity(descriptors, self._memory, weights)
+        of_target = memory_similarity(descriptors, self._memory, np.array(self._rates))
         self.scores = point_scores(of_target, self._of_background, p.matched, p.margin)
 
     def activity(self, windows: FloatArray) -> FloatArray:
@@ -467,13 +457,11 @@ class ShapeCue:
         if not len(new):
             return
         if self._memory:
-            rate = matching_rate(self._memory[-1], new, p.matched)
-            self._rates[-1] = rate
+            self._rates[-1] = matching_rate(self._memory[-1], new, p.matched)
         self.frames += 1
         self._memory.append(new)
         self._rates.append(1.0)
-        sizes = [len(frame) for frame in self._memory]
-        self._expected = float(np.mean(sizes))
+        self._expected = float(np.mean([len(frame) for frame in self._memory]))
 
 
 def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:

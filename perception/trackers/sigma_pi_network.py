@@ -1,7 +1,4 @@
-"""The Sigma-Pi network of Yan, Weber & Wermter (2011): cues, their products, and how reliable each is.
-
-Parameters of the Sigma-Pi tracker.
-"""
+"""The Sigma-Pi network of Yan, Weber & Wermter (2011) and the parameters of its tracker."""
 
 from __future__ import annotations
 
@@ -59,7 +56,7 @@ Estimate = Literal["cluster", "mean"]
 
 @dataclass(frozen=True)
 class CueParameters:
-    """How the cues look and remember. Lengths are pixels of the reduced frame.
+    """Parameters of the cues. Lengths are pixels of the reduced frame.
 
     Attributes
     ----------

@@ -1,9 +1,6 @@
-"""What every tracker on pixels takes and gives.
+"""The interface of trackers on pixels, and their parts: states of boxes, motion, and patches.
 
-Second-order autoregressive motion of boxes (Ba & Odobez 2003, §3.3), with another's prediction mixed
-in.
-
-Grey patches of many boxes at once: cut, resized and equalised without a loop in Python.
+Boxes move by a second-order autoregression (Ba & Odobez 2003, §3.3), mixed with a proposal from outside.
 """
 
 from __future__ import annotations
@@ -29,7 +26,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Where somebody else expects the target in the next frame: a normal density of its box's centre.
+    """A prediction of the target in the next frame from outside: a normal density of its box's centre.
 
     Attributes
     ----------
@@ -43,7 +40,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class BoxEstimate:
-    """What a tracker says of one frame.
+    """A tracker's estimate in one frame.
 
     Attributes
     ----------

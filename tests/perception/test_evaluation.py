@@ -39,22 +39,6 @@ def clip() -> Clip:
     return walking_clip(np.random.default_rng(2), people=2, steps=5)
 
 
-def test_boxes_of_a_clip_stand_where_the_truth_is(clip: Clip) -> None:
-    assert len(clip.images) == 5 and len(clip.boxes) >= 5
-    for item in clip.boxes:
-        track = clip.truth[item.track_id]
-        left, top, width, height = item.box
-        foot = clip.camera.ground_to_image(track.true_position[item.frame])
-        assert left - 0.2 * width < foot[0] < left + 1.2 * width
-        assert abs(top + height - foot[1]) < 0.2 * height
-
-
-def test_the_same_seed_gives_the_same_clip(clip: Clip) -> None:
-    again = walking_clip(np.random.default_rng(2), people=2, steps=5)
-    assert again.boxes == clip.boxes
-    np.testing.assert_array_equal(again.images[3], clip.images[3])
-
-
 @pytest.fixture(scope="module")
 def people(clip: Clip) -> list[ObservedPerson]:
     models = Models(load_head_localiser(), load_classifier("body_pose"), load_classifier("deep_belief"))

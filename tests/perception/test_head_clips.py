@@ -123,15 +123,6 @@ def test_clutter_has_the_colours_of_the_person() -> None:
     assert shares[0] == 0.0 and shares[1] > 0.01
 
 
-def test_the_same_seed_gives_the_same_clip() -> None:
-    first, again, other = (
-        head_clip(np.random.default_rng(seed), HeadClipParameters(frames=2)) for seed in (5, 5, 6)
-    )
-    np.testing.assert_array_equal(first.images, again.images)
-    np.testing.assert_array_equal(first.boxes, again.boxes)
-    assert not np.array_equal(first.boxes, other.boxes)
-
-
 @pytest.mark.parametrize(
     "change", [{"frames": 0}, {"clutter": -1.0}, {"occlusion": (0, 5)}, {"occlusion": (90, 25)}]
 )

@@ -65,9 +65,6 @@ def made_up(rng: np.random.Generator, k: int = 3, pans: int = 8) -> HeadExemplar
     )
 
 
-# -- patches -----------------------------------------------------------------------------------------------
-
-
 def test_a_patch_of_a_ramp_tells_where_its_pixels_are() -> None:
     grey = np.tile(np.arange(200, dtype=np.uint8), (100, 1))
     boxes = np.array([[20.0, 10.0, 64.0, 32.0], [50.0, 30.0, 16.0, 8.0]])
@@ -164,17 +161,11 @@ def test_transitions_between_exemplars_are_the_shares_of_common_people() -> None
     model = replace(load_head_exemplars(plain=True), classes=classes, log_weight=np.log(np.full((4, 2), 0.5)))
     shared = np.zeros((8, 8), np.float32)
     shared[0, 2:4] = 3.0, 1.0  # of exemplar 0 of the first pose with those of the second
-    found = {
-        plain: replace(model, shared=shared, plain=plain).transitions(1.0, 0.0, 0.9)
-        for plain in (True, False)
-    }
-    np.testing.assert_allclose(found[True][0, 2:4] / found[True][0, 2:4].sum(), [3 / 4, 1 / 4])
-    np.testing.assert_allclose(found[False][0, 2:4] / found[False][0, 2:4].sum(), [4 / 6, 2 / 6])
-    np.testing.assert_allclose(
-        found[True][1, 2:4] / found[True][1, 2:4].sum(), [0.5, 0.5]
-    )  # nobody in common
-    for matrix in found.values():
+    for plain, expected in ((True, [3 / 4, 1 / 4]), (False, [4 / 6, 2 / 6])):
+        matrix = replace(model, shared=shared, plain=plain).transitions(1.0, 0.0, 0.9)
         np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
+        np.testing.assert_allclose(matrix[0, 2:4] / matrix[0, 2:4].sum(), expected)
+        np.testing.assert_allclose(matrix[1, 2:4] / matrix[1, 2:4].sum(), [0.5, 0.5])  # nobody in common
 
 
 def test_poses_that_face_away_become_impossible() -> None:

@@ -10,8 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
 from perception.experiments.sigma_pi_runs import Tally, recordings
@@ -87,15 +85,6 @@ def test_reliabilities_follow_equations_5_and_6() -> None:
     for c, value in enumerate(adapted(alpha, activities, 0.1, 0.02)):
         f = sum(terms[i] * terms[c] for i in range(7) if i != c)
         assert value == pytest.approx(0.9 * alpha[c] + 0.1 * f + 0.02)
-
-
-@given(st.lists(st.tuples(*[st.floats(0.0, 1.0)] * 3), min_size=1, max_size=60), st.floats(0.01, 0.5))
-def test_reliabilities_stay_bounded(activities: list[tuple[float, float, float]], rate: float) -> None:
-    alpha = np.ones(7)
-    low, high = min(0.02 / rate, 1.0), 6.0 + 0.02 / rate
-    for active in activities:
-        alpha = adapted(alpha, np.array(active), rate, 0.02)
-        assert (alpha >= low - 1e-9).all() and (alpha <= high + 1e-9).all()
 
 
 def test_who_moves_is_followed_from_a_box_and_found_without() -> None:
