@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import SAMPLES, Sample, name_of
+from format_samples import SAMPLES, Sample, name_of, sample_of
 
 from graphtrack import io
 from graphtrack.errors import GraphtrackError, InputWarning
@@ -147,7 +147,7 @@ def test_many_more_damaged_copies_are_read_or_refused(sample: Sample, named: boo
 
 
 def test_damage_inside_a_packed_file_is_refused_as_well(tmp_path: Path) -> None:
-    sample = next(sample for sample in SAMPLES if sample.name == "made.csv")
+    sample = sample_of("csv", "made.csv")
     whole, path = sample.make(), tmp_path / "made.csv.gz"
     for seed in range(100):
         path.write_bytes(gzip.compress(mutate(whole, np.random.default_rng(seed)), mtime=0))
@@ -168,7 +168,7 @@ def test_damaged_companions_are_read_or_refused(sample: Sample, name: str, tmp_p
 
 @pytest.mark.parametrize("option", ["homography", "point_pairs"])
 def test_damaged_camera_files_are_read_or_refused(option: str, tmp_path: Path) -> None:
-    sample = next(sample for sample in SAMPLES if sample.format == "mot")
+    sample = sample_of("mot")
     path, camera = sample.write(tmp_path), tmp_path / "camera.txt"
     whole = {
         "homography": b"0.01 0 0\n0 -0.01 0\n0 0.0001 1\n",
