@@ -120,13 +120,7 @@ def place_pixels(rows: Rows, options: ReadOptions) -> Rows:
 
 
 def read_homography(path: str | Path) -> FloatArray:
-    """The 3×3 numbers of a text file (spaces or commas).
-
-    Raises
-    ------
-    InputError
-        If there are not nine numbers, or they make a singular matrix.
-    """
+    """The 3×3 numbers of a text file (spaces or commas)."""
     source = Source.open(path)
     numbers = read_numbers(source, delimiter=None, widths=(3, 9), names=(), comments=True)
     if numbers.values.size != 9:
@@ -144,11 +138,6 @@ def read_calibration(path: str | Path) -> GroundCamera:
 
     x_cam = R(q)·X + t in metres, z = 0 the ground; skew must be 0. With a line ``FisheyeK1 = number`` (to
     ``FisheyeK4``, 0 where there is none) the lens is a fisheye of OpenCV's model.
-
-    Raises
-    ------
-    InputError
-        For a line that is no such line, a name that is missing, or numbers that make no camera.
     """
     values = _read_settings(path)
 

@@ -60,12 +60,7 @@ class Cells:
 
 
 def cells_of_csv(source: Source, *, header: bool) -> Cells:
-    """A table with commas between its cells.
-
-    Parameters
-    ----------
-    header : whether the first line has the names of the columns; else they are called 1, 2, …
-    """
+    """A table with commas between its cells; without a ``header`` its columns are called 1, 2, …"""
     names: list[str] | None = None
     rows: list[list[str]] = []
     numbers: list[int] = []

@@ -205,12 +205,7 @@ def unit_notes(options: ReadOptions, t: FloatArray) -> tuple[str, ...]:
 
 
 def names_in(source: Source, format: str) -> list[str]:
-    """Return the names of the columns of a file that is a table; none where they cannot be told.
-
-    Parameters
-    ----------
-    format : "csv", "ndjson" or "parquet"
-    """
+    """Names of the columns of a "csv", "ndjson" or "parquet" file; none where they cannot be told."""
     if format == "parquet":
         import io
 

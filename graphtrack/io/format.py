@@ -84,12 +84,7 @@ def steady_rate(tracks: TrackSet) -> float | None:
 
 
 def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | None = None) -> float:
-    """The frame rate of tracks that are written to a format without times.
-
-    Parameters
-    ----------
-    given : by the caller, for tracks of a single frame
-    """
+    """The frame rate of tracks for a format without times; of tracks of a single frame the one ``given``."""
     check_frame_rate(given)
     if given is not None:
         return given

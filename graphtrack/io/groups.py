@@ -133,7 +133,11 @@ def is_group_table(path: Path) -> bool:
         return False
     with path.open("rb") as stream:
         first = stream.readline(4096).decode("utf-8", errors="replace")
-    return set(_NEEDED) <= {cell.strip().strip('"') for cell in first.removeprefix("\ufeff").split(",")}
+    return _names_groups(first.removeprefix("\ufeff"))
+
+
+def _names_groups(header: str) -> bool:
+    return set(_NEEDED) <= {cell.strip().strip('"') for cell in header.split(",")}
 
 
 def read_groups(path: str | Path) -> GroupLabels:
@@ -153,7 +157,7 @@ def read_groups(path: str | Path) -> GroupLabels:
     if not lines:
         raise InputError("no rows", "groups", path=source.path)
     first = lines[0][1]
-    if "," in first and set(_NEEDED) <= {cell.strip().strip('"') for cell in first.split(",")}:
+    if _names_groups(first):
         return _read_table(source, lines)
     return _read_salsa(source, lines) if "<" in first else _read_lines(source, lines)
 

@@ -122,13 +122,7 @@ def _found(
 def rows_of_supervision(
     detections: Iterable[Any] | Mapping[int, Any], options: ReadOptions, person: int | None = 0
 ) -> Rows:
-    """Return the rows of ``supervision.Detections`` of frames, on the ground; see `boxes_of_supervision`.
-
-    Parameters
-    ----------
-    detections : one for each frame, from 0 on, or frame → one
-    options : with the frame rate
-    """
+    """Return the rows of ``supervision.Detections`` (a list, or frame → one), on the ground."""
     found = {k: boxes_of_supervision(one, person) for k, one in _numbered(detections)}
     return _rows(found, "supervision", options)
 

@@ -126,11 +126,6 @@ def read(
     ----------
     path, format, **options : as in `graphtrack.read`
     to_tracks : (rows of a file, options) → tracks
-
-    Raises
-    ------
-    InputError
-        With path, line and column, what was found there and what was expected.
     """
     try:
         read_options = ReadOptions(**options)
@@ -198,13 +193,7 @@ def read_with(
 
 
 def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
-    """Write columns of the native table, such as detections without identities; whole, or not at all.
-
-    Raises
-    ------
-    InputError
-        If the file's name has not the ending of a table, or the place cannot be written to.
-    """
+    """Write columns of the native table, such as detections without identities; whole, or not at all."""
     path = Path(path)
     write = check_table_name(path)
     with atomic_path(path) as temporary:
@@ -229,11 +218,6 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     Rows
         With the channel ``box`` (n, 4), left, top, width and height in the file's pixels, NaN where a row has
         none.
-
-    Raises
-    ------
-    InputError
-        With path, line and column, what was found there and what was expected.
     """
     rows = boxes_of_file(path, format, options)
     if rows is None:
@@ -275,12 +259,7 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    """The rows of a file, as its reader makes them, in metres and with times.
-
-    Parameters
-    ----------
-    path : of the file, or of a folder that stands for one, such as a sequence of MOTChallenge
-    """
+    """The rows of a file, or of a folder that stands for one, in metres and with times."""
     rows = _rows_of_file(path, format, options)
     file = sequence_file(place_of(path))
     return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")

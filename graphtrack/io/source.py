@@ -262,13 +262,7 @@ def table_in(path: Path) -> Path:
 
 
 def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Parameters
-    ----------
-    path : of the file
-    expected : what the file should be, for the message
-    """
+    """Return the content of a TOML file; ``expected`` is what it should be, for the message."""
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:

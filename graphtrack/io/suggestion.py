@@ -41,13 +41,7 @@ class Suggestion:
 
 
 def suggest(path: Path) -> Suggestion:
-    """The options with which a file can be read; none where it can be read as it stands.
-
-    Raises
-    ------
-    InputError
-        Where there are none, with what is missing.
-    """
+    """The options with which a file can be read; none where it can be read as it stands."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         try:

@@ -7,7 +7,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.source import Source
+from graphtrack.io.source import Source, mostly
 from graphtrack.tracks.schema import NAMES
 from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_METRES, LARGEST_PIXELS
 
@@ -85,12 +85,7 @@ def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
 def csv_rows(
     path: Path, lines: Sequence[str], mark: str = ",", first: int = 1
 ) -> Iterator[tuple[int, list[str]]]:
-    """The rows of lines of text with a mark between their cells, each with the number of its first line.
-
-    Parameters
-    ----------
-    first : number of the first of the lines in the file
-    """
+    """The rows of lines of text, each with the number of its line; that of the first is ``first``."""
     reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=mark, strict=True)
     while True:
         line = first + reader.line_num
@@ -195,6 +190,16 @@ def parse_number(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
+
+
+def mostly_numbers(head: bytes, delimiter: str | None, widths: Container[int]) -> bool:
+    """Return whether most of the first lines of a file are so many numbers between delimiters."""
+
+    def matches(line: str) -> bool:
+        cells = line.split(delimiter)
+        return len(cells) in widths and all(parse_number(cell) is not None for cell in cells)
+
+    return mostly(head, matches)
 
 
 def expected_number(text: str) -> str:

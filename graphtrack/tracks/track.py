@@ -461,13 +461,7 @@ class TrackSet:
 
     @classmethod
     def from_rows(cls, rows: Rows) -> TrackSet:
-        """Tracks from the rows that a reader made of its file.
-
-        Raises
-        ------
-        InputError, and a warning
-            As `in_order`.
-        """
+        """Tracks from the rows that a reader made of its file."""
         rows = sorted_rows(rows)
         ids = rows.track_id
         edges = np.flatnonzero(np.diff(ids, prepend=ids[0] - 1, append=ids[-1] + 1)).tolist()

@@ -131,12 +131,3 @@ def test_lengths_outside_the_unit_interval_give_finite_concentrations() -> None:
     found = angles.concentration_from_resultant([-0.1, 0.0, 1.0])
     np.testing.assert_array_equal(found[:2], 0.0)
     assert 1e6 < found[2] < np.inf
-
-
-@given(st.floats(0.5, 200.0), AROUND_HALF_TURNS)
-def test_fitting_a_large_sample_finds_its_concentration(kappa: float, mean: float) -> None:
-    sample = np.random.default_rng(3).vonmises(0.0, kappa, 20_000) + mean
-    direction = angles.circular_mean(sample)
-    length = float(np.mean(np.cos(sample - direction)))
-    assert abs(float(angles.difference(direction, mean))) < 5.0 / np.sqrt(20_000 * min(kappa, 1.0) * 0.2)
-    assert float(angles.concentration_from_resultant(length)) == pytest.approx(kappa, rel=0.08)

@@ -69,6 +69,21 @@ def test_a_link_into_a_folder_that_is_not_there_names_it(tmp_path: Path) -> None
         write(tmp_path / "a", "new")
 
 
+@pytest.mark.parametrize("directory", [False, True])
+def test_a_result_appears_whole_or_not_at_all(tmp_path: Path, directory: bool) -> None:
+    path = tmp_path / "result"
+    with pytest.raises(ZeroDivisionError), atomic_path(path, directory=directory) as temporary:
+        (temporary / "page" if directory else temporary).write_text("half")
+        assert not path.exists()
+        _ = 1 / 0
+    assert not list(tmp_path.iterdir())
+    with atomic_path(path, directory=directory) as temporary:
+        (temporary / "page" if directory else temporary).write_text("whole")
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(InputError), atomic_path(path, directory=True):
+        pass
+
+
 def test_a_device_is_not_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="a device"):

@@ -8,19 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from format_samples import mot
+from refusals import refused
 
 from graphtrack import io
 from graphtrack.errors import InputError
 
 TABLE = "track_id,frame,t,x,y\n" + "".join(f"7,{k},{k / 10},{1.5 + k / 8},-0.25\n" for k in range(4))
 NAMES = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
-
-
-def refused(path: Path, **options: object) -> InputError:
-    with pytest.raises(InputError) as caught:
-        io.read(path, **options)
-    assert "\n" not in str(caught.value)
-    return caught.value
 
 
 def named(error: InputError) -> dict[str, str]:

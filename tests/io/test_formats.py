@@ -6,17 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import FRAMES, SAMPLES, Sample, name_of, ucy
+from format_samples import FRAMES, SAMPLES, Sample, name_of, sample_of, ucy
 
 from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.formats.caviar import lobby_camera
-
-
-def sample_of(format: str, name: str = "") -> Sample:
-    return next(s for s in SAMPLES if s.format == format and name in s.name)
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)

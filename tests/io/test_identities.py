@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from format_samples import SAMPLES, made_tracks
+from format_samples import made_tracks, sample_of
 
 import graphtrack as gt
 from graphtrack import io
@@ -47,8 +47,7 @@ def other(format: str, before: str, after: str) -> Callable[[int, Path], gt.Trac
     """A sample of a format with the id of its first rows in place of 1."""
 
     def read(identity: int, folder: Path) -> gt.TrackSet:
-        sample = next(one for one in SAMPLES if one.format == format)
-        path = sample.write(folder)
+        path = sample_of(format).write(folder)
         path.write_text(path.read_text().replace(before, after.format(identity), 1))
         return io.read(path)
 

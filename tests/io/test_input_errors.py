@@ -9,23 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import SAMPLES, TEXT_SAMPLES, Sample, name_of
+from format_samples import SAMPLES, TEXT_SAMPLES, Sample, name_of, sample_of
+from refusals import refused
 
 from graphtrack import io
 from graphtrack.errors import InputError, InputWarning
 
 DELIMITED = tuple(sample for sample in TEXT_SAMPLES if sample.format != "caviar")
-
-
-def sample_of(format: str, name: str = "") -> Sample:
-    return next(s for s in SAMPLES if s.format == format and name in s.name)
-
-
-def refused(path: Path, **options: object) -> InputError:
-    with pytest.raises(InputError) as caught:
-        io.read(path, **options)
-    assert "\n" not in str(caught.value)
-    return caught.value
 
 
 def line_with(data: bytes, fragment: bytes) -> int:

@@ -100,15 +100,6 @@ def test_poses_that_movement_wrote_are_positions_bodies_and_heads() -> None:
     np.testing.assert_allclose(anna.score, 0.75)
 
 
-def test_movement_itself_makes_the_same_of_them(tmp_path: Path) -> None:
-    io = pytest.importorskip("movement.io", reason="movement is not installed")
-    save_poses = pytest.importorskip("movement.io.save_poses")
-    poses = poses_in_metres()
-    save_poses.to_dlc_file(poses, tmp_path / "poses.csv", split_individuals=False)
-    loaded = io.load_dataset(tmp_path / "poses.csv", source_software="DeepLabCut", fps=10)
-    assert_same(gt.from_movement(loaded, units="m"), gt.from_movement(poses, units="m"))
-
-
 def poses_in_metres() -> Any:
     """What movement wrote, in metres with y up, and without a unit."""
     import gzip

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import SAMPLES, Sample, name_of
+from format_samples import SAMPLES, Sample, name_of, sample_of
 
 from graphtrack import io
 from graphtrack.errors import GraphtrackError, InputWarning
@@ -21,37 +21,9 @@ SLOWEST_READ = 5.0
 """Seconds; a sample reads in milliseconds, so that this is a hang and not a slow machine."""
 
 JUNK = (
-    *(
-        b"nan",
-        b"NaN",
-        b"inf",
-        b"-inf",
-        b"1e300",
-        b"-1e300",
-        b"1e-320",
-        b"1e9999",
-        b"9" * 40,
-        b"-1",
-        b"0",
-        b"1.5",
-    ),
-    *(
-        b"",
-        b"x",
-        b"\x00",
-        b"\xff\xfe",
-        b"\xc3\xa9",
-        b'"',
-        b"'",
-        b"1_000",
-        b"0x10",
-        b",",
-        b" ",
-        b"\t",
-        b"\n",
-        b"\r",
-    ),
-    *(b"\xd9\xa3", b"<", b"&lol;", b"-", b"- (2D point", b"#", b"=", b"PAR1", b"\x1f\x8b"),
+    *b"nan NaN inf -inf 1e300 -1e300 1e-320 1e9999 -1 0 1.5 x \x00 \xff\xfe \xc3\xa9 1_000 0x10".split(b" "),
+    *(b"9" * 40, b"", b'"', b"'", b",", b" ", b"\t", b"\n", b"\r", b"- (2D point"),
+    *b"\xd9\xa3 < &lol; - # = PAR1 \x1f\x8b".split(b" "),
 )
 
 
@@ -119,8 +91,8 @@ def assert_as_checked(track: Track) -> None:
             np.testing.assert_array_equal(value, getattr(checked, name))
 
 
-def outcome(path: Path, options: dict[str, object]) -> str:
-    """ "read", or the message of the error; other exceptions pass."""
+def outcome(path: Path, options: dict[str, object], seed: int) -> str:
+    """ "read", or the message of the error; other exceptions pass, with the seed."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", InputWarning)
@@ -129,6 +101,9 @@ def outcome(path: Path, options: dict[str, object]) -> str:
             tracks = io.read(path, **options)
         except GraphtrackError as error:
             result = str(error)
+        except Exception as error:
+            error.add_note(f"seed {seed}")
+            raise
         else:
             assert isinstance(tracks, TrackSet)
             assert tracks.summary.rows_used == tracks.n_frames
@@ -149,11 +124,7 @@ def refusals(sample: Sample, named: bool, seeds: range, tmp_path: Path) -> set[s
     refused = set()
     for seed in seeds:
         path.write_bytes(mutate(whole, np.random.default_rng([seed, named])))
-        try:
-            refused.add(outcome(path, options))
-        except Exception as error:
-            error.add_note(f"seed {seed}")
-            raise
+        refused.add(outcome(path, options, seed))
     return refused
 
 
@@ -176,11 +147,11 @@ def test_many_more_damaged_copies_are_read_or_refused(sample: Sample, named: boo
 
 
 def test_damage_inside_a_packed_file_is_refused_as_well(tmp_path: Path) -> None:
-    sample = next(sample for sample in SAMPLES if sample.name == "made.csv")
+    sample = sample_of("csv", "made.csv")
     whole, path = sample.make(), tmp_path / "made.csv.gz"
     for seed in range(100):
         path.write_bytes(gzip.compress(mutate(whole, np.random.default_rng(seed)), mtime=0))
-        outcome(path, {})
+        outcome(path, {}, seed)
 
 
 BESIDE = [(sample, name) for sample in SAMPLES for name in sample.beside]
@@ -192,16 +163,12 @@ def test_damaged_companions_are_read_or_refused(sample: Sample, name: str, tmp_p
     whole = (tmp_path / name).read_bytes()
     for seed in range(MUTANTS_BESIDE):
         (tmp_path / name).write_bytes(mutate(whole, np.random.default_rng(seed)))
-        try:
-            outcome(path, sample.options)
-        except Exception as error:
-            error.add_note(f"seed {seed}")
-            raise
+        outcome(path, sample.options, seed)
 
 
 @pytest.mark.parametrize("option", ["homography", "point_pairs"])
 def test_damaged_camera_files_are_read_or_refused(option: str, tmp_path: Path) -> None:
-    sample = next(sample for sample in SAMPLES if sample.format == "mot")
+    sample = sample_of("mot")
     path, camera = sample.write(tmp_path), tmp_path / "camera.txt"
     whole = {
         "homography": b"0.01 0 0\n0 -0.01 0\n0 0.0001 1\n",
@@ -209,8 +176,4 @@ def test_damaged_camera_files_are_read_or_refused(option: str, tmp_path: Path) -
     }[option]
     for seed in range(MUTANTS_BESIDE):
         camera.write_bytes(mutate(whole, np.random.default_rng(seed)))
-        try:
-            outcome(path, {option: camera})
-        except Exception as error:
-            error.add_note(f"seed {seed}")
-            raise
+        outcome(path, {option: camera}, seed)

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 from format_samples import made_tracks
+from refusals import refused
 
 from graphtrack import io
-from graphtrack.errors import InputError
 from graphtrack.tracks.schema import COLUMNS, INTEGERS, TOGETHER
 
 ROW = {"track_id": 1, "frame": 0, "t": 0.0, "x": 1.0, "y": 2.0}
@@ -16,12 +16,6 @@ ROW = {"track_id": 1, "frame": 0, "t": 0.0, "x": 1.0, "y": 2.0}
 def write(path, rows):
     path.write_text("".join(json.dumps(row) + "\n" for row in rows))
     return path
-
-
-def refused(path):
-    with pytest.raises(InputError) as caught:
-        io.read(path)
-    return caught.value
 
 
 def outside(column):

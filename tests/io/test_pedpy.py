@@ -138,18 +138,6 @@ def test_databases_come_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.data[["x", "y"]], smoothed.to_table()[["x", "y"]])
 
 
-def test_jupedsim_shows_what_is_written(tmp_path: Path) -> None:
-    jupedsim = pytest.importorskip("jupedsim", reason="JuPedSim is not installed")
-    gt.write(gt.read(SIMULATED), tmp_path / "again.sqlite")
-    (tmp_path / "first.sqlite").write_bytes(gzip.decompress(SIMULATED.read_bytes()))
-    one, other = (jupedsim.Recording(str(tmp_path / name)) for name in ("first.sqlite", "again.sqlite"))
-    assert (one.num_frames, one.fps) == (other.num_frames, other.fps)
-    for first, second in zip(one.frame(7).agents, other.frame(7).agents, strict=True):
-        assert first.id == second.id and first.position == second.position
-        np.testing.assert_allclose(first.orientation, second.orientation, atol=1e-12)
-    assert other.bounds().xmax > 3.0 and not other.geometry().is_empty
-
-
 def test_what_jupedsim_wrote_is_read() -> None:
     tracks = gt.read(SIMULATED)
     assert tracks.summary.format == "jupedsim" and len(tracks) == 3

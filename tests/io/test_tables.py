@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 import graphtrack as gt
 from graphtrack import io
-from graphtrack.errors import InputError
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import rows_of_file, tracks_of
 from graphtrack.tracks.time import from_dates, from_numbers, from_text
@@ -31,13 +31,6 @@ def frame(times: object = STEPS / 10, scale: float = 1.0) -> pd.DataFrame:
         for who, x in X.items()
     ]
     return pd.concat(parts, ignore_index=True)
-
-
-def refused(given: object, **options: object) -> InputError:
-    with pytest.raises(InputError) as caught:
-        io.read(given, **options)
-    assert "\n" not in str(caught.value)
-    return caught.value
 
 
 def check(tracks: gt.TrackSet) -> None:

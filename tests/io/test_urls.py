@@ -8,9 +8,9 @@ import command
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 from graphtrack import io
-from graphtrack.errors import InputError
 
 
 def walks() -> pd.DataFrame:
@@ -19,13 +19,6 @@ def walks() -> pd.DataFrame:
         for k, who in enumerate(("anna", "bob", "eve"))
     ]
     return pd.concat(parts, ignore_index=True)
-
-
-def refused(path: Path | str, **options: object) -> str:
-    with pytest.raises(InputError) as caught:
-        io.read(path, **options)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["walks.parquet", "walks.csv"])
@@ -38,12 +31,12 @@ def test_a_file_by_its_url(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
     columns = "id=who,t=seconds,x=east,y=north"
     tracks = io.read(url, columns=columns)
     assert [track.label for track in tracks] == ["anna", "bob", "eve"]
-    assert "each file once" in refused([url, url], columns=columns)
+    assert "each file once" in str(refused([url, url], columns=columns))
     done = command.run("info", url, "--columns", columns, program="graphtrack")
     assert done.returncode == 0 and url in done.stderr and "anna" in done.stdout
     walks().to_csv("walks.csv", index=False)
     assert len(io.read(f"file://{tmp_path}/walks.csv", columns=columns)) == 3
     for wrong in ("memory://bucket/none.csv", "nosuch://bucket/walks.csv", f"file://{tmp_path}/none.csv"):
-        assert wrong in refused(wrong)
+        assert wrong in str(refused(wrong))
         done = command.run("info", wrong, program="graphtrack")
         assert done.returncode == 2 and len(done.stderr.splitlines()) == 1

@@ -8,6 +8,7 @@ import pytest
 from recordings import (
     covariance,
     detection,
+    detections,
     header,
     make,
     nanoseconds,
@@ -63,17 +64,7 @@ def test_identities_that_are_numbers_in_one_recording_and_text_in_the_next_are_r
 
 def test_detections_say_orientation_spread_and_score(tmp_path):
     spread = covariance(0.04, 0.09, 0.2)
-    told = [
-        (
-            t,
-            make(
-                "vision_msgs/msg/Detection3DArray",
-                header=header(t),
-                detections=[detection("a", t, 2.0, 1.2, spread)],
-            ),
-        )
-        for t in TIMES
-    ]
+    told = [(t, detections(t, [detection("a", t, 2.0, 1.2, spread)])) for t in TIMES]
     (track,) = gt.read(record(tmp_path / "bag", {"/detections": told}))
     np.testing.assert_allclose(track.body, 1.2)
     np.testing.assert_allclose(track.body_kappa, 1 / 0.2)
@@ -85,7 +76,7 @@ def test_detections_say_orientation_spread_and_score(tmp_path):
 def test_classes_of_detections_are_picked(tmp_path):
     nothing = np.zeros(36)
     pair = [detection("a", 0.0, 0.0, 0.5, nothing), detection("b", 5.0, 5.0, 0.5, nothing, "dog")]
-    told = [(t, make("vision_msgs/msg/Detection3DArray", header=header(t), detections=pair)) for t in TIMES]
+    told = [(t, detections(t, pair)) for t in TIMES]
     bag = record(tmp_path / "bag", {"/detections": told})
     both, dogs = gt.read(bag), gt.read(bag, classes="dog")
     assert len(both) == 2 and any("dog, person" in note for note in both.summary.notes)
@@ -95,15 +86,8 @@ def test_classes_of_detections_are_picked(tmp_path):
 
 
 def test_poses_without_names_are_told_apart(tmp_path):
-    told = [
-        (
-            t,
-            make(
-                "geometry_msgs/msg/PoseArray", header=header(t), poses=[pose(t, 0.0, 0.1), pose(-t, 9.0, 3.0)]
-            ),
-        )
-        for t in TIMES
-    ]
+    kind = "geometry_msgs/msg/PoseArray"
+    told = [(t, make(kind, header=header(t), poses=[pose(t, 0.0, 0.1), pose(-t, 9.0, 3.0)])) for t in TIMES]
     bag = record(tmp_path / "bag", {"/poses": told})
     tracks = gt.read(bag)
     assert len(tracks) == 2 and tracks.n_frames == 40
@@ -113,17 +97,12 @@ def test_poses_without_names_are_told_apart(tmp_path):
 
 
 def test_a_topic_of_poses_is_one_person_and_a_pattern_several(tmp_path):
+    kind, spread = "geometry_msgs/msg/PoseWithCovariance", covariance(0.01, 0.01)
+
     def told(y):
-        where = [
-            make(
-                "geometry_msgs/msg/PoseWithCovariance",
-                pose=pose(t, y, 0.3),
-                covariance=covariance(0.01, 0.01),
-            )
-            for t in TIMES
-        ]
+        where = [make(kind, pose=pose(t, y, 0.3), covariance=spread) for t in TIMES]
         return [
-            (t, make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header(t), pose=one))
+            (t, make(f"{kind}Stamped", header=header(t), pose=one))
             for t, one in zip(TIMES, where, strict=True)
         ]
 
@@ -149,16 +128,11 @@ def turning_robot(rate=0.5, speed=1.0, static=0.3):
         (t, transforms(transform(t, "odom", "base_link", speed * t, 0.0, turned(rate * t))))
         for t in np.arange(-0.05, 2.2, 0.1).tolist()
     ]
-    fixed = [
-        (
-            0.0,
-            transforms(
-                transform(0.0, "base_link", "laser", 0.2, 0.0, turned(static)),
-                transform(0.0, "map", "odom", 5.0, 6.0, turned(math.pi / 2)),
-            ),
-        )
-    ]
-    return {"/tf": moving, "/tf_static": fixed}
+    fixed = transforms(
+        transform(0.0, "base_link", "laser", 0.2, 0.0, turned(static)),
+        transform(0.0, "map", "odom", 5.0, 6.0, turned(math.pi / 2)),
+    )
+    return {"/tf": moving, "/tf_static": [(0.0, fixed)]}
 
 
 def test_tf_brings_people_to_the_fixed_frame(tmp_path):
@@ -170,10 +144,7 @@ def test_tf_brings_people_to_the_fixed_frame(tmp_path):
         x, y = back @ (np.array([3.0, 2.0]) - laser)
         return detection("a", float(x), float(y), 1.0 - angle, covariance(0.04, 0.01, 0.1))
 
-    told = [
-        (t, make("vision_msgs/msg/Detection3DArray", header=header(t, "laser"), detections=[seen(t)]))
-        for t in TIMES
-    ]
+    told = [(t, detections(t, [seen(t)], "laser")) for t in TIMES]
     bag = record(tmp_path / "bag", {"/detections": told} | turning_robot())
     (odom,) = gt.read(bag, fixed_frame="odom")
     # Between two tellings of tf the robot is taken to turn and drive steadily, as it does.
@@ -282,18 +253,13 @@ def test_recordings_that_are_cut_are_told(tmp_path, plugin, part):
         gt.read(folder)
 
 
-def test_tf_in_a_circle_and_of_two_parents_are_told(tmp_path):
-    circle = transforms(
-        transform(0.0, "a", "b", 1.0, 0.0, turned(0.0)), transform(0.0, "b", "a", 1.0, 0.0, turned(0.0))
-    )
-    bag = record(tmp_path / "first", {"/people": walkers("a"), "/tf": [(0.0, circle)]})
-    with pytest.raises(gt.InputError, match="circle"):
-        gt.read(bag, fixed_frame="map")
-    two = transforms(
-        transform(0.0, "a", "b", 1.0, 0.0, turned(0.0)), transform(0.0, "c", "b", 1.0, 0.0, turned(0.0))
-    )
-    bag = record(tmp_path / "second", {"/people": walkers("b"), "/tf": [(0.0, two)]})
-    with pytest.raises(gt.InputError, match="in 'a' and in 'c'"):
+@pytest.mark.parametrize(
+    ("links", "frame", "said"), [(("ab", "ba"), "a", "circle"), (("ab", "cb"), "b", "in 'a' and in 'c'")]
+)
+def test_tf_in_a_circle_and_of_two_parents_are_told(tmp_path, links, frame, said):
+    told = transforms(*(transform(0.0, *link, 1.0, 0.0, turned(0.0)) for link in links))
+    bag = record(tmp_path / "bag", {"/people": walkers(frame), "/tf": [(0.0, told)]})
+    with pytest.raises(gt.InputError, match=said):
         gt.read(bag, fixed_frame="map")
 
 

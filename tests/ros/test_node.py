@@ -13,6 +13,7 @@ from recordings import (
     STORE,
     covariance,
     detection,
+    detections,
     header,
     make,
     nanoseconds,
@@ -138,21 +139,10 @@ def test_people_in_people_and_drawings_out(node_of):
 
 def test_what_the_node_says_of_a_bag_is_what_tracking_it_says(node_of, tmp_path):
     rng = np.random.default_rng(2)
-    told = [
-        (
-            0.1 * k,
-            make(
-                DETECTIONS,
-                header=header(0.1 * k),
-                detections=[
-                    detection(
-                        "7", 0.1 * k + rng.normal() / 20, 0.0, 0.1 * rng.normal(), covariance(0.01, 0.01, 0.1)
-                    )
-                ],
-            ),
-        )
-        for k in range(15)
-    ]
+    spread, told = covariance(0.01, 0.01, 0.1), []
+    for k in range(15):
+        one = detection("7", 0.1 * k + rng.normal() / 20, 0.0, 0.1 * rng.normal(), spread)
+        told.append((0.1 * k, detections(0.1 * k, [one])))
     node = node_of(type=DETECTIONS)
     for _, message in told:
         node.subscribed["/people"][1](message)
@@ -205,7 +195,7 @@ def test_groups_and_gazes_are_told_by_names(node_of):
         for one, yaw in zip(pair, (0.0, math.pi), strict=True):
             head = detection("", 0.0, 0.0, yaw, nothing, "head").results
             one.results = [*one.results, *head]
-        node.subscribed["/people"][1](make(DETECTIONS, header=header(0.2 * k), detections=pair))
+        node.subscribed["/people"][1](detections(0.2 * k, pair))
     groups = node.published["/humans/interactions/groups"]
     assert groups[-1].__msgtype__ == GROUP and sorted(groups[-1].members) == ["ann", "bob"]
     gazes = {(one.sender, one.receiver) for one in node.published["/humans/interactions/gazing"][-2:]}

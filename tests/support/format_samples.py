@@ -232,3 +232,8 @@ TEXT_SAMPLES = tuple(sample for sample in SAMPLES if sample.number)
 
 def name_of(sample: Sample) -> str:
     return f"{sample.format}-{Path(sample.name).stem}"
+
+
+def sample_of(format: str, name: str = "") -> Sample:
+    """Return the first sample of a format with some text in its name."""
+    return next(s for s in SAMPLES if s.format == format and name in s.name)

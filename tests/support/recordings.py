@@ -68,6 +68,10 @@ def detection(name: str, x: float, y: float, yaw: float, spread: np.ndarray, kin
     return make("vision_msgs/msg/Detection3D", results=[result], id=name)
 
 
+def detections(t: float, given: list[Any], frame: str = "map") -> Any:
+    return make("vision_msgs/msg/Detection3DArray", header=header(t, frame), detections=given)
+
+
 def transform(t: float, parent: str, child: str, x: float, y: float, rotation: Any) -> Any:
     of = make(
         "geometry_msgs/msg/Transform",

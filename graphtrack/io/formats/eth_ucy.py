@@ -7,31 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source, mostly
-from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.io.source import Source
+from graphtrack.io.text import mostly_numbers, parse_number, read_numbers
+from graphtrack.tracks.detections import frames_between
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXELS
 
 ANNOTATED_HZ = 2.5
 
 _OBSMAT = ("frame", "id", "x", "z", "y", "vx", "vz", "vy")
-
-
-def _looks_like_eth(head: bytes, path: Path) -> bool:
-    """Return whether the lines are eight numbers between white space."""
-
-    def matches(line: str) -> bool:
-        cells = line.split()
-        return len(cells) == 8 and all(parse_number(cell) is not None for cell in cells)
-
-    return mostly(head, matches)
 
 
 def _read_eth(source: Source, options: ReadOptions) -> Rows:
@@ -41,7 +31,7 @@ def _read_eth(source: Source, options: ReadOptions) -> Rows:
     notes = ["the velocities of the file are differences of its positions and were not read"]
     fps = options.fps
     if fps is None:
-        step = _frame_step(frame)
+        step = frames_between(frame)
         fps = ANNOTATED_HZ * step
         notes.append(
             f"frame rate {fps:g} Hz: the frames step by {step} and are annotated at {ANNOTATED_HZ} Hz"
@@ -58,20 +48,11 @@ def _read_eth(source: Source, options: ReadOptions) -> Rows:
     return rows.with_times(fps)
 
 
-def _frame_step(frame: NDArray[np.int64]) -> int:
-    """The most frequent step between frames that follow each other."""
-    steps = np.diff(np.unique(frame))
-    if not len(steps):
-        return 1
-    values, counts = np.unique(steps, return_counts=True)
-    return int(values[np.argmax(counts)])
-
-
 ETH = Format(
     name="eth",
     description="BIWI (ETH) obsmat: frame id x z y vx vz vy",
     suffixes=(),
-    looks_like=_looks_like_eth,
+    looks_like=lambda head, path: mostly_numbers(head, None, (8,)),
     read=_read_eth,
 )
 

@@ -7,7 +7,6 @@ IJRR 2013, and in the development kits of the raw data and of the tracking bench
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -145,38 +144,31 @@ def _read_poses(path: Path) -> FloatArray:
     return poses
 
 
-@dataclass(frozen=True)
-class _Entry:
-    names: tuple[str, ...]
-    size: int
-
-
 _CALIBRATION = (
-    _Entry(("R_rect", "R0_rect", "R_rect_00"), 9),
-    _Entry(("Tr_velo_cam", "Tr_velo_to_cam"), 12),
-    _Entry(("Tr_imu_velo", "Tr_imu_to_velo"), 12),
-)
+    (("R_rect", "R0_rect", "R_rect_00"), 9),
+    (("Tr_velo_cam", "Tr_velo_to_cam"), 12),
+    (("Tr_imu_velo", "Tr_imu_to_velo"), 12),
+)  # names of a matrix, and its size
 
 
 def _read_camera_to_imu(path: Path) -> FloatArray:
     """The rigid motion (4, 4) from the rectified camera to the inertial unit."""
     lines = {}
     for number, line in enumerate(Source.open(path).lines, 1):
-        name, _, numbers = line.strip().partition(" ")
-        lines[name.rstrip(":")] = (number, numbers)
+        head, _, numbers = line.strip().partition(" ")
+        lines[head.rstrip(":")] = (number, numbers)
     to_camera = np.eye(4)
-    for entry in _CALIBRATION:
-        known = [name for name in entry.names if name in lines]
-        if not known:
-            raise InputError(f"no {entry.names[0]}", f"a line {' or '.join(entry.names)}", path=path)
-        name = known[0]
+    for names, size in _CALIBRATION:
+        name = next((one for one in names if one in lines), None)
+        if name is None:
+            raise InputError(f"no {names[0]}", f"a line {' or '.join(names)}", path=path)
         number, text = lines[name]
         values = [parse_number(cell) for cell in text.split()]
-        if len(values) != entry.size or not all(v is not None and abs(v) < 1e4 for v in values):
-            expected = f"{entry.size} numbers within ±1e4"
+        if len(values) != size or not all(v is not None and abs(v) < 1e4 for v in values):
+            expected = f"{size} numbers within ±1e4"
             raise InputError(repr(text[:40]), expected, path=path, line=number, column=name)
         matrix = np.eye(4)
-        matrix[:3, : entry.size // 3] = np.array(values, dtype=float).reshape(3, -1)
+        matrix[:3, : size // 3] = np.array(values, dtype=float).reshape(3, -1)
         if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3):
             raise InputError("a matrix that is no rotation", "one", path=path, line=number, column=name)
         # From the left: rectification ∘ (laser → camera) ∘ (inertial unit → laser).

@@ -11,7 +11,7 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import Numbers, read_numbers
+from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_SECONDS
 
@@ -62,14 +62,14 @@ def read(source: Source, options: ReadOptions) -> Rows:
     notes = ["body is the yaw of the shoulders"]
     if options.fps is not None:
         notes.append("the frame rate was not used: the file has times")
-    rows = Rows(
+    return Rows(
         source.path,
         "mocap",
         table.integers(clip_column),
         table.integers(header.index("frame")),
         {
             "t": table.bounded(header.index("t_s"), -LARGEST_SECONDS, LARGEST_SECONDS),
-            "position": _pair(table, header, "x_m", "y_m"),
+            "position": np.column_stack([table.metres(header.index(name)) for name in ("x_m", "y_m")]),
             "body": yaw("shoulder_yaw_rad"),
             "head": yaw("head_yaw_rad"),
         },
@@ -77,11 +77,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
         labels={number: clip for clip, number in number_of.items()},
         notes=tuple(notes),
     )
-    return rows
-
-
-def _pair(table: Numbers, header: list[str], x: str, y: str) -> np.ndarray:
-    return np.column_stack([table.metres(header.index(x)), table.metres(header.index(y))])
 
 
 MOCAP = Format(

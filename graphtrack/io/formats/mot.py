@@ -13,8 +13,8 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import PERSON_HEIGHT, placed_boxes, with_scores
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source, mostly
-from graphtrack.io.text import Numbers, parse_number, read_numbers
+from graphtrack.io.source import Source
+from graphtrack.io.text import Numbers, mostly_numbers, read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_ID, LARGEST_LIKELIHOOD, LARGEST_PIXELS
@@ -41,16 +41,6 @@ _CLASSES = (
     "Crowd",
 )
 """The classes 1, 2, … of ground truth with nine columns (MOT16 and later)."""
-
-
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether the lines are seven to ten numbers between commas."""
-
-    def matches(line: str) -> bool:
-        cells = line.split(",")
-        return 7 <= len(cells) <= 10 and all(parse_number(cell) is not None for cell in cells)
-
-    return mostly(head, matches)
 
 
 def beside(path: Path) -> tuple[Path, ...]:
@@ -90,7 +80,10 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
             f"an id from 0, or -1 in all rows: {unknown.sum()} of {len(unknown)} are detections without "
             "identity",
         )
-    channels = {"box": _boxes_of(table), "confidence": _confidences(table)}
+    channels = {
+        "box": _boxes_of(table),
+        "confidence": table.bounded(6, -LARGEST_LIKELIHOOD, LARGEST_LIKELIHOOD),
+    }
     world = _world(table)
     if world is not None:
         channels["position"] = world
@@ -102,10 +95,6 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     if nobodys and (confidence < 0.0).any():  # 0 is a number like any other
         return rows
     return rows.keep(confidence != 0.0, IGNORED)
-
-
-def _confidences(table: Numbers) -> FloatArray:
-    return table.bounded(6, -LARGEST_LIKELIHOOD, LARGEST_LIKELIHOOD)
 
 
 def _boxes_of(table: Numbers) -> FloatArray:
@@ -214,7 +203,7 @@ MOT = Format(
     name="mot",
     description="MOTChallenge text: frame,id,left,top,width,height,confidence,x,y,z",
     suffixes=(".txt",),
-    looks_like=looks_like,
+    looks_like=lambda head, path: mostly_numbers(head, ",", range(7, 11)),
     read=read,
     write=write,
     beside=beside,

@@ -261,13 +261,7 @@ def damage_told(path: Path) -> Iterator[None]:
 
 
 def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDArray[Any]:
-    """An Arrow column as (n,) doubles, NaN where it is null; a label column as objects.
-
-    Parameters
-    ----------
-    column : array of pyarrow, in chunks or whole
-    first_row : how many rows of the file come before it
-    """
+    """An Arrow column, ``first_row`` rows into its file, as (n,) doubles, NaN for null; labels as objects."""
     import pyarrow as pa
 
     if pa.types.is_dictionary(column.type):

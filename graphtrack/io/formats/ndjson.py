@@ -53,10 +53,7 @@ def encoded(value: Any) -> str:
 
 
 def plain_cells(line: bytes) -> dict[str, Any] | None:
-    """Result of `io.readers.ndjson.read_cells` for a simple line; None for others.
-
-    It is where all keys are columns of numbers, each stands there once, and all numbers are within bounds.
-    """
+    """Result of `read_cells` for a line of numbers within bounds, each of its keys once; None for others."""
     try:
         given = orjson.loads(line)
     except orjson.JSONDecodeError:

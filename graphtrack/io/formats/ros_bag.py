@@ -199,12 +199,7 @@ def own_types() -> dict[str, Any]:
 
 
 def typestore(embedded: Mapping[str, Any] | None = None) -> Typestore:
-    """A store of ROS 2's common interfaces and of `FIELDS`.
-
-    Parameters
-    ----------
-    embedded : definitions that a bag has itself; they go before ours, not before ROS's own
-    """
+    """A store of ROS 2's interfaces and of `FIELDS`; those ``embedded`` in a bag go before the latter."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -257,12 +252,7 @@ def stamp_of(header: Any) -> int:
 
 
 def frame_of(message: Any, kind: str) -> Frame:
-    """Sightings of a message of one of the types `OF_PEOPLE`.
-
-    Parameters
-    ----------
-    kind : the name of its type, such as "people_msgs/msg/People"
-    """
+    """Sightings of a message of one of the types `OF_PEOPLE`."""
     header = message.header
     return Frame(stamp_of(header), header.frame_id.lstrip("/"), list(_READERS[kind](message)))
 
@@ -456,12 +446,7 @@ class Bag:
     def decoded(
         self, kind: str, topics: Collection[str], use: Callable[[Any], Read]
     ) -> Iterator[tuple[Recorded, Read]]:
-        """The messages of topics of one type, and what is made of each.
-
-        Parameters
-        ----------
-        use : of a message what is wanted of it
-        """
+        """The messages of topics of one type, and what ``use`` makes of each."""
         store = self.store({kind})
         for one in self.messages(topics):
             try:

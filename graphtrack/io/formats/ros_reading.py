@@ -477,12 +477,7 @@ class _Columns:
 
 
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
-    """Read whom a recording tells of.
-
-    Parameters
-    ----------
-    options : of them ``topic``, ``fixed_frame``, ``classes`` and ``beside`` count
-    """
+    """Rows of a recording by the options ``topic``, ``fixed_frame``, ``classes`` and ``beside``."""
     with open_bag(path) as bag:
         topics = chosen_topics(bag.topics, options.topic, path)
         kind = bag.topics[topics[0]]

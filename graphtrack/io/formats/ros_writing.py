@@ -375,12 +375,7 @@ def _shares(colour: str) -> tuple[float, float, float]:
 
 
 def scene_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person]) -> Any:
-    """``foxglove_msgs/SceneUpdate``: people as cylinders with heads, arrows, ellipses and names.
-
-    Parameters
-    ----------
-    stamp : nanoseconds
-    """
+    """``foxglove_msgs/SceneUpdate``: people as cylinders with heads, arrows, ellipses, names; stamp in ns."""
     time = time_of(make, stamp)
     entities = [
         make(
@@ -457,12 +452,7 @@ def _text(make: Make, one: Person) -> Any:
 
 
 def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person]) -> Any:
-    """``visualization_msgs/MarkerArray``: arrows, ellipses and names, a namespace for each kind.
-
-    Parameters
-    ----------
-    stamp : nanoseconds
-    """
+    """``visualization_msgs/MarkerArray``: a namespace for each kind of drawing; stamp in ns."""
     header = header_of(make, stamp, frame_id)
     found = [make("visualization_msgs/msg/Marker", header=header, action=_DELETE_ALL_MARKERS)]
 

@@ -54,7 +54,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     x = np.column_stack([table.metres(start + 1) for start in first]).ravel()
     y = np.column_stack([table.metres(start + 2) for start in first]).ravel()
     notes = () if options.fps is None else ("the frame rate was not used: the file has times",)
-    rows = Rows(
+    return Rows(
         source.path,
         "salsa",
         np.tile(np.array(list(ids), dtype=np.int64), steps),
@@ -64,7 +64,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
         labels=ids,
         notes=notes,
     )
-    return rows
 
 
 def _without_ids(source: Source) -> tuple[dict[int, str], Source]:

@@ -11,24 +11,14 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source, mostly
-from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.io.source import Source
+from graphtrack.io.text import mostly_numbers, read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_ID
 
 FPS = 25.0
 
 _NAMES = ("frame", "id", "left", "top", "width", "height")
-
-
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether the lines are six numbers between commas."""
-
-    def matches(line: str) -> bool:
-        cells = line.split(",")
-        return len(cells) == 6 and all(parse_number(cell) is not None for cell in cells)
-
-    return mostly(head, matches)
 
 
 def beside(path: Path) -> tuple[Path, ...]:
@@ -93,7 +83,7 @@ TOWNCENTRE = Format(
     name="towncentre",
     description="Oxford Town Centre boxes: frame,id,left,top,width,height",
     suffixes=(),
-    looks_like=looks_like,
+    looks_like=lambda head, path: mostly_numbers(head, ",", (6,)),
     read=read,
     beside=beside,
     read_boxes=read_boxes,
