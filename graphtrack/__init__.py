@@ -1,4 +1,4 @@
-"""Where pedestrians are, how they move and where their bodies and heads point."""
+"""Track pedestrians: positions, motion, and the orientation of bodies and heads."""
 
 from __future__ import annotations
 

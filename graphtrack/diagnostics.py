@@ -235,7 +235,7 @@ _COARSE = [np.log(10.0) * np.linspace(-1.0, 1.0, 9), np.linspace(-4.0, 4.0, 5)]
 
 @dataclass(frozen=True)
 class Multiplier:
-    """What to multiply a declared 1-σ with, and the interval that holds it with the probability `SURE`.
+    """A factor for a declared 1-σ, and its interval of probability `SURE`.
 
     ``seen`` observations in ``pieces`` stretches tell of it.
     """
@@ -415,7 +415,7 @@ BIASED, SURELY_BIASED = math.radians(10.0), math.radians(4.0)  # The same of a b
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """What the data say of the declared noise of a channel.
+    """The evidence about the declared noise of a channel.
 
     Attributes
     ----------
@@ -432,7 +432,7 @@ class ChannelNoise:
 
     @property
     def scale(self) -> float:
-        """What to multiply the declared σ with: 1 where it is not contradicted."""
+        """The factor for the declared σ: 1 where it is not contradicted."""
         found = self.multiplier
         if found is None or 1.0 / TOO_FAR < found.value < TOO_FAR:
             return 1.0
@@ -448,7 +448,7 @@ class ChannelNoise:
         return found.value if sure else 0.0
 
     def line(self, corrected: bool) -> str | None:
-        """What there is to be said, in one line; None if nothing is."""
+        """A report in one line; None if there is nothing to report."""
         said: list[str] = []
         if self.scale != 1.0 and self.multiplier is not None:
             found = self.multiplier
@@ -468,12 +468,12 @@ class ChannelNoise:
 
 @dataclass(frozen=True)
 class Noise:
-    """What the data say of the declared noise of all channels that a model reads."""
+    """The evidence about the declared noise of all channels that a model reads."""
 
     channels: tuple[ChannelNoise, ...]
 
     def lines(self, corrected: bool = False) -> list[str]:
-        """What contradicts the declarations, a line for each channel."""
+        """Contradictions of the declarations, a line for each channel."""
         return [line for one in self.channels if (line := one.line(corrected)) is not None]
 
     def corrected(self, tracks: TrackSet, model: Model) -> tuple[TrackSet, Model]:
@@ -516,7 +516,7 @@ _DECLARED = {"position": ("position_std", 1.0), "body": ("body_kappa", -2.0), "h
 
 
 def declared_noise(tracks: Sequence[Track], model: Model) -> Noise:
-    """What the data say of the noise that a file, or else the model, declares.
+    """Test the noise that a file, or else the model, declares against the data.
 
     Multipliers make each observation most probable after those before it, on the same stretches each time. A
     bias is an angle at which everybody is seen to their motion. Positions judged in the image, and class

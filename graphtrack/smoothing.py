@@ -389,7 +389,7 @@ class OnlineTracker(DetectionTracker):
         samples: int = 0,
         random: np.random.Generator | None = None,
     ) -> Forecast:
-        """Where everybody will be whom the last update told of and who has been seen twice.
+        """Predict positions of everybody in the last update who has been seen twice.
 
         The first call looks back at the last frames, 1,500 at most; from then on each update is taken in.
         `state` keeps what forecasts know from that call on.

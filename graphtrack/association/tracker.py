@@ -97,7 +97,7 @@ class SceneGroups(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PersonEstimate(Estimate):
-    """What is known of one person of many.
+    """The estimate of one person among many.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class PersonEstimate(Estimate):
 
     @property
     def observed(self) -> bool:
-        """Whether the person was seen in this frame."""
+        """Return True if the person was observed in this frame."""
         return self.detection >= 0
 
 
@@ -154,7 +154,7 @@ class DetectionTracker:
 
     @property
     def scene(self) -> SceneParameters:
-        """How people come, go and are detected, as it is known by now."""
+        """The parameters of birth, death and detection, as learned so far."""
         return self._association.scene
 
     def update(
@@ -236,7 +236,7 @@ class DetectionTracker:
 
     @property
     def descriptor_size(self) -> int:
-        """How many numbers the descriptors of looks have; 0: none has come so far."""
+        """The length of appearance descriptors; 0 before the first."""
         return self._association.descriptor_size
 
     def check_time(self, t: float) -> None:

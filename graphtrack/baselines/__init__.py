@@ -1,4 +1,4 @@
-"""What the graph is compared with."""
+"""Baselines that the graph is compared with."""
 
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 

@@ -25,7 +25,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class HungarianParameters:
-    """What the tracker assumes, and when it believes in somebody.
+    """Assumptions of the tracker, and when it confirms a person.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class HungarianParameters:
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """What the tracker says of one frame.
+    """The tracker's report of one frame.
 
     Attributes
     ----------

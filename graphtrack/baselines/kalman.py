@@ -40,7 +40,7 @@ class Transition:
 
 @dataclass(frozen=True, eq=False)
 class FilteredStates:
-    """What the filter knows of m tracks at n steps; NaN before a track's first position.
+    """Filtered states of m tracks at n steps; NaN before a track's first position.
 
     Attributes
     ----------

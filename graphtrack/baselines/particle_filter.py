@@ -113,7 +113,7 @@ def _visible(job: Job, pixel: FloatArray) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class ParticleOptions:
-    """How the particle filter samples and judges.
+    """Options of sampling and weighting.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class ParticleOptions:
 
 @dataclass(frozen=True, eq=False)
 class ParticleEstimate:
-    """What the particles say of a track; NaN before its first position.
+    """The particle estimate of a track; NaN before its first position.
 
     Attributes
     ----------

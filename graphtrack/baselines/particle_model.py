@@ -1,4 +1,4 @@
-"""What the particle filter's kernels know of a model and a track, and its compiled densities.
+"""The model and a track, packed for the particle filter's kernels, and its compiled densities.
 
 Couplings' modes are tables: of each mode and offset its effect, and how one leads to another, as in the
 recursions of `coupling_modes`.

@@ -271,7 +271,7 @@ def _counted(method: str, cells: Sequence[Mapping[str, Cell]]) -> dict[str, Cell
 
 @tabulated("Paper / ours: medians over the tracks of a behaviour, the least and greatest of them")
 def _beside(found: Sequence[Gain]) -> Records:
-    """What Baxter et al. (2014) say in words, and the least and greatest of our medians over the
+    """Statements of Baxter et al. (2014), and the least and greatest of our medians over the
     behaviours."""
     said = {
         1.0: "above 1 on all seven trajectories, both measures",

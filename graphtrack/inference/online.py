@@ -264,7 +264,7 @@ class OnlineSmoother:
         return pack_state(saved) | {"terms": self._terms()}
 
     def later_state(self) -> Callable[[], dict[str, Any]]:
-        """What `state` is now, to be asked for when there is time: with the engine chain this is quick."""
+        """Return a function that computes the present `state` later; with the chain engine this is quick."""
         smoother = self._smoother
         if not isinstance(smoother, ChainWindow):
             found = self.state()

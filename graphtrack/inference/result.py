@@ -50,7 +50,7 @@ class SolverOptions:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What the smoother found for one track.
+    """The smoothed solution of one track.
 
     Attributes
     ----------
@@ -178,7 +178,7 @@ def _extremes(
     channels: Mapping[str, FloatArray | None],
     model: Model,
 ) -> Iterator[tuple[float, str]]:
-    """How many times each extreme input is beyond what is usual, and the input in words."""
+    """Return by what factor each extreme input exceeds its usual range, and its name."""
     dt = np.diff(t)
     if dt.size and 0.0 < dt.min() < _SHORTEST:
         k = int(dt.argmin())

@@ -263,7 +263,7 @@ with what modes leave open by engines of GTSAM, for `calibration.calibrate`."""
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What is known after an observation, at the latest time seen so far.
+    """The estimate after an observation, at the latest time so far.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class Estimate:
         return html_pairs(caption, self._described())
 
     def _described(self) -> dict[str, str]:
-        """What is known, each with its 1-σ."""
+        """Return the estimate as text, with 1-σ."""
         x, y, vx, vy, body, head = np.sqrt(np.diagonal(self.covariance)).tolist()
         found = {}
         for name, value, spread, unit in (
@@ -329,7 +329,7 @@ def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """What a smoother is built again from.
+    """The window that a smoother is rebuilt from.
 
     Attributes
     ----------
@@ -353,7 +353,7 @@ def present(model: Model) -> list[int]:
 
 
 def leaving(steps: Sequence[Step], lag: float, newest: Step | None = None) -> int:
-    """How many of a window's first steps are further back from the newest than the lag (seconds)."""
+    """Return how many of a window's first steps are older than the lag (seconds)."""
     if not steps:
         return 0
     horizon = (newest or steps[-1]).observation.t - lag - TIME_TOLERANCE

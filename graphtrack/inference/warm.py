@@ -70,14 +70,14 @@ def make_online_ready(model: Model, engine: OnlineEngine) -> None:
 
 
 def has_own_kernels(model: Model) -> bool:
-    """Whether a model has terms with kernels that no preset has: an engine is compiled for them."""
+    """Return True if a model has kernels that no preset has: an engine is compiled for them."""
     return any("kernels" in vars(kind) for kind in model.own_terms)
 
 
 def _chain_rehearsals(
     model: Model, camera: GroundCamera | None, in_lanes: Collection[bool], *, complete: bool = False
 ) -> list[Rehearsal]:
-    """What the chain engine calls: where a model may be linear the linear solution, and Newton's steps."""
+    """Return rehearsals of the chain engine: the linear solution for linear models, and Newton's steps."""
     # Linear with the camera of a scene, where its tracks have no pixels.
     linear, like = model.is_linear(pack([TRACK], model)), _like(model)
     found = [Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)] if linear else []
@@ -91,7 +91,7 @@ def _chain_rehearsals(
 
 
 def _graph_rehearsal(model: Model | None) -> Rehearsal:
-    """What GTSAM's engines call: starts, the search for basins, and coupling modes; None: starts alone."""
+    """Return the rehearsal of GTSAM's engines; without basin search and coupling modes for None."""
     known = None if model is None else model.compiled
     if known is None or not (known.has_body or known.has_head):
         return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
@@ -99,7 +99,7 @@ def _graph_rehearsal(model: Model | None) -> Rehearsal:
 
 
 def _online_rehearsal(model: Model) -> Rehearsal:
-    """What the compiled window calls."""
+    """Return the rehearsal of the compiled window."""
     like = _like(model)
     return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 0.15, 1e-8, 5)), 20.0)
 
@@ -112,7 +112,7 @@ def _like(model: Model) -> Model:
 
 
 def _kind(model: Model) -> str:
-    """What tells models apart that call different functions."""
+    """Return a key of the functions that a model calls."""
     own = [f" {kind.__module__}.{kind.__qualname__}" for kind in model.own_terms if "kernels" in vars(kind)]
     return ("modes" if model.has_modes else "angles") + "".join(own)
 

@@ -320,7 +320,7 @@ class Looks:
     place: FloatArray
 
     def told(self) -> dict[int, list[tuple[str, int | str | None, float]]]:
-        """Who looks → kind, target and probability of those of at least `LEAST`; nothing stands last."""
+        """Map observers to kind, target and probability of targets of at least `LEAST`."""
         found: dict[int, list[tuple[str, int | str | None, float]]] = {}
         likely = np.flatnonzero(self.person >= LEAST)
         ends = np.searchsorted(likely, self.first).tolist()

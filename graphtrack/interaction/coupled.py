@@ -65,7 +65,7 @@ def with_group(track: Track, group: FloatArray) -> Track:
 
 
 def without_group(found: Solution | Failure) -> Solution | Failure:
-    """What was found, its track without the input `GROUP`."""
+    """Return the solution, its track without the input `GROUP`."""
     if isinstance(found, Failure):
         return found
     left = {name: values for name, values in found.track.inputs.items() if name != GROUP}
@@ -115,7 +115,7 @@ def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> Float
 def counts_after(
     before: FloatArray, toward: FloatArray, dt: FloatArray, correlation_time: float
 ) -> FloatArray:
-    """How much of their lengths directions (n, 2) count, (n,), 0 to 1, ``dt`` (n,) s after those before.
+    """Return the shares (n,), 0 to 1, of directions (n, 2) that count ``dt`` (n,) s after those before.
 
     One that is new counts in full, later on dt/correlation_time times: deviations from it persist. Vectors
     are as long as directions are sure; NaN: nothing is known.
@@ -167,7 +167,7 @@ class Conversations:
         return observation if observation.t < self._t else with_group_at(observation, group)
 
     def estimated(self, track_id: int, estimate: Estimate) -> None:
-        """What the smoother made of the frame; it counts for the frames to come.
+        """Take the smoother's estimates of the frame, for the frames to come.
 
         Whether somebody who is new stands or walks has to be known first.
         """
@@ -185,7 +185,7 @@ class Conversations:
         self._t, self._frame, self._people = t, frame, {}
 
     def group(self, track_id: int) -> Group | None:
-        """What is told of a person in this frame; None if they are new, or were not there for long."""
+        """Return the group input of a person in this frame; None if they are new, or were absent for long."""
         known = self._known.get(track_id)
         long = FORGOTTEN * DEFAULT.place_seconds
         return None if known is None or self._t - known.t > long else known.group

@@ -150,7 +150,7 @@ _BODY, _HEAD = STATE.index("body"), STATE.index("head")
 
 
 def numbers_of(estimate: Estimate) -> Numbers:
-    """What groups and attention take of an estimate."""
+    """Return the numbers of an estimate that groups and attention read."""
     spread = estimate.covariance
     angles = (estimate.body, estimate.head, spread.item(_BODY, _BODY), spread.item(_HEAD, _HEAD))
     return (*estimate.position.tolist(), *estimate.velocity.tolist(), *angles)

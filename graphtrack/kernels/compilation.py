@@ -1,4 +1,4 @@
-"""How functions are compiled: by numba's public decorator, cached on disk, without the interpreter's lock.
+"""Compilation by numba's public decorator, cached on disk, without the interpreter's lock.
 
 `compiled` declares a function, `allocating` one that makes arrays; `make_ready` compiles ahead, with a log.
 """
@@ -147,7 +147,7 @@ class Rehearsal:
         return None if home is None else home / f"{self.name.replace(' ', '-')}.compiled"
 
     def is_cold(self) -> bool:
-        """Whether nothing is compiled yet, neither in this process nor on disk."""
+        """Return True if nothing is compiled yet, neither in this process nor on disk."""
         mark = self.mark()
         return self.name not in _READY and (mark is None or not mark.exists())
 

@@ -217,7 +217,7 @@ def choose(_context: Any, condition: Any, one: Any, other: Any) -> Any:
 
 @intrinsic
 def any_of(_context: Any, condition: Any) -> Any:
-    """Whether a condition holds, in any lane."""
+    """Return True if a condition holds in any lane."""
 
     def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
         if condition == types.boolean:
@@ -230,7 +230,7 @@ def any_of(_context: Any, condition: Any) -> Any:
 
 @intrinsic
 def negate(_context: Any, condition: Any) -> Any:
-    """Where a condition does not hold."""
+    """Return the negation of a condition."""
     return condition(condition), lambda _c, builder, _s, args: builder.not_(args[0])
 
 
@@ -246,7 +246,7 @@ def lane_count(_context: Any, value: Any) -> Any:
 
 @intrinsic
 def lane_of(_context: Any, value: Any, lane: Any) -> Any:
-    """What one lane has of a number or a condition; a float itself."""
+    """Return one lane of a number or a condition; a float itself."""
     one = {Lanes: types.float64, LaneMask: types.boolean}.get(value, value)
 
     def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
@@ -363,7 +363,7 @@ class _Set(AbstractTemplate):
 
 
 def _pointer(builder: Any, data: Any, kind: LaneArrayType, index: Any, given: Any) -> Any:
-    """Where an element or a part begins."""
+    """Return the pointer to an element or a part."""
     places = [given] if index == types.intp else [builder.extract_value(given, i) for i in range(len(index))]
     place = places[0]
     for size, another in zip(kind.dims, places[1:], strict=False):

@@ -59,7 +59,7 @@ def number_rows(records: np.ndarray) -> np.ndarray:
 
 
 def place_in_row(field: str, record: np.dtype) -> int:
-    """Where a number stands in such a row."""
+    """Return the place of a number in such a row."""
     assert record.fields is not None
     return int(record.fields[field][1]) // 8
 
@@ -129,7 +129,7 @@ class Kernel:
 
     @cached_property
     def arguments(self) -> tuple[str, ...]:
-        """What the function is given, in order."""
+        """Names of the function's arguments, in order."""
         return arguments_of(self.function, self.names)
 
     @property

@@ -51,7 +51,7 @@ class Free:
 
     @property
     def is_probability(self) -> bool:
-        """Whether it is learned by its log odds; else by its logarithm."""
+        """Return True if it is learned by its log odds, else by its logarithm."""
         return scale_of(*self._place) == "log odds"
 
     def get(self, model: Model) -> float:
@@ -78,7 +78,7 @@ class Free:
 
     @property
     def is_learned(self) -> bool:
-        """Whether the parameter may be learned."""
+        """Return True if the parameter may be learned."""
         return scale_of(*self._place) is not None
 
     @cached_property

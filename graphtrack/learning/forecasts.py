@@ -53,7 +53,7 @@ class Rows:
 
 
 def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
-    """What there is to learn from; ``times`` (G,) ahead."""
+    """Return the training data; ``times`` (G,) ahead."""
     paths = {one.track_id: (one.t, one.position[:, 0] + 1j * one.position[:, 1]) for one in tracks}
     around = np.concatenate([[-EVERY, 0.0], times])
     frames, actual, straight = [], [], []
@@ -71,7 +71,7 @@ def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recor
 
 
 def _places_at(t: FloatArray, place: ComplexArray, at: FloatArray) -> ComplexArray:
-    """Where a person was, between two sightings that are not far apart; NaN elsewhere."""
+    """Return interpolated positions between two sightings that are not far apart; NaN elsewhere."""
     seen = np.isfinite(place)
     if not seen.any():
         return np.full(len(at), complex(np.nan, np.nan))
@@ -418,7 +418,7 @@ class Heads:
 
 
 def heads_of(of: Recording, parameters: ForecastParameters) -> Heads | None:
-    """What there is to learn of heads; None: nothing. People need not have been there together."""
+    """Return the training data of heads, or None; people need not have been there together."""
     parameters = replace(parameters, companion_weight=0.0)
     parts: list[tuple[ComplexArray, FloatArray, FloatArray, ComplexArray]] = []
     for forecaster, people, actual, _ in forecasts(of, parameters):

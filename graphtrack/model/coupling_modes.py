@@ -112,7 +112,7 @@ def look_ahead(
 
 @inner
 def is_observed(frame: Any) -> Any:
-    """Whether a position was observed in a frame."""
+    """Return True if a position was observed in a frame."""
     return (frame.position_information > 0.0) | (frame.pixel_information > 0.0)
 
 
@@ -263,7 +263,7 @@ def judge_head(
 
 @compiled
 def classified_in(problem: Problem, track: int) -> tuple[bool, bool]:
-    """Whether class likelihoods are known of the body, and of the head, in any frame of a track."""
+    """Return whether class likelihoods of the body, and of the head, exist in any frame of a track."""
     body = head = False
     for k in range(problem.offsets[track], problem.offsets[track + 1]):
         body = body or problem.records[k].body_class_kappa > 0.0
@@ -312,7 +312,7 @@ class Changes(NamedTuple):
 
 @inner
 def changes_in(modes: Modes, dt: Any) -> Any:
-    """What changes within ``dt`` seconds, as `Changes`."""
+    """Return the changes within ``dt`` seconds, as `Changes`."""
     rate, share = modes.glance_change, modes.glance_share
     changed = 1.0 - exp(-rate * dt)
     kept = exp(-(share * rate + modes.switching) * dt)
@@ -408,7 +408,7 @@ class Smoothed(NamedTuple):
 
 
 class Following(NamedTuple):
-    """How probabilities pass to a frame from the one after it: scale, what is drawn again, and drift."""
+    """Backward transition of probabilities to a frame: scale, share drawn again, and drift."""
 
     scale: Any
     again: Any

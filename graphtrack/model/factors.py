@@ -194,7 +194,7 @@ def couplings_of(records: np.ndarray) -> list[tuple[float, ...]]:
 
 
 def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: float) -> bool:
-    """Whether a coupling, the steering or a doubt differs by more than a share; rows as in `COUPLED`."""
+    """Return True if a coupling, steering or doubt differs by more than a share; rows as in `COUPLED`."""
     if old is None:
         return True
     for kappa, cos, sin in ((0, 1, 2), (3, 4, 5)):

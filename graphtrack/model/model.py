@@ -172,12 +172,12 @@ class Model:
         return Model(self.preset, self.parameters, self.own_terms, scene)
 
     def has_term(self, kind: type[Term]) -> bool:
-        """Whether a term of the model is of that kind."""
+        """Return True if a term of the model is of that kind."""
         return any(isinstance(term, kind) for term in self.terms)
 
     @property
     def compiled_terms(self) -> tuple[Term, ...]:
-        """What the chain engine packs: the terms that it knows, and what holds first orientations."""
+        """The terms that the chain engine packs, with those that anchor first orientations."""
         known = tuple(term for term in self.terms if term.is_compiled)
         return (*known, Anchor(self.parameters, self.has_body, self.has_head))
 
@@ -190,7 +190,7 @@ class Model:
         return Model(self.preset, self.parameters, known, self.scene)
 
     def is_linear(self, packed: PackedTracks) -> bool:
-        """Whether the linear solution of tracks that were packed is all there is to find."""
+        """Return True if the linear solution of packed tracks is the solution."""
         return all(term.states("is_linear") and term.is_linear(packed) for term in self.terms)
 
     def factors(self, step: Step, couplings: Couplings | None = None) -> list[gtsam.NonlinearFactor]:
@@ -217,7 +217,7 @@ class Model:
         return sum(term.cost(states, track, camera) for term in self.terms)
 
     def to_dict(self) -> dict[str, Any]:
-        """What a model file holds; InputError if the model has terms of its own, which are code."""
+        """Return the contents of a model file; InputError if the model has terms of its own."""
         if self.own_terms:
             names = ", ".join(kind.__name__ for kind in self.own_terms)
             raise InputError(

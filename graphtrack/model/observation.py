@@ -20,7 +20,7 @@ from graphtrack.tracks.track import Track
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What was observed of one person at one time. ``None`` is a missing channel; units as in `Track`.
+    """Observations of one person at one time. ``None`` is a missing channel; units as in `Track`.
 
     ``inputs`` has what else is known then: name → a number or a tuple of them. What is missing is left out.
     """
@@ -57,7 +57,7 @@ def observation_at(
     channels: Mapping[str, FloatArray],
     inputs: Mapping[str, FloatArray] = MappingProxyType({}),
 ) -> Observation:
-    """What row k of some channels says, (n, …) each; NaN is a missing value."""
+    """Return row k of channels (n, …) as an observation; NaN is a missing value."""
     given: dict[str, Any] = _seen(channels, k)
     if inputs:
         given["inputs"] = _seen(inputs, k)
@@ -65,7 +65,7 @@ def observation_at(
 
 
 def _seen(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
-    """What the channels have in frame k, without those that are missing there."""
+    """Return the channels of frame k, without those that are missing there."""
     seen: dict[str, Any] = {}
     for name, values in channels.items():
         value = values[k]
@@ -107,7 +107,7 @@ class Step:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Whether what was seen may speak for several directions, as class likelihoods do."""
+        """Return True if observations may speak for several directions, as class likelihoods do."""
         seen = self.observation
         return seen.body_likelihood is not None or seen.head_likelihood is not None
 

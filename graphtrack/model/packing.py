@@ -34,7 +34,7 @@ class PackedTerm(Protocol):
 
     @property
     def repeats(self) -> bool:
-        """Whether frames in which the same was observed are packed alike but for what is `live`."""
+        """Return True if frames with the same observations are packed alike but for what is `live`."""
 
     def __hash__(self) -> int: ...
 

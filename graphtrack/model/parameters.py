@@ -125,7 +125,7 @@ class CouplingParameters(_Group):
     correlation_time: float = _number(0.38, 0.0, 1e3, "s", learned=False)
 
     def weights(self, dt: FloatArray | float | None) -> FloatArray:
-        """How much a coupling counts at frames ``dt`` seconds after the ones before (0, None: the first)."""
+        """Return a coupling's weight at frames ``dt`` seconds after the ones before (0, None: the first)."""
         dt = np.asarray(0.0 if dt is None else dt, dtype=float)
         short = (dt > 0.0) & (dt < self.correlation_time)
         return np.divide(dt, self.correlation_time, out=np.ones_like(dt), where=short)
@@ -339,7 +339,7 @@ def swaying(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
 
 
 def sway_variances(motion: MotionParameters) -> tuple[float, float, float, float]:
-    """What the sway adds to the variances of x, y, vx and vy."""
+    """Return the variances that gait oscillation adds to x, y, vx and vy."""
     position = motion.sway_std**2
     velocity = (2.0 * np.pi * motion.sway_rate * motion.sway_std) ** 2
     return position, position, velocity, velocity

@@ -1,4 +1,4 @@
-"""What a term of the model is."""
+"""The protocol of a term of the model."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Term(ABC):
         return ()
 
     def is_linear(self, packed: PackedTracks) -> bool:
-        """Whether the linear solution (`inference.chain.linear`) knows all that the term packed."""
+        """Return True if the linear solution covers all that the term packed."""
         return False
 
     def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
@@ -87,15 +87,15 @@ class Term(ABC):
         return FramePacker((self,), RecordTypes.of((self,)))
 
     def states(self, name: str) -> bool:
-        """Whether the class itself says what ``name`` is: a parent's word may not hold for it."""
+        """Return True if the class itself defines ``name``: a parent's definition may not hold for it."""
         return name in vars(type(self))
 
     @property
     def is_normalised(self) -> bool:
-        """Whether the term states its `log_normaliser`."""
+        """Return True if the term defines its `log_normaliser`."""
         return self.states("log_normaliser")
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the chain solver knows the term: it states its kernels."""
+        """Return True if the chain engine can solve the term: it defines its kernels."""
         return self.states("kernels")

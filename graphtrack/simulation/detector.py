@@ -62,7 +62,7 @@ class Detector:
 
     @property
     def is_perfect(self) -> bool:
-        """Whether it gets nothing wrong."""
+        """Return True if the detector makes no errors."""
         return not (self.missed or self.occluded_share or self.clutter)
 
 

@@ -80,6 +80,6 @@ def with_those_between(frames: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def frames_between(frame: NDArray[np.int64]) -> int:
-    """How far apart the numbers of neighbouring frames are, as most are: a recording may have every tenth."""
+    """Return the most frequent step between neighbouring frame numbers: a recording may have every tenth."""
     apart, counts = np.unique(np.diff(np.unique(frame)), return_counts=True)
     return int(apart[counts.argmax()]) if len(apart) else 1

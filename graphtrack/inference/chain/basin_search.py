@@ -242,7 +242,7 @@ def best_course(
 
 @inner
 def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
-    """Whether a course (n, 2) turns from the states' orientations by more than ``near``, a cosine, allows."""
+    """Return True if a course (n, 2) turns from the states' orientations by more than ``near``, a cosine."""
     for k in range(len(states)):
         if math.cos(course[k, 0] - states[k, BODY]) < near:
             return True
@@ -255,7 +255,7 @@ def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
 def leads_elsewhere(
     problem: Problem, track: int, states: FloatArray, near: float, course: FloatArray
 ) -> bool:
-    """Whether the best course (n, 2) of a track on the grid leads to another basin than the states'."""
+    """Return True if the best course (n, 2) on the grid leads to another basin than the states'."""
     for bins, spread in (COARSE, FINE):
         best_course(problem, track, states, bins, spread, course)
         if not lies_elsewhere(states, course, near):

@@ -68,7 +68,7 @@ from graphtrack.tracks.track import Track
 
 
 class Options(NamedTuple):
-    """How tracks are solved."""
+    """Options of the solver."""
 
     max_iterations: int  # of each descent
     tolerance: float  # of the cost, of the last descent
@@ -183,7 +183,7 @@ def put_back(
 
 @inner
 def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
-    """How the descents of a group ended, into the result."""
+    """Write how the descents of a group ended into the result."""
     for lane in range(lane_count(ended[COST])):
         if tracks[lane] >= 0:
             result.first_cost[tracks[lane]] = lane_of(ended[FIRST_COST], lane)
@@ -435,17 +435,17 @@ NONE_GUESSED = np.zeros((0, 2), bool)
 
 
 def is_chain(model: Model) -> bool:
-    """Whether every term of a model has a compiled kernel."""
+    """Return True if every term of a model has a compiled kernel."""
     return all(term.is_compiled for term in model.terms)
 
 
 def is_large(model: Model, n_frames: int) -> bool:
-    """Whether work of so many person-frames is large, and the model one whose tracks can be in lanes."""
+    """Return True for many person-frames of a model whose tracks can be solved in lanes."""
     return n_frames >= LARGE and has_lanes(model)
 
 
 def has_lanes(model: Model) -> bool:
-    """Whether the tracks of a model can be solved in lanes: its kernels are those of the presets."""
+    """Return True if tracks can be solved in lanes: the kernels are those of the presets."""
     return is_chain(model) and program_of(model) is OF_PRESETS
 
 

@@ -1,4 +1,4 @@
-"""Where the optimisers start: the linear solution for positions, a circular running mean for angles.
+"""Initial states: the linear solution for positions, a circular running mean for angles.
 
 Motion and positions in metres are solved exactly in one pass. Both axes share one covariance, so a frame is a
 2 × 2 block (position, velocity) with two right-hand sides.
@@ -39,7 +39,7 @@ from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
 
 class Places(NamedTuple):
-    """Where in a record the numbers stand that the linear part of the model has."""
+    """Places in a record of the numbers of the model's linear part."""
 
     dt: int
     motion_information: int
@@ -59,7 +59,7 @@ class Linear(NamedTuple):
 
 
 def linear_part(packed: PackedTracks) -> Linear:
-    """What the linear solution reads of packed tracks."""
+    """Return the linear part of packed tracks."""
     places = Places(*(place_in_row(name, packed.records.dtype) for name in Places._fields))
     return Linear(number_rows(packed.records), places, packed.origin, packed.offsets)
 
@@ -190,7 +190,7 @@ _ASIDE = math.radians(30.0)
 
 
 class Seen(NamedTuple):
-    """What the first orientations are made of."""
+    """Observations from which initial orientations are computed."""
 
     t: FloatArray  # (N,) seconds since the first frame of the track
     body: FloatArray  # (N, 2) vectors to where the body was seen to point, or NaN; no rows: no body
@@ -311,7 +311,7 @@ def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | 
 
 
 def problem_of(packed: PackedTracks) -> Problem:
-    """What the kernels read."""
+    """Return the arrays that the kernels read."""
     return Problem(
         packed.records,
         packed.shared,
@@ -326,7 +326,7 @@ def problem_of(packed: PackedTracks) -> Problem:
 
 
 def seen_in(packed: PackedTracks, model: Model) -> Seen:
-    """What the first orientations are made of."""
+    """Observations from which initial orientations are computed."""
     body, head = (
         vectors_of(packed.directions(name), packed.channel(f"{name}_likelihood"), len(packed.t))
         if has
@@ -337,7 +337,7 @@ def seen_in(packed: PackedTracks, model: Model) -> Seen:
 
 
 def initial_states(track: Track, model: Model) -> States:
-    """Where the optimiser starts; NaN where there is no orientation. SolveError without positions."""
+    """Return initial states; NaN where there is no orientation. SolveError without positions."""
     packed = pack([track], Model(model.preset, model.parameters))
     require_position(track)
     states = np.zeros((len(track), 6))

@@ -332,7 +332,7 @@ def marginal(
 
 
 class Result(NamedTuple):
-    """What comes out: ``states`` also holds where to start."""
+    """The result; ``states`` holds the initial states beforehand."""
 
     states: FloatArray  # (N, 6); angles are not wrapped
     covariance: FloatArray  # (N, 6, 6)
@@ -380,7 +380,7 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
 def add_message(
     k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
 ) -> Any:
-    """What a frame and all before it cost more than where they were factored, with derivatives."""
+    """Add the cost of a frame and all before it, relative to where they were factored, with derivatives."""
     message, cost = workspace.message[k], 0.0
     for i in range(N):
         slope = message[N, i]

@@ -128,7 +128,7 @@ class ChainWindow:
         self._take(window, np.array(origin))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """What makes the next estimates the same to the last bit, beside the window; see `resume`."""
+        """The arrays that reproduce the next estimates exactly, in addition to the window; see `resume`."""
         open_frames = slice(*self._offsets.tolist())
         kept = {"origin": self._origin, "states": self._states[open_frames], "prior": self._prior}
         if self._warm:
@@ -141,7 +141,7 @@ class ChainWindow:
         return {name: values.copy() for name, values in kept.items()}
 
     def snapshot(self) -> ChainWindow:
-        """What `window` and `arrays` say now can be read from it later; it is not to be gone on with."""
+        """A copy from which `window` and `arrays` can be read later; it takes no further observations."""
         kept, open_frames = copy(self), slice(*self._offsets.tolist())
         arrays = {name: getattr(self._slot, name).copy() for name in _OF_WINDOW}
         arrays |= {
@@ -202,7 +202,7 @@ class ChainWindow:
             _advanced([self], NOTHING, self._steps[-1:], solves=False)
 
     def window(self) -> Window:
-        """What another smoother needs to go on from here."""
+        """The window from which another smoother can resume."""
         steps = tuple(self._steps)
         values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
         prior = None
@@ -280,7 +280,7 @@ class ChainWindow:
         return found
 
     def _leaving(self, newest: Step) -> int:
-        """How many steps leave the window when there is a newest one."""
+        """Return the number of steps that leave the window when a new one comes."""
         return leaving(self._steps, self._lag, newest)
 
 
@@ -342,7 +342,7 @@ def _advanced(
 
 
 def _guess(step: Step, model: Model) -> Angles:
-    """Where angles of a step begin that the model does not have; NaN for those that it has."""
+    """Return initial angles that the model does not have; NaN for those that it has."""
     if model.has_body and model.has_head:
         return _KNOWN
     seen = step.observation

@@ -177,7 +177,7 @@ def move_if_less(
 
 @merged
 def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
-    """Whether the newest positions seen, `_RUN` to `_LONGEST_RUN` of them, are beyond the Cauchy loss's k."""
+    """Return True if the newest `_RUN` to `_LONGEST_RUN` positions are beyond the Cauchy loss's k."""
     shared, offset, count = problem.shared[0], problem.offsets[track], 0
     if shared.robust != CAUCHY:
         return False
@@ -212,7 +212,7 @@ def find_by_squares(
 
 @inner
 def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
-    """How many of the first frames are where they were factored, up to so many times what is allowed."""
+    """Return how many of the first frames are where they were factored, within some tolerances."""
     for k in range(len(states)):
         for i in range(N):
             if not abs(states[k, i] - factored[k, i]) <= (_TURNED if i >= BODY else _MOVED) * times:
@@ -380,7 +380,7 @@ NOTHING, AS_SET, PREDICTED = range(3)
 
 
 class Rules(NamedTuple):
-    """What is the same for all windows of a smoother's kind."""
+    """Parameters shared by all windows of a smoother's kind."""
 
     has_body: bool
     has_head: bool
@@ -390,7 +390,7 @@ class Rules(NamedTuple):
 
 
 class Advanced(NamedTuple):
-    """What is found: of P windows."""
+    """Results of P windows."""
 
     fine: NDArray[np.bool_]  # (P,) whether all went well; else the window is as it was
     state: FloatArray  # (P, 6) of the newest frame, in the world

@@ -202,7 +202,7 @@ class _Descent:
     def _better(
         self, found: tuple[gtsam.Values, list[float], bool], elsewhere: gtsam.Values
     ) -> tuple[gtsam.Values, list[float], bool]:
-        """What was found, or what is from elsewhere, if that costs less."""
+        """Return the solution found, or the other one if it costs less."""
         values, costs, converged = self._optimize(elsewhere)
         if not costs[-1] < found[1][-1]:
             return found

@@ -1,4 +1,4 @@
-"""What compiled kernels say of the states that GTSAM found: other basins, and the modes of the couplings."""
+"""Compiled kernels applied to GTSAM's states: other basins, and coupling modes."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ class WindowView(_View):
 
 
 def _is_same(known: Step, step: Step) -> bool:
-    """Whether a step is one that was packed; the first of a window has lost its link to the one before."""
+    """Return True if a step was packed; the first of a window has lost its link to the one before."""
     return (
         known.index == step.index
         and known.observation is step.observation

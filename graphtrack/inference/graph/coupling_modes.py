@@ -1,4 +1,4 @@
-"""What a smoother of GTSAM's is guided by: the modes of the couplings, and the search for other basins."""
+"""Coupling modes and basin search for GTSAM's online smoothers."""
 
 from __future__ import annotations
 
@@ -147,14 +147,14 @@ class Guided:
         return steps[leaving(steps, self._lag) :]
 
     def _prior(self, recent: Sequence[Step]) -> MarginalPrior | None:
-        """What the graph knows about the first of the recent steps beside its factors."""
+        """Return the prior of the first recent step."""
         return self.graph.prior() if len(recent) == len(self.steps) else None
 
     def _states(self, steps: Sequence[Step]) -> FloatArray:
         return np.array([self.state(step) for step in steps])
 
     def _guided(self) -> Newest:
-        """What is known about the newest step once the couplings, and the basin, are those of the states."""
+        """Return the newest step's estimate once couplings and basin are those of the states."""
         if self._view is None:
             return self.graph.settled()
         recent = self._recent(self.steps)
@@ -212,7 +212,7 @@ class Guided:
         return self.graph.settled(), self._states(recent)
 
     def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
-        """Where a descent from states (n, 6) of a window ends, and the cost at each step."""
+        """Return the end of a descent from states (n, 6) of a window, and the cost at each step."""
         model, ordering = self._whole, gtsam.Ordering(keys_of(window.steps, self._whole))
         begun = values_of(window.steps, states, model)
         values, costs, _ = optimize(window_graph(window, model, self._couplings), begun, ordering, _SEARCH)
@@ -221,7 +221,7 @@ class Guided:
     # -- saved states --------------------------------------------------------------------------------------
 
     def window(self) -> Window:
-        """What another smoother needs to go on from here."""
+        """The window from which another smoother can resume."""
         window = self.graph.window()
         return window if self._view is None else replace(window, modes=self._view.before)
 
@@ -232,7 +232,7 @@ class Guided:
         self.graph.restore(window)
 
     def arrays(self) -> dict[str, FloatArray]:
-        """What makes the next estimates the same beside the window; see `resume`."""
+        """The arrays that reproduce the next estimates, in addition to the window; see `resume`."""
         own = {"search_from": np.array([self._search_from])}
         if self._couplings is not None:
             own["couplings"] = np.array([self._couplings[step.index] for step in self.steps])

@@ -84,7 +84,7 @@ class FixedLag:
             self._newest = None
 
     def settled(self) -> Newest:
-        """What is known about the newest step, once the window is solved."""
+        """The newest step's estimate, once the window is solved."""
         if self._newest is None:
             self._newest = self._solve(self._window)
         return self._newest
@@ -98,11 +98,11 @@ class FixedLag:
         vars(self).update(memory)
 
     def prior(self) -> MarginalPrior | None:
-        """What has left the window says about its first step."""
+        """The prior of the first step, from all that was marginalised."""
         return self._window.prior
 
     def window(self) -> Window:
-        """What another smoother needs to go on from here."""
+        """The window from which another smoother can resume."""
         return self._window
 
     def restore(self, window: Window) -> None:

@@ -180,7 +180,7 @@ class Isam2:
         return list(result.getNewFactorsIndices())
 
     def settled(self) -> Newest:
-        """What is known about the newest step, once none is too far from where it was linearised."""
+        """The newest step's estimate, once no step is too far from its linearisation point."""
         self._build_waiting()
         for _ in range(self._max_iterations - 1):
             if not self._farthest() * self._threshold > self._tolerance:
@@ -259,7 +259,7 @@ class Isam2:
         self.steps, self._anchor, self._waiting = list(window.steps), window.anchor, window
 
     def window(self) -> Window:
-        """What another smoother needs to go on from here: the linearisation points are its values."""
+        """The window from which another smoother can resume: the linearisation points are its values."""
         if self._waiting is not None:
             return self._waiting
         points = self.isam.getLinearizationPoint()
@@ -267,7 +267,7 @@ class Isam2:
         return Window(tuple(self.steps), values, self.prior(), self._anchor)
 
     def prior(self) -> MarginalPrior | None:
-        """What has left the window says about its first step, about where that is linearised."""
+        """The prior of the first step, from all that was marginalised, about its linearisation point."""
         if self._waiting is not None:
             return self._waiting.prior
         if not self._marginals:
@@ -280,7 +280,7 @@ class Isam2:
 
 
 def _parameters(thresholds: FloatArray) -> gtsam.ISAM2Params:
-    """What GTSAM is told; ``thresholds`` (6,) are those of a state's coordinates."""
+    """Return GTSAM's parameters; ``thresholds`` (6,) are those of a state's coordinates."""
     by_kind = gtsam.ISAM2ThresholdMap()
     for letter, part in (("x", slice(0, 2)), ("v", slice(2, 4)), ("b", slice(4, 5)), ("h", slice(5, 6))):
         by_kind.insert((letter, thresholds[part]))

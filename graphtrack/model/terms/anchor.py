@@ -1,4 +1,4 @@
-"""What holds orientations that nothing else does: a track's first, and those a model does not have."""
+"""Anchors of orientations that nothing else holds: a track's first, and those a model does not have."""
 
 from __future__ import annotations
 

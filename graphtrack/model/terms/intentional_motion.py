@@ -267,7 +267,7 @@ class IntentionalMotion(Motion):
         return False
 
     def pack(self, packed: PackedTracks) -> None:
-        """What white-noise acceleration packs, and the moments of each steered step."""
+        """Pack white-noise acceleration, and the moments of each steered step."""
         super().pack(packed)
         motion, records = self.parameters.motion, packed.records
         if motion.head_rate == 0.0:

@@ -110,7 +110,7 @@ def add_class_quarter_turns(
 
 @compiled
 def peaked_cost(close: float, kappa: float) -> float:
-    """What an observed angle costs without outliers, at a deviation whose cosine is ``close``."""
+    """Return the cost of an observed angle without outliers, at a deviation whose cosine is ``close``."""
     return kappa * (1.0 - close)
 
 
@@ -123,7 +123,7 @@ def softened_cost(close: float, kappa: float, uniform: float) -> float:
 
 @compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
-    """What `add_angle` costs at a deviation whose cosine is ``close``."""
+    """Return the cost of `add_angle` at a deviation whose cosine is ``close``."""
     if not any_of(uniform > 0.0):
         return peaked_cost(close, kappa)
     return choose(uniform > 0.0, softened_cost(close, kappa, uniform), peaked_cost(close, kappa))
@@ -169,7 +169,7 @@ def add_angle(
 def add_angle_quarter_turns(
     mean_cos: float, mean_sin: float, kappa: float, uniform: float, cos: float, sin: float, cost: FloatArray
 ) -> None:
-    """What an observed angle costs at a direction and one, two and three quarters on: two cosines are all."""
+    """Add the cost of an observed angle at a direction and at one, two and three quarter turns from it."""
     close = cos * mean_cos + sin * mean_sin
     across = sin * mean_cos - cos * mean_sin
     cost[0] += angle_cost(close, kappa, uniform)
@@ -325,7 +325,7 @@ class _PoseLikelihood(Term):
 
 
 class BodyLikelihood(_PoseLikelihood):
-    """What was seen of the body's orientation (Chen et al. 2011, eq. 14, smooth)."""
+    """Likelihood of the body's orientation (Chen et al. 2011, eq. 14, smooth)."""
 
     name: ClassVar[Variable] = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
@@ -337,7 +337,7 @@ class BodyLikelihood(_PoseLikelihood):
 
 
 class HeadLikelihood(_PoseLikelihood):
-    """What was seen of the head's pan (Chen et al. 2011, eq. 13, smooth; tilt is summed out before)."""
+    """Likelihood of the head's pan (Chen et al. 2011, eq. 13, smooth; tilt is summed out before)."""
 
     name: ClassVar[Variable] = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
