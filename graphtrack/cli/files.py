@@ -75,8 +75,8 @@ def _speeds(track: Track) -> Any:
     """Speeds (m/s) of a person along the smoothed path: differences of noisy positions are faster.
 
     The slopes of straight lines that are fitted by least squares to what was seen around each moment.
-    `evaluation.statistics.travel_velocity` cannot serve: it is the published mean of differences over a
-    number of frames, which is too noisy for a person who stands.
+    `travel_velocity` of Baxter et al.'s statistics cannot serve: it is the published mean of differences over
+    a number of frames, which is too noisy for a person who stands.
     """
     import numpy as np
 

@@ -1,1 +1,1 @@
-"""Forecasting."""
+"""Predicted paths of people, with calibrated spread."""

@@ -1,1 +1,1 @@
-"""Drawing."""
+"""People, trackers and their cues, drawn into frames."""

@@ -1,1 +1,1 @@
-"""Experiments."""
+"""The papers' experiments on pixels, for `graphtrack reproduce`."""

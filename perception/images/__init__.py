@@ -1,1 +1,1 @@
-"""Pictures and videos: read, checked, drawn on."""
+"""Pictures and videos, read, checked and written."""

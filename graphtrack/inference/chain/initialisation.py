@@ -326,7 +326,7 @@ def problem_of(packed: PackedTracks) -> Problem:
 
 
 def seen_in(packed: PackedTracks, model: Model) -> Seen:
-    """Observations from which initial orientations are computed."""
+    """Return the observations from which initial orientations are computed."""
     body, head = (
         vectors_of(packed.directions(name), packed.channel(f"{name}_likelihood"), len(packed.t))
         if has

@@ -37,7 +37,7 @@ class _View:
     Attributes
     ----------
     couplings : index of a step → what its factors read the couplings from
-    modes : (n, 3) as in `chain.result.Result`; NaN until `renew`
+    modes : (n, 3) as in `chain.newton.Result`; NaN until `renew`
     before : (2, ROW) probabilities of both couplings' modes in the frame before
     """
 
