@@ -8,9 +8,13 @@ import socket
 import time
 from contextlib import suppress
 
+import jsonschema
 import pytest
 from serving import everything, rows, serving, wait_until
 from websockets.exceptions import InvalidStatus
+
+import graphtrack
+from graphtrack.service.client import StreamClient
 
 HEAD = b"POST /v1/streams/%s HTTP/1.1\r\nHost: localhost\r\n"
 CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n"
@@ -254,11 +258,62 @@ def test_hosts_and_origins_may_be_allowed(tmp_path):
             pass
 
 
-def test_the_root_names_the_endpoints(service):
-    status, page = service.request("GET", "/")
-    assert status == 200
-    for address in ("/v1/streams/NAME", "/health", "/metrics", "serve.md"):
-        assert address in page
+def test_every_address_is_described(service):
+    document = json.loads(service.request("GET", "/openapi.json")[1])
+    _, root = service.request("GET", "/")
+    _, page = service.request("GET", "/docs")
+    for path, calls in document["paths"].items():
+        if path == "/":
+            continue
+        assert path.replace("{name}", "NAME") in root and path in page
+        if "{name}" not in path:
+            assert service.request("GET", path)[0] == 200
+        for method in {"get", "post", "delete"} - set(calls):
+            assert service.request(method.upper(), path.replace("{name}", "x"))[0] in (404, 405)
+    assert "http" not in page.replace("https://json-schema.org", "")  # nothing is loaded from elsewhere
+    assert json.loads(service.request("GET", "/version")[1]) == {"version": graphtrack.__version__}
+    assert json.loads(service.request("GET", "/ready")[1]) == {"status": "ready"}
+
+
+def test_rows_and_answers_follow_their_schemas(service):
+    schemas = json.loads(service.request("GET", "/openapi.json")[1])["components"]["schemas"]
+    sent = [json.loads(line) | {"head_deg": 10.0, "input_gaze": None} for line in rows(3)]
+    sent.append(sent[-1] | {"x": 1e300})
+    _, body = service.request("POST", "/v1/streams/schemas", "\n".join(map(json.dumps, sent)))
+    answers = [json.loads(line) for line in body.splitlines()]
+    assert len(answers) == len(sent) and "error" in answers[-1]
+    for answer in answers:
+        jsonschema.validate(answer, schemas["Answer"])
+    for row in sent[:-1]:
+        jsonschema.validate(row, schemas["Row"])
+    with pytest.raises(jsonschema.ValidationError, match=r"1e\+300"):
+        jsonschema.validate(sent[-1], schemas["Row"])
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "headers"),
+    [
+        ("GET", "/nowhere", {}),
+        ("PUT", "/v1/streams/x", {}),
+        ("GET", "/", {"Host": "evil.example"}),
+        ("GET", "/", FOREIGN),
+        ("DELETE", "/v1/streams/nobody", {}),
+        ("DELETE", "/v1/streams/-", {}),
+    ],
+)
+def test_errors_have_one_form(service, method, path, headers):
+    status, body = service.request(method, path, **headers)
+    assert status >= 400 and list(json.loads(body)) == ["error"]
+
+
+def test_the_client_of_a_resumed_stream_is_in_step(service):
+    url = f"ws://127.0.0.1:{service.port}/v1/streams/resumed"
+    sent, frames = [json.loads(line) for line in rows(8, people=1)], []
+    for part in (sent[:3], sent[3:]):
+        with StreamClient(url) as client:
+            frames += [answer["frame"] for answer in client.follow(part)]
+    assert frames == [row["frame"] for row in sent]
+    assert client.known_rows == 3 and all(answer["frame"] < 3 for answer in client.repeated)
 
 
 def test_a_client_that_reads_slowly_gets_every_answer(service):

@@ -239,7 +239,8 @@ TOKEN_FILE = ("--token-file", "token")
 @pytest.mark.parametrize(
     ("options", "token", "said"),
     [
-        (("--host", "203.0.113.7"), b"", "an address of this machine"),
+        (("--host", "203.0.113.7", *TOKEN_FILE), b"secret", "an address of this machine"),
+        (("--host", "0.0.0.0"), b"", "--host 0.0.0.0 without a token, expected --token-file"),
         (("--lag", "-1"), b"", "lag"),
         (("--allow-host", "http://x"), b"", "--allow-host http://x, expected"),
         (("--allow-host", "x:80"), b"", "--allow-host x:80, expected"),
