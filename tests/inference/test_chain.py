@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from costs import cost_around, free, gradient, hessian, stated_blocks, states_of
+from costs import cost_around, gradient, hessian, stated_blocks, states_of
 from random_tracks import contradicted, hard_models, lens_camera, random_parameters, random_track
 from scipy import stats
 from selection import others_slow
@@ -20,10 +20,7 @@ from graphtrack.inference.chain.initialisation import pack
 from graphtrack.inference.engines import engine_of
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.model import LikelihoodParameters, Model, Parameters, States, Term, presets
-from graphtrack.model.packing import PackedTracks
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.motion import Motion
-from graphtrack.model.terms.pose import BodyLikelihood
 from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -94,17 +91,6 @@ def test_the_optimum_is_that_of_gtsams_graph(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 def test_the_optimum_is_that_of_gtsams_graph_on_500_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     compare_with_gtsam(range(1000, 1500), len(PRESETS), monkeypatch)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_covariances_of_gaussian_factors_are_those_of_gtsams_marginals(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    track, parameters = random_track(rng), random_parameters(rng)
-    parameters = replace(parameters, likelihood=replace(parameters.likelihood, robust="none"))
-    model = Model("position", parameters)
-    found = smooth_track(track, model, engine="chain").track.covariance
-    expected = smooth_track(track, model, engine="gtsam").track.covariance
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("preset", others_slow(["separate", "joint"], ["joint"]))
@@ -220,36 +206,6 @@ def test_an_orientation_on_the_wrong_side_is_no_solution() -> None:
 
 
 @EVERY_PRESET
-@pytest.mark.parametrize("seed", range(2))
-def test_nine_tenths_of_the_frames_are_missing(preset: str, seed: int) -> None:
-    rng, track = np.random.default_rng(seed), walk(30, seed=seed, uneven=True)
-    missing = rng.permutation(30) > 2
-    for name in ("position", "body", "head"):
-        track = without(track, name, missing)
-    model = Model(preset)
-    found = smooth_track(track, model, engine="chain")
-    assert found.converged
-    columns = free(model)
-    slope = gradient(cost_around(states_of(found.track), track, model), 30 * len(columns))
-    assert np.abs(slope).max() < 1e-4
-    for block in found.track.covariance[:, columns][:, :, columns]:
-        assert np.linalg.eigvalsh(block).min() > 0.0
-
-
-@EVERY_PRESET
-def test_tracks_of_very_different_lengths_come_out_as_alone(preset: str) -> None:
-    lengths = [1, 3000, 2, 1, 40]
-    tracks = [walk(n, seed=k, track_id=k, classes=k == 4) for k, n in enumerate(lengths)]
-    model = Model(preset)
-    together = solve(TrackSet(tuple(tracks)), model, engine="chain", jobs=2)
-    for track, found in zip(tracks, together, strict=True):
-        assert isinstance(found, Solution)
-        alone = smooth_track(track, model, engine="chain")
-        assert alone.cost == pytest.approx(found.cost, rel=1e-12)
-        assert distance(alone.track, found.track) < 1e-9
-
-
-@EVERY_PRESET
 def test_far_from_the_origin_estimates_are_as_exact_as_near_it(preset: str) -> None:
     far, model = np.array([1e7, -1e7]), Model(preset)
     # What a double holds of 1e7 m is 2e-9 m.
@@ -310,26 +266,6 @@ def test_a_term_without_a_kernel_is_gtsams_work() -> None:
         smooth_track(track, model, engine="chain")
     with pytest.raises(InputError, match="Homesick"):
         solve(TrackSet((track,)), model, engine="chain")
-
-
-class OneWay(Homesick):
-    """A compiled term of a user's own beside positions: whoever moves, moves along the world's x."""
-
-    fields = (*BodyLikelihood.fields, *BodyFollowsMotion.fields)
-    kernels = (*BodyLikelihood.kernels, *BodyFollowsMotion.kernels)
-
-    def pack(self, packed: PackedTracks) -> None:
-        packed.records["seen_body_cos"], packed.records["body_kappa"] = 1.0, 1e6
-        packed.records["motion_body_cos"], packed.records["motion_body_kappa"] = 1.0, 1e4
-
-
-def test_a_further_compiled_term_is_not_left_out_of_a_linear_model() -> None:
-    track = walk(20)
-    across = [
-        float(np.abs(smooth_track(track, model, engine="chain").track.velocity[:, 1]).max())
-        for model in (Model("position"), Model("position", terms=[OneWay]))
-    ]
-    assert across[1] < 0.05 * across[0]
 
 
 def test_a_term_is_linear_only_if_its_own_class_says_so() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from walks import walk
@@ -26,16 +28,8 @@ def test_the_sweeps_solve_the_chain() -> None:
         dense[6 * k + 6 : 6 * k + 12, 6 * k : 6 * k + 6] = links[k].T
     memory, hessians = workspace(n), [block.copy() for block in blocks]
     for k in range(n - 1):
-        assert eliminate(
-            hessians[k],
-            np.zeros(6),
-            links[k],
-            hessians[k + 1],
-            np.zeros(6),
-            memory.inverse[k],
-            memory.link[k],
-            memory.solution[k],
-        )
+        here, there = (hessians[k], np.zeros(6)), (hessians[k + 1], np.zeros(6))
+        assert eliminate(*here, links[k], *there, memory.inverse[k], memory.link[k], memory.solution[k])
     assert invert_cholesky(hessians[-1], memory.inverse[n - 1])
     states, spread = rng.normal(0.0, 1.5, (n, 6)), rng.uniform(0.1, 2.0, (n, 2))
     for coupling in (BODY_MODE, HEAD_MODE):
@@ -71,13 +65,10 @@ def test_a_pull_is_the_derivative_of_the_coupling_by_its_offset() -> None:
 def test_modes_in_doubt_widen_and_modes_that_are_known_do_not() -> None:
     track = walk(20, dt=0.4, angle_kappa=1.0, noise=0.1, seed=3)
     full = Model("full")
-    given = full.parameters
-    from dataclasses import replace
-
-    sure = replace(
-        given.gait, body_aligned=1.0, head_aligned=1.0, body_spread=1e-6, head_spread=1e-6, body_switching=0.0
-    )
-    known = full.with_parameters(replace(given, gait=replace(sure, head_switching=0.0)))
+    sure = {"aligned": 1.0, "spread": 1e-6, "switching": 0.0}
+    both = {f"{of}_{name}": value for name, value in sure.items() for of in ("body", "head")}
+    gait = replace(full.parameters.gait, **both)
+    known = full.with_parameters(replace(full.parameters, gait=gait))
     wide, narrow = (smooth_track(track, model).track.covariance for model in (full, known))
     assert (wide[:, 4, 4] > 1.1 * narrow[:, 4, 4]).mean() > 0.9
     for covariance in (wide, narrow):

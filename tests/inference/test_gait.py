@@ -1,12 +1,11 @@
 """Modes of the couplings: people who side-step, people who do not, and the recursion behind it."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gaits import FPS, people
+from gaits import FPS, errors, people
 from mode_recursions import both_ways
 from scipy import special
 
@@ -17,7 +16,6 @@ from graphtrack.geometry.angles import (
     class_kappa,
     difference,
     direction,
-    mean_absolute_error,
     unit,
     wrap,
 )
@@ -34,19 +32,6 @@ from graphtrack.smoothing import solve, track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 GAIT = gait_of(Parameters().gait)
-
-
-def errors(tracks: Iterable[Track], found: list) -> np.ndarray:
-    """Mean errors of body and head in degrees."""
-    return np.degrees(
-        np.mean(
-            [
-                [mean_absolute_error(e.body, t.true_body), mean_absolute_error(e.head, t.true_head)]
-                for t, e in zip(tracks, found, strict=True)
-            ],
-            axis=0,
-        )
-    )
 
 
 def smoothed(tracks: TrackSet, model: str) -> list[Track]:
@@ -86,25 +71,10 @@ def test_a_change_of_mode_is_followed() -> None:
     for one, other in zip(first, second, strict=True):
         n = len(one)
         shift = one.true_position[-1] - other.true_position[0]
-        both = replace(
-            one,
-            frame=np.arange(2 * n),
-            t=np.arange(2 * n) / FPS,
-            position=np.vstack([one.position, other.position + shift]),
-            true_position=np.vstack([one.true_position, other.true_position + shift]),
-            **{
-                name: np.concatenate([getattr(one, name), getattr(other, name)])
-                for name in (
-                    "position_std",
-                    "body",
-                    "body_kappa",
-                    "head",
-                    "head_kappa",
-                    "true_body",
-                    "true_head",
-                )
-            },
-        )
+        names = ("position_std", "body", "body_kappa", "head", "head_kappa")
+        joined = {name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
+        position = np.vstack([one.position, other.position + shift])
+        both = Track(0, np.arange(2 * n), np.arange(2 * n) / FPS, position, **joined)
         found = smooth_track(both, Model("full")).track
         assert found.aligned_p[n + 30 :].mean() < 0.3
         assert found.aligned_p[: n - 30].mean() > found.aligned_p[n + 30 :].mean() + 0.2
@@ -133,24 +103,6 @@ def test_classes_tell_the_mode_as_angles_do() -> None:
     found = smoothed(tracks.map(classified), "full")
     offsets = np.concatenate([one.gait_offset[15:-15] for one in found])
     assert np.degrees(np.abs(difference(offsets, np.radians(120.0)))).mean() < 15.0
-
-
-# Files and engines.
-
-
-def test_modes_stand_in_the_files(tmp_path: Path) -> None:
-    tracks = people(np.radians(90.0), 2, seed=11, seconds=2.0)
-    estimates = gt.smooth(tracks, "full")
-    for name in ("out.csv", "out.parquet"):
-        gt.write(estimates, tmp_path / name)
-        for back, one in zip(gt.read(tmp_path / name), estimates, strict=True):
-            np.testing.assert_array_equal(back.aligned_p, one.aligned_p)
-            np.testing.assert_allclose(back.gait_offset, one.gait_offset, rtol=1e-14)
-    table = estimates.to_table()
-    np.testing.assert_allclose(
-        table["gait_offset_deg"], np.degrees(np.concatenate([one.gait_offset for one in estimates]))
-    )
-    assert "aligned_p" not in gt.smooth(tracks, "joint").to_table()
 
 
 # Online.
@@ -255,7 +207,7 @@ def test_no_glance_goes_beyond_the_reach_of_the_neck() -> None:
     assert GAIT.body.glance_share == 0.0
 
 
-@pytest.mark.parametrize("kappa", [0.0, 0.7, 5.0])
+@pytest.mark.parametrize("kappa", [0.0, 5.0])
 def test_offsets_are_drawn_about_0_with_their_concentration(kappa: float) -> None:
     modes = gait_of(GaitParameters(head_offset_kappa=kappa)).head
     assert modes.anywhere.sum() == pytest.approx(1.0)
@@ -286,11 +238,10 @@ def test_a_lead_that_is_not_known_adds_its_variance() -> None:
 
 
 def test_drift_has_the_variance_it_says() -> None:
-    modes = GAIT.body._replace(switching=0.0, drift=0.05)
-    row = transition(modes, 2.0)[0, :BINS]
-    angles = 2.0 * np.pi * np.arange(BINS) / BINS
+    row = transition(GAIT.body._replace(switching=0.0, drift=0.05), 2.0)[0, :BINS]
     # A diffused point has the mean resultant length exp(−variance/2), up to the width of a bin.
-    assert np.log(row @ np.cos(angles)) == pytest.approx(-0.5 * 0.05 * 2.0, rel=0.02)
+    mean = row @ np.cos(2.0 * np.pi * np.arange(BINS) / BINS)
+    assert np.log(mean) == pytest.approx(-0.5 * 0.05 * 2.0, rel=0.02)
 
 
 @pytest.mark.parametrize("coupling", ["body", "head"])

@@ -13,13 +13,9 @@ from walks import walk
 
 from graphtrack.geometry.angles import difference
 from graphtrack.inference import OnlineSmoother, smooth_track
-from graphtrack.inference.chain.initialisation import pack
-from graphtrack.inference.graph.chain_view import couplings_of
-from graphtrack.inference.graph.coupling_modes import Guided
 from graphtrack.model import Model, Step, Term
-from graphtrack.model.factors import COUPLED, von_mises_prior
+from graphtrack.model.factors import von_mises_prior
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.intentional_motion import steered_step
 from graphtrack.tracks.track import Track
 
 GTSAM_ENGINES = pytest.mark.parametrize(
@@ -117,51 +113,6 @@ def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any
     assert found.aligned_p == pytest.approx(whole[-1].aligned_p, abs=1e-3)
 
 
-@pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])
-def test_couplings_of_what_has_left_the_window_are_forgotten(engine: Any) -> None:
-    smoother = OnlineSmoother("full", engine=engine, lag=0.5)
-    for seen in observations(side_stepping(2.0)):
-        smoother.update(seen)
-    guided = smoother._smoother
-    assert isinstance(guided, Guided) and guided._couplings is not None
-    assert guided._couplings.keys() == {step.index for step in guided.steps}
-
-
-def test_a_step_that_nothing_steers_is_one_of_white_noise() -> None:
-    packed = pack([walk(5, uneven=True)], Model("full"))
-    packed.records["steer_gain"] = 0.0
-    rows = np.array(couplings_of(packed.records))
-    moments = steered_step(packed.dt[1:], 0.0)
-    scale = packed.records["motion_information"][1:] / (moments.place * moments.spread - moments.cross**2)
-    expected = [moments.reach, moments.spread * scale, -moments.cross * scale, moments.place * scale]
-    np.testing.assert_allclose(rows[1:, COUPLED.index("steer_reach") :].T, expected)
-
-
-class Unknown(Term):
-    """A term without kernels: the chain cannot follow it."""
-
-    def cost(self, states: Any, track: Track, camera: Any = None) -> float:
-        return 0.0
-
-    def factors(self, step: Step) -> Sequence[Any]:
-        return []
-
-
-def test_modes_beside_a_term_that_has_no_kernel() -> None:
-    """Every engine of GTSAM's takes it, and one that says nothing changes nothing."""
-    track, model = side_stepping(1.0), Model("full", terms=[Unknown])
-    one, other = (smooth_track(track, m, engine="gtsam").track for m in (model, Model("full")))
-    np.testing.assert_allclose(states(one), states(other), atol=1e-9)
-    assert OnlineSmoother(model).engine == "isam2"
-    for engine in ("isam2", "fixed-lag"):
-        smoothers = [OnlineSmoother(m, engine=engine) for m in (model, Model("full"))]
-        for seen in observations(track):
-            found, expected = (smoother.update(seen) for smoother in smoothers)
-        assert found.status == "new"
-        np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
-        assert found.aligned_p == pytest.approx(expected.aligned_p)
-
-
 class Aside(Term):
     """A custom factor without a kernel: the head is near a direction of its own, with κ = 20."""
 
@@ -181,3 +132,4 @@ def test_a_term_without_a_kernel_pulls_beside_modes(engine: Any, lag: Any) -> No
     for seen in observations(track):
         pulled, free = (smoother.update(seen) for smoother in with_it)
     assert abs(difference(pulled.head, 2.6)) < 0.5 * abs(difference(free.head, 2.6))
+    assert OnlineSmoother(model).engine == "isam2"  # the chain cannot follow it

@@ -12,7 +12,6 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.formats.caviar import lobby_camera
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
@@ -35,12 +34,9 @@ def test_frame_rates(format: str, fps: float, tmp_path: Path) -> None:
             np.testing.assert_allclose(track.t, track.frame / rate)
 
 
-def test_the_frame_rate_of_eth_follows_the_step_of_its_frames(tmp_path: Path) -> None:
-    track = next(iter(io.read(sample_of("eth").write(tmp_path))))
-    np.testing.assert_allclose(np.diff(track.t), 0.4)
-
-
-def test_the_frame_rate_of_mot_from_seqinfo(tmp_path: Path) -> None:
+def test_frame_rates_of_eth_follow_the_step_of_its_frames_and_of_mot_seqinfo(tmp_path: Path) -> None:
+    for track in io.read(sample_of("eth").write(tmp_path)):
+        np.testing.assert_allclose(np.diff(track.t), 0.4)
     path = sample_of("mot").write(tmp_path)
     (path.parent / "seqinfo.ini").write_text("[Sequence]\nname=made\nframeRate=14\n")
     np.testing.assert_allclose(io.read(path)[1].t * 14, io.read(path)[1].frame)
@@ -80,10 +76,6 @@ def test_ucy_is_turned_right_handed(tmp_path: Path) -> None:
     # (x, y) = (−50, 30) is (row, column) = (258, 310); the made-up homography takes that to (7.2, 5.66).
     np.testing.assert_allclose(tracks[0].position[0], [7.2, -5.66])
     assert all(track.head is None for track in tracks)
-
-
-def test_ucy_control_points_of_one_frame_are_counted(tmp_path: Path) -> None:
-    path = sample_of("ucy").write(tmp_path)
     path.write_bytes(ucy().replace(b" 25 90.0", b" 0 90.0", 1))
     assert io.read(path).summary.refused == {"second control point of a spline in one frame": 1}
 
@@ -108,10 +100,6 @@ def test_ucy_obstacles_after_the_splines_are_read_past(tmp_path: Path) -> None:
     assert tracks.summary.rows_read == plain.summary.rows_read
     for one, other in zip(plain, tracks, strict=True):
         np.testing.assert_array_equal(one.position, other.position)
-
-
-def test_what_is_no_obstacle_after_the_splines_is_refused(tmp_path: Path) -> None:
-    path = sample_of("ucy").write(tmp_path)
     path.write_bytes(ucy() + b"7 - number of people\n")
     with pytest.raises(InputError) as caught:
         io.read(path)
@@ -136,15 +124,6 @@ def test_caviar_feet_shoulders_and_gaze(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.rad2deg(track.body), 90.0 - np.rad2deg(np.arctan2(2, 12)), atol=1e-9)
     gaze = np.deg2rad([0.0, 30.0, np.nan, 90.0, 120.0, 150.0])
     np.testing.assert_allclose(track.head, gaze, atol=1e-9)
-
-
-def test_a_person_in_the_lobby_stretches_away_from_the_pixel_below_the_camera() -> None:
-    camera = lobby_camera()
-    assert not camera.is_mirrored
-    below = camera.ground_to_image(camera.optical_centre_on_ground)
-    nearer = camera.image_to_ground([[200.0, 150.0], [100.0, 100.0]])
-    assert np.linalg.norm(nearer[0]) < np.linalg.norm(nearer[1])
-    assert np.linalg.norm(below - [295.0, 221.0]) < 60.0
 
 
 def test_kitti_brings_a_standing_person_to_one_place_from_a_moving_camera(tmp_path: Path) -> None:

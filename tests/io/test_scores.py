@@ -43,16 +43,10 @@ def test_scores_keep_the_order_and_are_never_negative(confidences: list[float]) 
         assert not any(note.startswith(NEGATIVE) for note in rows.notes)
 
 
-def test_huge_log_odds_are_sure() -> None:
-    np.testing.assert_array_equal(rows_of([-1e9, 0.0, 1e9]).channels["score"], [0.0, 0.5, 1.0])
-
-
 @pytest.mark.parametrize(("confidences", "identity"), [([-1.0, -1.0], -1), ([0.3, -0.7], 4)])
-def test_where_nothing_is_said_there_is_no_score(confidences: list[float], identity: int) -> None:
+def test_confidences_that_say_nothing_much_or_too_much(confidences: list[float], identity: int) -> None:
     assert "score" not in rows_of(confidences, identity).channels
-
-
-def test_a_confidence_beyond_all_reason_is_an_error() -> None:
+    np.testing.assert_array_equal(rows_of([-1e9, 0.0, 1e9]).channels["score"], [0.0, 0.5, 1.0])  # log odds
     with pytest.raises(InputError, match="line 2, column confidence"):
         rows_of([1.0, 1e30])
 

@@ -52,18 +52,16 @@ def test_identities_are_kept_under_their_common_names(tmp_path, suffix, name):
     assert any("as track_id" in note for note in tracks.summary.notes)
 
 
-def test_a_unit_in_the_name_counts(tmp_path):
-    table = [
-        row | {"time_ms": 1000 * row.pop("t"), "pos_x_cm": 100 * row.pop("x"), "pos_y_cm": 100 * row.pop("y")}
-        for row in rows({"t": "t", "track_id": "id", "x": "x", "y": "y"})
-    ]
-    is_read(gt.read(written(table, tmp_path / "a.csv")))
-
-
-def test_native_columns_are_what_they_are(tmp_path):
-    native = {key: key for key in ("t", "track_id", "frame", "x", "y")}
-    table = [row | {"id": 1, "time": 5.0, "pos_x": 0.0} for row in rows(native)]
-    is_read(gt.read(written(table, tmp_path / "a.csv")))
+def test_units_in_names_count_and_native_columns_are_what_they_are(tmp_path):
+    table = rows({"t": "t", "track_id": "id", "x": "x", "y": "y"})
+    factors = {"id": ("id", 1), "t": ("time_ms", 1000), "x": ("pos_x_cm", 100), "y": ("pos_y_cm", 100)}
+    units = [{name: of * row[key] for key, (name, of) in factors.items()} for row in table]
+    is_read(gt.read(written(units, tmp_path / "a.csv")))
+    native = rows({name: name for name in ("t", "track_id", "frame", "x", "y")})
+    both = [row | {"id": 1, "time": 5.0, "pos_x": 0.0} for row in native]
+    is_read(gt.read(written(both, tmp_path / "a.csv")))
+    path = written(rows({"frame": "frame", "track_id": "device", "x": "x", "y": "y"}), tmp_path / "a.csv")
+    assert any("'device' may be an identity" in note for note in gt.read(path, fps=10).summary.notes)
 
 
 def test_two_names_of_one_column_are_an_error(tmp_path):
@@ -71,12 +69,6 @@ def test_two_names_of_one_column_are_an_error(tmp_path):
     with pytest.raises(InputError, match=r"'id' and 'person'.*--columns id=NAME"):
         gt.read(written(table, tmp_path / "a.csv"), fps=10)
     is_read(gt.read(tmp_path / "a.csv", fps=10, columns="id=id"))
-
-
-def test_what_may_be_an_identity_is_not_ignored_in_silence(tmp_path):
-    path = written(rows({"frame": "frame", "track_id": "device", "x": "x", "y": "y"}), tmp_path / "a.csv")
-    notes = gt.read(path, fps=10).summary.notes
-    assert any("'device' may be an identity" in note and "--columns id=device" in note for note in notes)
 
 
 def test_pixels_are_never_taken_for_metres():

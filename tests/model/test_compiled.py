@@ -18,27 +18,15 @@ module = sys.modules["graphtrack.kernels.compilation"]  # the package has the fu
 PACKAGES = [Path(__file__).parents[2] / name for name in ("graphtrack", "perception")]
 
 
-def test_what_makes_arrays_has_to_say_so() -> None:
+def test_what_makes_arrays_or_hands_them_back_has_to_say_so() -> None:
     def total(n: int) -> float:
         return float(np.ones(n).sum())
 
     with pytest.raises(numba.core.errors.NumbaError, match=r"NRT required|Only accept returning"):
         compiled(total)(3)
+    of_arrays = allocating(total)
+    assert compiled(lambda n: 2.0 * of_arrays(n))(3) == 6.0
 
-
-def test_an_allocating_function_may_be_called_by_one_that_is_not() -> None:
-    @allocating
-    def total(n: int) -> float:
-        return float(np.ones(n).sum())
-
-    @compiled
-    def twice(n: int) -> float:
-        return 2.0 * total(n)
-
-    assert twice(3) == 6.0
-
-
-def test_what_hands_arrays_back_has_to_say_so() -> None:
     def rest(values: np.ndarray) -> np.ndarray:
         return values[1:]
 

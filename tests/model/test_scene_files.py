@@ -28,13 +28,9 @@ def test_what_is_known_of_a_scene_loads_as_it_was_saved(tmp_path: Path, known: d
     assert ("scene" in tomllib.loads(path.read_text("utf-8"))) == bool(known)
 
 
-def test_all_parameters_are_known_where_all_are_given() -> None:
+def test_a_scene_stays_with_a_model_whose_parameters_change() -> None:
     scene = gt.SceneParameters(detection_probability=0.7)
     assert gt.Model(scene=scene).scene == asdict(scene)
-    assert gt.SceneParameters(**gt.Model(scene=scene).scene) == scene
-
-
-def test_a_scene_stays_with_a_model_whose_parameters_change() -> None:
     model = gt.Model("position", scene={"death_rate": 0.2})
     assert model.with_parameters(gt.Parameters()).scene == {"death_rate": 0.2}
     assert model.with_scene(None).scene == {}

@@ -19,7 +19,7 @@ from scipy import stats
 from scipy.linalg import expm
 from walks import scores
 
-from graphtrack.geometry.angles import class_centres, class_kappa, unit
+from graphtrack.geometry.angles import class_kappa, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.initialisation import pack, problem_of
@@ -574,13 +574,6 @@ def test_a_mixture_is_what_scipy_says(data: st.DataObject) -> None:
     (found,) = mixture_log_density(np.array([angle]), means, weights[None], kappa, uniform)
     assert found == pytest.approx(np.logaddexp.reduce(logs), abs=1e-8 + 1e-11 * kappa)
     assert found <= highest_log_density(kappa, uniform) + 1e-9
-
-
-@pytest.mark.parametrize("n_classes", [8, 12])
-def test_equal_class_scores_say_next_to_nothing(n_classes: int) -> None:
-    angles, weights = np.linspace(-PI, PI, 1001), np.ones((1001, n_classes))
-    costs = mixture_log_density(angles, class_centres(n_classes), weights, class_kappa(n_classes), 0.0)
-    assert np.ptp(costs) < 0.05
 
 
 def test_scores_that_are_all_zero_say_nothing() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from graphtrack.geometry.angles import unit, wrap
+from graphtrack.geometry.angles import mean_absolute_error, unit, wrap
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -22,3 +24,10 @@ def people(offset: float, count: int, seed: int, seconds: float = 6.0, head: flo
         body = wrap(course + offset)
         tracks.append(Track(i, np.arange(len(t)), t, position, body=body, head=wrap(body + head)))
     return add_noise(TrackSet(tuple(tracks)), position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=rng)
+
+
+def errors(tracks: Iterable[Track], found: Iterable[Track]) -> np.ndarray:
+    """Mean errors of body and head, in degrees."""
+    pairs, names = list(zip(tracks, found, strict=True)), ("body", "head")
+    of = [[mean_absolute_error(getattr(e, a), getattr(t, f"true_{a}")) for t, e in pairs] for a in names]
+    return np.degrees(np.mean(of, axis=1))
