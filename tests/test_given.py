@@ -168,15 +168,17 @@ SEEN = {
 }
 
 
-@pytest.mark.parametrize("engine", ["chain", "fixed-lag"])
-def test_an_observation_that_no_engine_could_use_names_its_channel(engine) -> None:
-    smoother = gt.OnlineSmoother("separate", engine=engine)
-    good = {"t": 0.0, "position": (0.0, 0.0)}
-    for name, values in SEEN.items():
-        for value in values:
-            said = refused(smoother.update, gt.Observation(**good | {name: value}))
-            assert said.startswith(f"found {name} = ") and "number" in said
-    assert smoother.update(gt.Observation(0.0, position=(0.0, 0.0))).status == "new"
+@pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
+def test_an_observation_that_no_engine_could_use_names_its_channel_and_changes_nothing(engine) -> None:
+    smoother, plain = (gt.OnlineSmoother("separate", engine=engine) for _ in range(2))
+    seen = [{"t": 0.1 * k, "position": (0.1 * k, 0.0), "head": 0.2} for k in range(6)]
+    for k, good in enumerate(seen):
+        for name, values in SEEN.items() if k == 3 else ():
+            for value in values:
+                said = refused(smoother.update, gt.Observation(**good | {name: value}))
+                assert said.startswith(f"found {name} = ") and "number" in said
+        found, expected = (one.update(gt.Observation(**good)) for one in (smoother, plain))
+        np.testing.assert_array_equal(found.covariance, expected.covariance)
 
 
 def test_what_cannot_be_read_or_written_is_refused(path, tmp_path) -> None:

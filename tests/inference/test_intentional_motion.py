@@ -22,7 +22,6 @@ from graphtrack.model import Model, MotionParameters, OrientationParameters, Par
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.simulation.degrade import add_noise, occlude, withhold
-from graphtrack.simulation.sampling import simulate
 from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import Track
 
@@ -89,25 +88,6 @@ def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
     expected = whole[n:, n:] - whole[n:, :n] @ np.linalg.solve(whole[:n, :n], whole[:n, n:])
     left = memory.scratch[2][np.ix_(columns, columns)]
     np.testing.assert_allclose(np.tril(left), np.tril(expected), rtol=1e-3, atol=1e-4 * expected.max())
-
-
-@STEERED
-def test_people_who_are_steered_are_simulated_so(preset: str) -> None:
-    tracks = simulate(preset, n_tracks=300, n_steps=30, fps=10.0, rng=np.random.default_rng(1))
-    assert all((track.body is None) == (preset == "intentional") for track in tracks)
-    towards = [
-        [
-            np.dot(track.true_position[k + 2] - track.true_position[k], unit(track.true_head[k]))
-            for k in (0, 27)
-        ]
-        for track in tracks
-    ]
-    first, last = np.mean(towards, axis=0)
-    if preset == "intentional":
-        # They begin anyhow, and come to go where they look.
-        assert last > first + 0.1
-    else:
-        assert min(first, last) > 0.1
 
 
 @pytest.mark.slow

@@ -49,7 +49,6 @@ def scene(seed: int) -> list[Track]:
 
 
 def without_classes(track: Track) -> Track:
-    """What is seen of somebody, without what classifiers said."""
     return replace(track, body_likelihood=None, head_likelihood=None)
 
 
@@ -81,29 +80,18 @@ def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
     assert all(has_lanes(Model(preset)) for preset in ("position", "separate", "joint-body", "joint", "full"))
     assert has_lanes(Model("joint", terms=[PlacePrior]))
     assert not has_lanes(Model("joint", terms=[Uphill]))
+    types = pack([walk(5)], Model("full")).records.dtype
+    robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
+    for model in (Model("joint"), Model("position", robust)):  # the linear terms do not do
+        assert pack_to_solve([walk(5)], model).records.dtype == types
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])
-def test_a_track_is_solved_to_the_last_bit_as_if_it_were_alone(
-    preset: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(batch, "LARGE", 0)
-    model, tracks = Model(preset), scene(1)
-    together = solve(TrackSet(tuple(replace(track, track_id=k) for k, track in enumerate(tracks))), model)
-    for k in (0, 3, len(tracks) - 1):
-        (alone,), beside = solve(TrackSet((tracks[k],)), model), together[k]
-        assert isinstance(alone, Solution)
-        assert isinstance(beside, Solution)
-        assert (alone.cost, alone.iterations) == (beside.cost, beside.iterations)
-        np.testing.assert_array_equal(alone.track.position, beside.track.position)
-        np.testing.assert_array_equal(alone.track.covariance, beside.track.covariance)
-
-
-@pytest.mark.parametrize("preset", ["joint", "full"])
-@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("seed", [2, 3, 4, 5])
 def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int) -> None:
     tracks, rng = scene(seed), np.random.default_rng(seed)
-    model = Model(preset, random_parameters(rng) if seed > 2 else None)
+    parameters = random_parameters(rng) if seed in (3, 4) else None
+    model = Model(preset, parameters, terms=[PlacePrior] if seed == 5 else [])
     beside = solve_packed(pack(tracks, model), model, in_lanes=True)
     by_itself = solve_packed(pack(tracks, model), model)
     np.testing.assert_array_equal(beside.status, by_itself.status)
@@ -122,6 +110,9 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
     monkeypatch.setattr(batch, "LARGE", 1)
     beside = solve(TrackSet(tracks), "joint", progress=done.append)
     assert sum(done) == sum(map(len, tracks))
+    (alone,) = solve(TrackSet(tracks[3:4]), "joint")  # the same to the last bit
+    assert (alone.cost, alone.iterations) == (beside[3].cost, beside[3].iterations)
+    np.testing.assert_array_equal(alone.track.covariance, beside[3].track.covariance)
     for k, (found, expected) in enumerate(zip(beside, one_by_one, strict=True)):
         assert isinstance(found, Solution)
         assert found.track.track_id == k
@@ -202,19 +193,3 @@ def test_positions_of_many_tracks_are_those_of_one_and_calibrated() -> None:
                 getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-14, err_msg=name
             )
         assert np.isfinite(found.states[:, :4]).all() and np.isnan(found.states[:, 4:]).all()
-
-
-def test_records_of_all_terms_are_packed_where_the_linear_ones_do_not_do() -> None:
-    tracks = [walk(5)]
-    types = pack(tracks, Model("full")).records.dtype
-    assert pack_to_solve(tracks, Model("joint")).records.dtype == types
-    robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
-    assert pack_to_solve(tracks, Model("position", robust)).records.dtype == types
-    assert pack_to_solve(tracks, Model("position")).records.dtype != types
-
-
-def test_every_term_of_the_package_is_solved_in_lanes() -> None:
-    tracks = scene(5)
-    model = Model("full", terms=[PlacePrior])
-    beside, by_itself = (solve_packed(pack(tracks, model), model, in_lanes=way) for way in (True, False))
-    np.testing.assert_allclose(beside.cost, by_itself.cost, rtol=1e-6, atol=1e-6)

@@ -344,33 +344,6 @@ def test_a_factor_that_breaks_later_is_rolled_back_too(
         assert_same(smoother.update(observation), plain.update(observation), REBUILT[engine])
 
 
-@EVERY_ENGINE
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"t": np.nan},
-        {"t": np.inf},
-        {"position": (np.nan, 1.0)},
-        {"pixel": (np.inf, 1.0)},
-        {"position_std": 0.0},
-        {"body": np.nan},
-        {"head_kappa": -1.0},
-        {"body_likelihood": (1.0, -0.1, *[0.0] * 6)},
-        {"head_likelihood": (np.nan, *[0.0] * 11)},
-    ],
-    ids=lambda bad: next(iter(bad)),
-)
-def test_unusable_observations_are_refused_and_change_nothing(engine: Any, bad: dict[str, Any]) -> None:
-    seen = list(observations(walk(12, seed=16)))
-    smoother, plain = (OnlineSmoother("joint", engine=engine) for _ in range(2))
-    run(smoother, seen[:6])
-    run(plain, seen[:6])
-    with pytest.raises(InputError, match=next(iter(bad))):
-        smoother.update(replace(seen[6], **bad))
-    for observation in seen[6:]:
-        assert_same(smoother.update(observation), plain.update(observation), 0.0)
-
-
 def test_a_pixel_above_the_horizon_is_refused() -> None:
     camera = GroundCamera.from_homography([[0.02, 0.0, -6.0], [0.0, -0.03, 14.0], [0.0, 0.01, -1.0]])
     smoother = OnlineSmoother("joint", engine="fixed-lag", camera=camera)

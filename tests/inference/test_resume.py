@@ -153,5 +153,4 @@ def test_what_is_remembered_of_intervals_does_not_show() -> None:
     for observation in seen[:3]:
         whole.update(observation)
     resumed = OnlineSmoother.from_state(through_json(whole.state()), "joint", engine="chain", lag=0.15)
-    for observation in seen[3:]:
-        assert bits(resumed.update(observation)) == bits(whole.update(observation))
+    assert all(bits(resumed.update(one)) == bits(whole.update(one)) for one in seen[3:])

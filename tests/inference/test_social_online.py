@@ -12,7 +12,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.association.tracker import PersonEstimate
-from graphtrack.geometry.angles import FloatArray, mean_absolute_error, unit, wrap
+from graphtrack.geometry.angles import FloatArray, mean_absolute_error, wrap
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.model import Model, Observation
@@ -60,33 +60,6 @@ def test_the_future_makes_no_difference() -> None:
     before = gt.track_online(seen.map(lambda track: track[:12]), "social")
     for one, other in zip(before, whole, strict=True):
         np.testing.assert_array_equal(one.body, other.body[:12])
-
-
-def walkers(people: int) -> TrackSet:
-    """Some who walk side by side, of whom positions alone are seen, from the first frame on."""
-    rng, frame = np.random.default_rng(5), np.arange(60)
-    t = 0.2 * frame
-    found = []
-    for k in range(people):
-        position = np.column_stack([1.3 * t, np.full(60, 0.8 * k)]) + 0.05 * rng.standard_normal((60, 2))
-        found.append(Track(k, frame, t, position))
-    return TrackSet(tuple(found))
-
-
-@pytest.mark.parametrize("people", [1, 3])
-def test_who_walks_or_is_alone_is_as_without_groups(people: int) -> None:
-    one, other = (gt.track_online(walkers(people), model) for model in ("full", "social"))
-    for a, b in zip(one, other, strict=True):
-        np.testing.assert_allclose(wrap(a.body - b.body), 0.0, atol=0.02)
-        np.testing.assert_allclose(wrap(a.head - b.head), 0.0, atol=0.02)
-
-
-def test_tracks_that_tell_their_groups_are_believed() -> None:
-    _, seen = positions(people=2, steps=15)
-    aside = np.tile([*unit(2.0), 1.0], (15, 1))
-    told = seen.map(lambda track: replace(track, inputs={"group": aside}))
-    for track in gt.track_online(told, "social"):
-        assert abs(wrap(track.body[-1] - 2.0)) < 0.3
 
 
 @pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])

@@ -55,6 +55,26 @@ def test_together_is_the_same_as_one_by_one(preset: str) -> None:
     assert told > 10 * people
 
 
+def test_slots_are_used_again_blocks_let_go_and_windows_outgrow_theirs() -> None:
+    def blocks() -> int:
+        return len(pool_of(smoother._smoother._program).blocks)
+
+    smoother = OnlineSmoother("joint", lag=2.0)
+    before = blocks()
+    many = [OnlineSmoother("joint") for _ in range(2 * SLOTS)]
+    assert blocks() > before
+    del many
+    assert blocks() == before
+    seen = list(observations(walk(300, dt=0.005)))
+    for one in seen[:150]:
+        smoother.update(one)
+    # It moves to larger arrays, and goes on as one that has them from the start.
+    other = OnlineSmoother.from_state(smoother.state(), "joint", lag=2.0)
+    for one in seen[150:]:
+        assert_same(smoother.update(one), other.update(one))
+    assert len(smoother.history()) == 300
+
+
 def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
     """By a frame that comes next to at once after another, far away."""
     alone, joined = ([OnlineSmoother("joint") for _ in range(3)] for _ in range(2))
@@ -102,27 +122,3 @@ def people() -> TrackAnswers:
     return TrackAnswers(
         lambda: OnlineSmoother("joint"), None, lambda text: None, bounds=StreamBounds(5, 10.0)
     )
-
-
-def test_slots_are_used_again_and_blocks_let_go() -> None:
-    def blocks() -> int:
-        return len(pool_of(smoother._smoother._program).blocks)
-
-    smoother = OnlineSmoother("joint")
-    before = blocks()
-    many = [OnlineSmoother("joint") for _ in range(2 * SLOTS)]
-    assert blocks() > before
-    del many
-    assert blocks() == before
-
-
-def test_a_window_outgrows_its_slot() -> None:
-    """It moves to larger arrays, and goes on as one that has them from the start."""
-    seen = list(observations(walk(300, dt=0.005)))
-    smoother = OnlineSmoother("joint", lag=2.0)
-    for one in seen[:150]:
-        smoother.update(one)
-    other = OnlineSmoother.from_state(smoother.state(), "joint", lag=2.0)
-    for one in seen[150:]:
-        assert_same(smoother.update(one), other.update(one))
-    assert len(smoother.history()) == 300

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -132,48 +132,37 @@ EVERY_SAMPLE = pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
 NAMED = pytest.mark.parametrize("named", [False, True], ids=["recognised", "format given"])
 
 
+@pytest.mark.parametrize(
+    "seeds", [range(MUTANTS), pytest.param(range(MUTANTS, MUTANTS_MORE), marks=pytest.mark.slow)], ids=len
+)
 @NAMED
 @EVERY_SAMPLE
-def test_damaged_copies_are_read_or_refused(sample: Sample, named: bool, tmp_path: Path) -> None:
+def test_damaged_copies_are_read_or_refused(
+    sample: Sample, named: bool, seeds: range, tmp_path: Path
+) -> None:
     # The damage must have been felt, in more than one way.
-    assert len(refusals(sample, named, range(MUTANTS), tmp_path)) > 5
+    assert len(refusals(sample, named, seeds, tmp_path)) > 5
 
 
-@pytest.mark.slow
-@NAMED
-@EVERY_SAMPLE
-def test_many_more_damaged_copies_are_read_or_refused(sample: Sample, named: bool, tmp_path: Path) -> None:
-    refusals(sample, named, range(MUTANTS, MUTANTS_MORE), tmp_path)
+def homography() -> str:
+    return "0.01 0 0\n0 -0.01 0\n0 0.0001 1\n"
 
 
-def test_damage_inside_a_packed_file_is_refused_as_well(tmp_path: Path) -> None:
-    sample = sample_of("csv", "made.csv")
-    whole, path = sample.make(), tmp_path / "made.csv.gz"
-    for seed in range(100):
-        path.write_bytes(gzip.compress(mutate(whole, np.random.default_rng(seed)), mtime=0))
-        outcome(path, {}, seed)
+def point_pairs() -> str:
+    return "# u v X Y\n0 0 0 0\n100 0 1 0\n100 100 1 -1\n0 100 0 -1.1\n50 50 0.5 -0.5\n"
 
 
-BESIDE = [(sample, name) for sample in SAMPLES for name in sample.beside]
+BESIDE = [(sample, name, make) for sample in SAMPLES for name, make in sample.beside.items()]
+BESIDE += [(sample_of("mot"), make.__name__, make) for make in (homography, point_pairs)]
 
 
-@pytest.mark.parametrize(("sample", "name"), BESIDE, ids=[name for _, name in BESIDE])
-def test_damaged_companions_are_read_or_refused(sample: Sample, name: str, tmp_path: Path) -> None:
-    path = sample.write(tmp_path)
-    whole = (tmp_path / name).read_bytes()
+@pytest.mark.parametrize(("sample", "name", "make"), BESIDE, ids=[name for _, name, _ in BESIDE])
+def test_damaged_companions_and_cameras_are_read_or_refused(
+    sample: Sample, name: str, make: Callable[[], str], tmp_path: Path
+) -> None:
+    path, options = sample.write(tmp_path), dict(sample.options)
+    if name not in sample.beside:
+        options[name] = tmp_path / name
     for seed in range(MUTANTS_BESIDE):
-        (tmp_path / name).write_bytes(mutate(whole, np.random.default_rng(seed)))
-        outcome(path, sample.options, seed)
-
-
-@pytest.mark.parametrize("option", ["homography", "point_pairs"])
-def test_damaged_camera_files_are_read_or_refused(option: str, tmp_path: Path) -> None:
-    sample = sample_of("mot")
-    path, camera = sample.write(tmp_path), tmp_path / "camera.txt"
-    whole = {
-        "homography": b"0.01 0 0\n0 -0.01 0\n0 0.0001 1\n",
-        "point_pairs": b"# u v X Y\n0 0 0 0\n100 0 1 0\n100 100 1 -1\n0 100 0 -1.1\n50 50 0.5 -0.5\n",
-    }[option]
-    for seed in range(MUTANTS_BESIDE):
-        camera.write_bytes(mutate(whole, np.random.default_rng(seed)))
-        outcome(path, {option: camera}, seed)
+        (tmp_path / name).write_bytes(mutate(make().encode(), np.random.default_rng(seed)))
+        outcome(path, options, seed)

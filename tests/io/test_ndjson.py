@@ -43,6 +43,10 @@ def test_what_csv_refuses_is_refused_in_the_same_words(name, value, tmp_path):
 
 
 def test_null_and_no_key_are_empty_cells_and_unknown_keys_a_note(tmp_path):
+    io.write(made_tracks(), tmp_path / "a.ndjson")
+    written = [json.loads(line) for line in (tmp_path / "a.ndjson").read_text().splitlines()]
+    assert written[2]["x"] is None and written[0]["label"] == "person 3, made"
+    assert type(written[0]["track_id"]) is type(written[0]["frame"]) is int
     rows = [ROW | {"body_deg": 90, "mood": [1, {"a": None}]}, ROW | {"frame": 1, "t": 1, "body_deg": None}]
     rows += [{"track_id": 1, "frame": 2, "t": 2}]
     tracks = io.read(write(tmp_path / "a.jsonl", rows))
@@ -68,13 +72,6 @@ def test_bad_rows_are_placed(line, column, tmp_path):
     path.write_text("\n" + json.dumps(ROW) + "\n\n" + line + "\n")
     error = refused(path)
     assert (error.path, error.line, error.column) == (str(path), 4, column)
-
-
-def test_written_rows_are_objects_with_null_where_nothing_is_known(tmp_path):
-    io.write(made_tracks(), tmp_path / "a.ndjson")
-    rows = [json.loads(line) for line in (tmp_path / "a.ndjson").read_text().splitlines()]
-    assert rows[2]["x"] is None and rows[0]["label"] == "person 3, made"
-    assert type(rows[0]["track_id"]) is type(rows[0]["frame"]) is int
 
 
 def answers():

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 
 import graphtrack as gt
-from graphtrack import io
 from graphtrack.errors import InputWarning
 
 
@@ -45,13 +42,10 @@ def test_centimetres_and_a_wrong_rate_are_told_with_numbers() -> None:
     fast = walkers()
     fast["t"] /= 100.0
     assert len(told(fast)) == 1
-
-
-def test_some_who_walk_among_many_who_stand_are_enough() -> None:
-    table = walkers(noise=0.01)
-    table.loc[table.track_id >= 2, "x"] = table.track_id
-    table[["x", "y"]] *= 100.0
-    assert told(table)[0].startswith("2 of 12 tracks")
+    standing = walkers(noise=0.01)
+    standing.loc[standing.track_id >= 2, "x"] = standing.track_id
+    standing[["x", "y"]] *= 100.0
+    assert told(standing)[0].startswith("2 of 12 tracks")
 
 
 def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
@@ -65,8 +59,3 @@ def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
     odd = walkers()
     odd.loc[odd.track_id == 0, "x"] *= 100.0
     assert not told(odd)
-
-
-def test_a_recording_at_a_wrong_rate_is_told_of(data_dir: Path) -> None:
-    with pytest.warns(InputWarning, match="faster than"):
-        io.read(data_dir / "towncentre/frames_001_150/gt.txt")

@@ -162,7 +162,7 @@ def test_files_of_one_scene_count_from_the_same_and_keep_their_people(tmp_path: 
     assert "numbers in" in error.found and "text in" in error.found
 
 
-def test_a_wide_table_has_columns_for_each(tmp_path: Path) -> None:
+def test_columns_for_each_person_and_columns_that_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "wide.csv"
     wide = pd.DataFrame({"time": STEPS / 10})
     for who, x in X.items():
@@ -176,10 +176,6 @@ def test_a_wide_table_has_columns_for_each(tmp_path: Path) -> None:
     assert "match" in refused(path, columns="t=time,x=x_*,y=y_*").expected
     wide.drop(columns="bob_y").to_csv(path, index=False)
     assert refused(path, columns="t=time,x=*_x,y=*_y").column == "bob_y"
-
-
-def test_columns_are_counted_where_nothing_names_them(tmp_path: Path) -> None:
-    path = tmp_path / "table.txt"
     frame().to_csv(path, index=False, header=False, sep=" ")
     check(io.read(path, columns="id=1,t=2,x=3,y=4", delimiter="space"))
 
@@ -250,18 +246,9 @@ def test_a_bad_cell_is_named_by_line_and_by_the_name_of_the_file(case, tmp_path:
     path.write_text("\n".join(map(",".join, rows)) + "\n")
     error = refused(path, columns=COLUMNS, time_unit=unit)
     assert (error.line, error.column) == (4, column)
-
-
-def test_a_clock_that_jumps_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "table.csv"
     path.write_text("agent,timestamp,pos_x,pos_y\n" + "".join(f"anna,{t},0,0\n" for t in (0, 1, 2, 1)))
-    error = refused(path, columns=COLUMNS)
+    error = refused(path, columns=COLUMNS)  # a clock that jumps
     assert "anna again at 1" in error.found and error.line == 5
-    path.write_text(
-        "agent,frame,timestamp,pos_x,pos_y\n" + "".join(f"a,{k},{10 - k},0,0\n" for k in range(3))
-    )
-    error = refused(path, columns=COLUMNS)
-    assert error.column == "t" and error.line == 3
 
 
 def test_degrees_become_metres_and_come_back(tmp_path: Path) -> None:
