@@ -41,7 +41,7 @@ class Mutant:
 
 
 def mutants() -> list[Mutant]:
-    """Mistakes of ``mistakes.txt``: a headline ``@ name (folders)``, lines ``-``, and ``+`` in their place."""
+    """Mistakes of ``mistakes.txt``: a headline ``@ name (folders)``, lines ``-``, and ``+`` for them."""
     found = []
     for part in re.split(r"^@ ", (Path(__file__).parent / "mistakes.txt").read_text("utf-8"), flags=re.M)[1:]:
         head, *lines = part.splitlines()
