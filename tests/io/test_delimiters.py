@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import mot
+from format_samples import sample_of
 from refusals import refused
 
 from graphtrack import io
@@ -41,10 +41,9 @@ def test_a_native_table_is_diagnosed(mark: str, decimal: str, before: str, name:
 @pytest.mark.parametrize("mark", [";", "\t"])
 @pytest.mark.parametrize("format", [None, "mot"])
 def test_numbers_without_a_header_are_diagnosed(format: str | None, mark: str, tmp_path: Path) -> None:
-    path = tmp_path / "boxes.txt"
-    path.write_bytes(mot())
+    path = sample_of("mot").write(tmp_path)
     expected = io.read(path)
-    path.write_bytes(mot().replace(b",", mark.encode()))
+    path.write_text(path.read_text().replace(",", mark))
     error = refused(path, format=format)
     assert NAMES[mark] in error.found
     found = io.read(path, **named(error))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import FRAMES, SAMPLES, Sample, name_of, sample_of, ucy
+from format_samples import FRAMES, SAMPLES, Sample, name_of, sample_of
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -76,7 +76,7 @@ def test_ucy_is_turned_right_handed(tmp_path: Path) -> None:
     # (x, y) = (−50, 30) is (row, column) = (258, 310); the made-up homography takes that to (7.2, 5.66).
     np.testing.assert_allclose(tracks[0].position[0], [7.2, -5.66])
     assert all(track.head is None for track in tracks)
-    path.write_bytes(ucy().replace(b" 25 90.0", b" 0 90.0", 1))
+    path.write_bytes(sample_of("ucy").content().replace(b" 25 90.0", b" 0 90.0", 1))
     assert io.read(path).summary.refused == {"second control point of a spline in one frame": 1}
 
 
@@ -94,16 +94,16 @@ OBSTACLES = """\
 def test_ucy_obstacles_after_the_splines_are_read_past(tmp_path: Path) -> None:
     path = sample_of("ucy").write(tmp_path)
     plain = io.read(path)
-    path.write_bytes(ucy() + OBSTACLES.replace("\n", "\r\n").encode())
+    path.write_bytes(sample_of("ucy").content() + OBSTACLES.replace("\n", "\r\n").encode())
     tracks = io.read(path)
     assert "obstacles not read" in tracks.summary.notes
     assert tracks.summary.rows_read == plain.summary.rows_read
     for one, other in zip(plain, tracks, strict=True):
         np.testing.assert_array_equal(one.position, other.position)
-    path.write_bytes(ucy() + b"7 - number of people\n")
+    path.write_bytes(sample_of("ucy").content() + b"7 - number of people\n")
     with pytest.raises(InputError) as caught:
         io.read(path)
-    assert caught.value.line == ucy().count(b"\n") + 1
+    assert caught.value.line == sample_of("ucy").content().count(b"\n") + 1
 
 
 def test_town_centre_boxes_of_the_half_image_are_doubled(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import command
 import numpy as np
 import pandas as pd
 import pytest
-from format_samples import mot_metres
+from format_samples import sample_of
 from refusals import refused
 
 import graphtrack as gt
@@ -22,8 +22,8 @@ def sequence(tmp_path: Path) -> Path:
     folder = tmp_path / "MOT-02"
     for name in ("gt", "det", "img1"):
         (folder / name).mkdir(parents=True)
-    (folder / "gt" / "gt.txt").write_bytes(mot_metres())
-    rows = [line.split(",") for line in mot_metres().decode().splitlines()]
+    (folder / "gt" / "gt.txt").write_bytes(sample_of("mot", "metres").content())
+    rows = [line.split(",") for line in sample_of("mot", "metres").content().decode().splitlines()]
     boxes = [",".join([row[0], "-1", *row[2:6], "0.5,-1,-1,-1"]) for row in rows if row[1] == "1"]
     (folder / "det" / "det.txt").write_text("\n".join(boxes) + "\n")
     info = "[Sequence]\nname=MOT-02\nimDir=img1\nframeRate=14\nseqLength=6\nimWidth=640\nimHeight=480\n"
@@ -49,7 +49,7 @@ def test_without_tracks_a_sequence_is_its_detections(sequence: Path) -> None:
 def test_folders_of_sequences_are_compared_one_by_one(sequence: Path, tmp_path: Path) -> None:
     other = tmp_path / "again" / sequence.name
     (other / "gt").mkdir(parents=True)
-    (other / "gt" / "gt.txt").write_bytes(mot_metres())
+    (other / "gt" / "gt.txt").write_bytes(sample_of("mot", "metres").content())
     sequences = tmp_path / "train"
     sequences.mkdir()
     sequence.rename(sequences / sequence.name)
