@@ -19,11 +19,10 @@ from graphtrack.geometry.angles import (
     wrap,
 )
 from graphtrack.inference import smooth_track
-from graphtrack.inference.chain.initialisation import pack, problem_of
+from graphtrack.inference.chain.initialisation import pack
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.coupling_modes import AHEAD_BODY, AHEAD_VX, AHEAD_VY, look_ahead, loosened
-from graphtrack.model.program import add_frame
 from graphtrack.model.terms.gait import BASE, BINS, NEAR, ROW, angle_information, class_information, gait_of
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
@@ -262,32 +261,6 @@ def test_states_a_lead_later_are_interpolated_and_end_with_the_last(lead: float)
     )
     velocity = np.stack([np.interp(t + lead, t, states[:, 2 + axis]) for axis in range(2)], axis=1)
     np.testing.assert_allclose(ahead[:, [AHEAD_VX, AHEAD_VY]], velocity, atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_gradient_and_hessian_of_couplings_about_an_offset(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    packed = pack([next(iter(people(0.0, 1, seed=0, seconds=0.1)))[:1]], Model("joint"))
-    record = packed.records
-    for name in ("motion_body", "head_body"):
-        offset = rng.uniform(-np.pi, np.pi)
-        record[f"{name}_cos"], record[f"{name}_sin"] = np.cos(offset), np.sin(offset)
-        record[f"{name}_kappa"] = rng.uniform(0.5, 5.0)
-    problem, state = problem_of(packed), rng.normal(0.0, 2.0, (1, 6))
-
-    def evaluate(at: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        gradient, hessian, none = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
-        ways, out = (True, True, True), (np.zeros(6), gradient, none.copy(), hessian, none)
-        cost = add_frame(problem, 0, 0, state[0].copy(), at, *ways, np.zeros((1, 4)), *out)
-        lower = np.tril(hessian)
-        return cost, gradient, lower + np.tril(hessian, -1).T
-
-    _, gradient, hessian = evaluate(state)
-    step = 1e-5
-    for i in range(6):
-        sides = [evaluate(state + sign * step * np.eye(6)[i]) for sign in (1.0, -1.0)]
-        assert (sides[0][0] - sides[1][0]) / (2 * step) == pytest.approx(gradient[i], rel=1e-5, abs=1e-6)
-        np.testing.assert_allclose((sides[0][1] - sides[1][1]) / (2 * step), hessian[i], rtol=1e-5, atol=1e-5)
 
 
 def test_information_is_the_variance_of_the_slope() -> None:

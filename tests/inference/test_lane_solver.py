@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,22 +17,15 @@ from graphtrack.inference.chain import batch
 from graphtrack.inference.chain.batch import (
     LARGE,
     LONGEST,
-    LaneArrays,
     fit_lanes,
-    gather,
     has_lanes,
-    lane_arrays,
-    lane_group,
     solve_packed,
 )
 from graphtrack.inference.chain.covariance import calibration_of
-from graphtrack.inference.chain.initialisation import pack, pack_to_solve, problem_of
+from graphtrack.inference.chain.initialisation import pack, pack_to_solve
 from graphtrack.inference.result import seconds_to_ends
-from graphtrack.kernels.compilation import allocating
-from graphtrack.kernels.layout import LANES, Problem, number_rows
+from graphtrack.kernels.layout import LANES
 from graphtrack.model import GaitParameters, LikelihoodParameters, Model, MotionParameters, Parameters
-from graphtrack.model.coupling_modes import mode_memory, renew_couplings
-from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
@@ -91,6 +83,8 @@ def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
 def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int) -> None:
     tracks, rng = scene(seed), np.random.default_rng(seed)
     parameters = random_parameters(rng) if seed in (3, 4) else None
+    if seed == 5:
+        parameters = Parameters(gait=GaitParameters(body_drift=2.0, head_drift=0.0))
     model = Model(preset, parameters, terms=[PlacePrior] if seed == 5 else [])
     beside = solve_packed(pack(tracks, model), model, in_lanes=True)
     by_itself = solve_packed(pack(tracks, model), model)
@@ -119,59 +113,6 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(found.track.position, expected.position, atol=1e-6)
         if k % 3 == 1:
             np.testing.assert_array_equal(found.track.position, expected.position)
-
-
-@allocating
-def renew_in_lanes(problem: Problem, arrays: LaneArrays, n: int, gait: Gait) -> None:
-    """`renew_couplings` of a group that has been gathered."""
-    group = lane_group(problem, arrays)
-    length = group.workspace.length[0]
-    renew_couplings(group.problem, 0, n, length, group.states, gait, False, True, group.modes)
-
-
-def renew_beside(problem: Problem, states: FloatArray, gait: Gait, spread: FloatArray) -> None:
-    """`renew_couplings` by groups of lanes; couplings are put back into the records."""
-    longest, numbers = int(np.diff(problem.offsets).max()), number_rows(problem.records)
-    arrays, order = lane_arrays(longest, numbers.shape[1], True), np.arange(len(problem.offsets) - 1)
-    for begin in range(0, len(order), LANES):
-        n = gather(problem, numbers, states, order, begin, arrays)
-        renew_in_lanes(problem, arrays, n, gait)
-        for lane in range(LANES):
-            if arrays.tracks[lane] >= 0:
-                a, b = problem.offsets[arrays.tracks[lane] : arrays.tracks[lane] + 2]
-                numbers[a:b] = arrays.frames[: b - a, :, lane]
-                spread[a:b] = arrays.modes.spread[: b - a, :, lane]
-
-
-def test_modes_in_lanes_are_those_of_each_track() -> None:
-    rng = np.random.default_rng(7)
-    quick = GaitParameters(body_drift=2.0, head_drift=0.0)
-    softened = Model("full").parameters
-    for parameters in (Parameters(), Parameters(gait=quick), softened):
-        model = Model("full", parameters)
-        tracks = [without_classes(random_track(rng)) for _ in range(LANES + 3)]
-        packed = pack(tracks, model)
-        packed.records["steer_gain"] = 0.0
-        states, gait = rng.normal(0.0, 1.0, (packed.offsets[-1], 6)), gait_of(model.parameters.gait)
-        found = []
-        for together in (False, True):
-            problem = problem_of(packed)._replace(records=packed.records.copy())
-            spread = np.zeros((len(states), 2))
-            if together:
-                renew_beside(problem, states, gait, spread)
-            else:
-                for track, (a, b) in enumerate(pairwise(problem.offsets)):
-                    memory, n = mode_memory(b - a), int(b - a)
-                    renew_couplings(problem, track, n, float(n), states[a:b], gait, False, True, memory)
-                    spread[a:b] = memory.spread
-            couplings = [
-                problem.records[f"{name}_body_{of}"] for name in ("motion", "head") for of in _COUPLING
-            ]
-            found.append(np.column_stack([spread, *couplings, problem.records["steer_gain"]]))
-        np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-9)
-
-
-_COUPLING = ("kappa", "cos", "sin")
 
 
 def test_positions_of_many_tracks_are_those_of_one_and_calibrated() -> None:
