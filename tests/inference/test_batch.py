@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from costs import cost_around, free, gradient, hessian, states_of
+from costs import cost_around, free, gradient, states_of
 from scipy import stats
 from scipy.spatial.transform import Rotation
 from selection import others_slow
@@ -13,7 +13,7 @@ from walks import rotation, turned, walk, without
 from graphtrack.baselines.kalman import rauch_tung_striebel
 from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import UNIFORM_STD, difference, wrap
-from graphtrack.geometry.camera import GroundCamera, jacobian
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
 from graphtrack.inference.result import OfflineEngine
 from graphtrack.model import (
@@ -23,7 +23,6 @@ from graphtrack.model import (
     MotionParameters,
     OrientationParameters,
     Parameters,
-    States,
     presets,
 )
 from graphtrack.model.parameters import steady
@@ -325,38 +324,6 @@ def oblique_camera() -> GroundCamera:
     look = Rotation.from_euler("x", -1.1).as_matrix() @ np.diag([1.0, -1.0, -1.0])
     intrinsics = np.array([[900.0, 0.0, 640.0], [0.0, 900.0, 360.0], [0.0, 0.0, 1.0]])
     return GroundCamera.from_calibration(look, -look @ np.array([0.0, -12.0, 5.0]), intrinsics, None)
-
-
-def test_the_pixel_likelihood_through_a_homography_is_gaussian_in_metres_for_small_noise() -> None:
-    camera, track = oblique_camera(), walk(15, seed=4, uneven=True, noise=0.003)
-    pixel = camera.ground_to_image(track.position)
-    assert np.isfinite(pixel).all()
-    # The metres that come along are wrong on purpose: where there are pixels they do not count.
-    seen = replace(track, pixel=pixel, position=track.position + 0.02)
-    parameters = steady(Parameters(likelihood=LikelihoodParameters(pixel_std=0.2)))
-    found = smooth_track(seen, Model("position", parameters), camera, EXACTLY).track
-    # The linear model with each frame's own covariance of the position, as one least-squares problem.
-    to_metres = jacobian(camera.homography, pixel)
-    precision = np.linalg.inv(0.2**2 * to_metres @ np.swapaxes(to_metres, 1, 2))
-    n = len(track)
-    # Costs that are quadratic: differences give their exact information.
-    blank = replace(track, position=np.where(np.arange(n)[:, None] == 0, track.position, np.nan))
-    loose = Parameters(likelihood=LikelihoodParameters(position_std=100.0))
-    origin = States(np.zeros((n, 2)), np.zeros((n, 2)), np.full(n, np.nan), np.full(n, np.nan))
-    information = hessian(cost_around(origin, blank, Model("position", loose)), 4 * n, step=1.0)
-    vector = np.zeros(4 * n)
-    for k in range(n):
-        place = slice(4 * k, 4 * k + 2)
-        information[place, place] += precision[k]
-        vector[place] += precision[k] @ track.position[k]
-    spread = np.linalg.inv(information)
-    expected = (spread @ vector).reshape(n, 4)
-    np.testing.assert_allclose(found.position, expected[:, :2], atol=5e-4)
-    np.testing.assert_allclose(found.velocity, expected[:, 2:], atol=5e-3)
-    for k in range(n):
-        np.testing.assert_allclose(
-            found.covariance[k, :4, :4], spread[4 * k : 4 * k + 4, 4 * k : 4 * k + 4], rtol=0.05, atol=1e-7
-        )
 
 
 def test_the_pixel_likelihood_is_left_out_on_request_and_without_a_camera_or_a_pixel() -> None:

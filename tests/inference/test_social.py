@@ -14,7 +14,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.errors import InputWarning
-from graphtrack.geometry.angles import mean_absolute_error, unit, wrap
+from graphtrack.geometry.angles import direction, mean_absolute_error, unit, wrap
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.interaction.coupled import CONVERSATIONS, LEAST, Conversations, counts, neighbours
 from graphtrack.interaction.evidence import pair_evidence
@@ -243,9 +243,8 @@ def test_those_who_stand_in_groups_and_those_who_walk_by_in_recordings(data_dir:
         labels = read_groups(data_dir / "salsa" / "groups.txt")
     found = gt.smooth(standing.map(lambda track: replace(track, body=None, head=None)), "social")
     people = people_of(standing)
-    of_row = labels.labels(
-        people.frame[people.frame_of], people.t[people.frame_of], people.ids[people.person]
-    )
+    frame, t = people.frame[people.frame_of], people.t[people.frame_of]
+    of_row = labels.labels(frame, t, people.ids[people.person])
     errors = []
     for estimate, track in zip(found, standing, strict=True):
         together = of_row[people.ids[people.person] == track.track_id] >= 0
@@ -254,13 +253,11 @@ def test_those_who_stand_in_groups_and_those_who_walk_by_in_recordings(data_dir:
 
     walking = gt.read(data_dir / "ucy" / "zara01" / "obsmat.txt")
     noisy = gt.add_noise(walking, position_std=0.1, rng=np.random.default_rng(1))
-    errors_of = {}
-    for model in ("full", "social"):
-        off = []
+    off = {"full": [], "social": []}
+    for model, found in off.items():
         for estimate, track in zip(gt.smooth(noisy, model), walking, strict=True):
             if len(track) > 2:
                 velocity = np.gradient(track.position, track.t, axis=0)
                 moves = np.linalg.norm(velocity, axis=1) > 0.5
-                off.append(np.abs(wrap(estimate.body - np.arctan2(velocity[:, 1], velocity[:, 0])))[moves])
-        errors_of[model] = float(np.concatenate(off).mean())
-    assert errors_of["social"] < 1.02 * errors_of["full"]
+                found.extend(np.abs(wrap(estimate.body - direction(velocity)))[moves])
+    assert np.mean(off["social"]) < 1.02 * np.mean(off["full"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import gzip
 import json
 import os
@@ -13,15 +12,12 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from refusals import refused
 
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.interaction.tables import load_parameters
-from graphtrack.scale import open_dataset, smooth_dataset
 
 HEADER = "track_id,frame,t,x,y"
 ROWS = [HEADER, *(f"1,{k},{k / 10},{k / 20},0" for k in range(20))]
@@ -91,21 +87,6 @@ def test_terminals_that_are_not_utf8_show_escapes(tmp_path: Path, name: str) -> 
     done = command("info", tmp_path / name, env=environment)
     assert done.returncode == 0, done.stderr
     assert "1 track" in done.stdout and "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-@pytest.mark.parametrize("zone", [None, "UTC"])
-def test_parquet_with_timestamps_is_read(tmp_path: Path, unit: str, zone: str | None) -> None:
-    path, n = tmp_path / "a.parquet", 10
-    first = datetime.datetime(2026, 3, 1, 12)
-    moments = pa.array([first + datetime.timedelta(seconds=k) for k in range(n)], pa.timestamp(unit, zone))
-    x = np.arange(n) * 0.5
-    columns = {"track_id": np.ones(n, int), "frame": np.arange(n), "t": moments, "x": x, "y": x}
-    pq.write_table(pa.table(columns), path)
-    (track,) = gt.read(path)
-    assert track.t == pytest.approx(12 * 3600.0 + np.arange(n))  # from midnight, as texts of CSV
-    with pytest.raises(InputError, match="--no-stream"):
-        smooth_dataset(open_dataset(path), tmp_path / "o.parquet", model=gt.Model("position"))
 
 
 def test_a_comment_before_the_header_is_told(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from same_tracks import assert_same
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
-from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import TrackSet
 
 xarray = pytest.importorskip("xarray", reason="the extra movement has it")
@@ -116,39 +115,6 @@ def test_units_cameras_and_the_order_of_dimensions_make_no_difference() -> None:
             np.testing.assert_allclose(track.body, other.body, atol=1e-6)
     one = gt.from_movement(poses.sel(individuals="bob"), units="m")
     assert [track.label for track in one] == ["bob"]
-
-
-def test_bodies_are_where_shoulders_say_through_a_slanted_camera() -> None:
-    """Shoulders at 1.4 m, seen from 5 m above the ground, through the homography of the ground."""
-    back = np.array([[-1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, -0.8, -0.6]])  # looks along −y, and down
-    rotation = back * np.sign(np.linalg.det(back))
-    centre = np.array([0.0, 8.0, 5.0])
-    intrinsics = np.array([[800.0, 0.0, 640.0], [0.0, 800.0, 360.0], [0.0, 0.0, 1.0]])
-    camera = GroundCamera.from_calibration(rotation, -rotation @ centre, intrinsics, np.zeros(5))
-
-    def seen(places: np.ndarray) -> np.ndarray:
-        ray = (intrinsics @ rotation @ (places - centre).T).T
-        return ray[:, :2] / ray[:, 2:]
-
-    angles = np.linspace(-3.0, 3.0, 9)
-    feet = np.stack([np.linspace(-2.0, 2.0, 9), np.linspace(0.0, 3.0, 9), np.zeros(9)], axis=1)
-    left = np.stack([-np.sin(angles), np.cos(angles), np.zeros(9)], axis=1)
-    up = np.array([0.0, 0.0, 1.0])
-    points = {
-        "left_shoulder": feet + 0.2 * left + 1.4 * up,
-        "right_shoulder": feet - 0.2 * left + 1.4 * up,
-        "left_ankle": feet + 0.1 * left,
-        "right_ankle": feet - 0.1 * left,
-    }
-    position = np.stack([seen(place) for place in points.values()], axis=-1)
-    dataset = xarray.Dataset(
-        {"position": (("time", "space", "keypoints"), position)},
-        {"time": np.arange(9), "space": ["x", "y"], "keypoints": list(points)},
-    )
-    (track,) = gt.from_movement(dataset, camera=camera, fps=10.0)
-    np.testing.assert_allclose(track.position, feet[:, :2], atol=0.02)
-    assert track.body is not None
-    np.testing.assert_allclose(difference(track.body, angles), 0.0, atol=1e-6)
 
 
 def test_boxes_stand_on_their_lower_edge() -> None:

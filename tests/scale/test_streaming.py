@@ -7,7 +7,6 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ from graphtrack.errors import InputError
 from graphtrack.inference.chain import batch
 from graphtrack.scale import dataset as writer
 from graphtrack.scale import open_dataset, smooth_dataset
-from graphtrack.scale.grouping import batches, index_tracks
 
 
 def people(n: int = 12) -> gt.TrackSet:
@@ -215,27 +213,9 @@ def test_what_is_not_a_data_set(table, tmp_path):
     text = table.assign(x="here")
     text.to_parquet(tmp_path / "text.parquet", index=False)
     refused(tmp_path / "text.parquet", "values of type")
+    table.assign(t=pd.to_datetime(table.t, unit="s", utc=True)).to_parquet(tmp_path / "dates.parquet")
+    refused(tmp_path / "dates.parquet", "--no-stream")
     assert not (tmp_path / "out.parquet").exists()
-
-
-def test_batches_are_whole_tracks_in_order_and_hold_every_row_once(tmp_path):
-    rng = np.random.default_rng(5)
-    track_id = rng.integers(-40, 40, 5000)
-    table = pa.table({"track_id": track_id, "frame": np.arange(5000), "x": rng.normal(size=5000)})
-    pq.write_table(table, tmp_path / "in.parquet", row_group_size=700)
-    dataset = open_dataset(tmp_path / "in.parquet")
-    index = index_tracks(dataset)
-    ids, counts = np.unique(track_id, return_counts=True)
-    np.testing.assert_array_equal(index.track_id, ids)
-    np.testing.assert_array_equal(index.count, counts)
-    found = list(batches(dataset, index, 300, tmp_path))
-    assert all(300 <= len(rows) < 300 + counts.max() for rows in found[:-1])
-    assert all(a[:, 0].max() < b[:, 0].min() for a, b in pairwise(found))
-    together = np.concatenate(found)
-    order = np.argsort(together[:, -1])
-    np.testing.assert_array_equal(together[order][:, 0], track_id)
-    np.testing.assert_array_equal(together[order][:, 2], table["x"])
-    assert not (tmp_path / "runs").exists()
 
 
 MEASURED = """
