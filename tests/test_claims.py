@@ -59,8 +59,7 @@ def test_what_was_measured_is_compared_to_the_last_place(
 ) -> None:
     (tmp_path / "page.md").write_text(PAGE, encoding="utf-8")
     rows = [row for claim in claim_of(error, text) for row in claim.compare(Results(TABLES), tmp_path)]
-    assert len(rows) == 4
-    assert all(holds for *_, holds in rows) == held
+    assert len(rows) == 4 and all(holds for *_, holds in rows) == held
     (tmp_path / "page.md").write_text(PAGE.replace("| two", "| three"), encoding="utf-8")
     with pytest.raises(LookupError, match="no line 'two'"):
         claim_of(1.25)[0].compare(Results(TABLES), tmp_path)

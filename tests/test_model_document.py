@@ -63,8 +63,7 @@ def test_every_parameter_of_a_scene_stands_there_with_its_unit_default_and_range
     assert list(told) == [f"scene.{one.name}" for one in fields(SceneParameters)]
     for one in fields(SceneParameters):
         unit, default, limits, learned = told[f"scene.{one.name}"]
-        assert unit == (one.metadata["unit"] or "–")
-        assert number(default) == pytest.approx(one.default)
+        assert unit == (one.metadata["unit"] or "–") and number(default) == pytest.approx(one.default)
         assert [number(cell) for cell in limits.split(" to ")] == pytest.approx(one.metadata["range"])
         assert (learned == "yes") == (one.name not in SET)
 

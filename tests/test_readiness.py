@@ -35,11 +35,9 @@ def test_it_is_logged_once_on_a_machine_and_run_once_in_a_process(
     assert rehearsal.is_cold()
     before, after = logged(caplog, rehearsal)
     assert before == "compiling something, once on this machine: about 10 s …"
-    assert after.startswith("compiled in ")
-    assert logged(caplog, rehearsal) == [] and len(runs) == 1
+    assert after.startswith("compiled in ") and logged(caplog, rehearsal) == [] and len(runs) == 1
     compilation._READY.clear()
-    assert not rehearsal.is_cold()
-    assert logged(caplog, rehearsal) == [] and len(runs) == 2
+    assert not rehearsal.is_cold() and logged(caplog, rehearsal) == [] and len(runs) == 2
     assert logged(caplog, Rehearsal("a short one", list, 2.0)) == []
     failing = Rehearsal("another", lambda: [][0], 1.0)
     for _ in range(2):  # what failed is not ready

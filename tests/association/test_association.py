@@ -37,8 +37,7 @@ def test_nobody_has_two_detections_in_a_frame_and_the_evidence_is_positive() -> 
     found = associate_detections(detections)
     known = found.identity >= 0
     pairs = np.column_stack([found.identity[known], detections.frame[known]])
-    assert len(np.unique(pairs, axis=0)) == known.sum()
-    assert found.evidence > 0.0
+    assert len(np.unique(pairs, axis=0)) == known.sum() and found.evidence > 0.0
     assert ((found.probability >= 0.0) & (found.probability <= 1.0 + 1e-9)).all()
 
 
@@ -71,8 +70,7 @@ def test_who_crosses_is_told_by_where_they_came_from() -> None:
     frame = np.repeat(np.arange(20), 2)
     position = np.stack([one, other], axis=1).reshape(-1, 2)
     found = associate_detections(Detections(frame, frame * 0.4, position)).identity
-    assert len(set(found[::2].tolist())) == len(set(found[1::2].tolist())) == 1
-    assert found[0] != found[1]
+    assert len(set(found[::2].tolist())) == len(set(found[1::2].tolist())) == 1 and found[0] != found[1]
 
 
 def test_second_boxes_of_one_person_are_no_people() -> None:
@@ -83,8 +81,7 @@ def test_second_boxes_of_one_person_are_no_people() -> None:
     near = detections.position[twice] + rng.normal(0.0, 0.4, (twice.sum(), 2))
     both = Detections(frame, frame * 0.4, np.vstack([detections.position, near]))
     found = associate_detections(both)
-    assert abs(found.identity.max() + 1 - 10) <= 2
-    assert found.scene.duplicate_rate > 0.05
+    assert abs(found.identity.max() + 1 - 10) <= 2 and found.scene.duplicate_rate > 0.05
     owner = np.concatenate([whose, np.full(twice.sum(), -1)])[both.row]
     assert idf1(found.identity, owner) > 0.85
 
@@ -92,8 +89,7 @@ def test_second_boxes_of_one_person_are_no_people() -> None:
 def test_a_gap_is_an_occlusion_rather_than_many_misses() -> None:
     scene = Scene(*SceneParameters().packed(0.1))
     gaps = np.array([missed(k, scene) for k in range(40)])
-    assert gaps[0] == 0.0
-    assert gaps[1] == pytest.approx(np.log(0.1 + 0.01 * np.exp(-0.1 / 2.0)))
+    assert gaps[0] == 0.0 and gaps[1] == pytest.approx(np.log(0.1 + 0.01 * np.exp(-0.1 / 2.0)))
     # Once hidden, a further frame costs next to nothing.
     assert gaps[39] - gaps[38] == pytest.approx(-0.05, abs=1e-3)
 
@@ -211,8 +207,7 @@ def test_a_detection_that_is_given_twice_counts_once(tmp_path: Path) -> None:
 def test_times_that_run_back_are_one_error(tmp_path: Path, command: str, wrong: str, told: str) -> None:
     source = rows_of_text(tmp_path / "back.csv", [*THREE[:40], wrong, *THREE[40:]])
     done = run_command(command, source, "-o", tmp_path / "out.csv", program="graphtrack")
-    assert done.returncode == 2
-    assert f"back.csv, line 42: found {told}" in " ".join(done.stderr.split())
+    assert done.returncode == 2 and f"back.csv, line 42: found {told}" in " ".join(done.stderr.split())
     assert not (tmp_path / "out.csv").exists()
 
 

@@ -33,10 +33,8 @@ def test_people_come_where_they_came_and_leave_where_they_left() -> None:
     chains, identity = street()
     left, middle, right, corner = np.array([[0.0, 0.0], [10.0, 0.0], [19.0, 0.0], [17.0, 11.0]])
     births, deaths, clutter = learn_places(chains, identity).at(np.array([left, middle, right, corner]))
-    assert births[0] > 2.0 > 1.0 > births[1]
-    assert births[0] > 4.0 * births[2]
-    assert deaths[2] > 2.0 > 1.0 > deaths[1]
-    assert deaths[2] > 4.0 * deaths[0]
+    assert births[0] > 2.0 > 1.0 > births[1] and births[0] > 4.0 * births[2]
+    assert deaths[2] > 2.0 > 1.0 > deaths[1] and deaths[2] > 4.0 * deaths[0]
     assert clutter[3] > 2.0 and clutter[:3].max() < 0.2
 
 

@@ -47,8 +47,7 @@ def test_somebody_turns_towards_the_angle_never_past_it_and_alike_on_both_sides(
     left, right = steered(walking(0.0), turn), steered(walking(0.0), -turn)
     assert 0.0 < math.atan2(left[3], left[2]) < turn
     assert math.atan2(right[3], right[2]) == pytest.approx(-math.atan2(left[3], left[2]))
-    assert left[6] < walking(0.0)[6]
-    assert left[4] * left[6] > left[5] ** 2
+    assert left[6] < walking(0.0)[6] and left[4] * left[6] > left[5] ** 2
 
 
 @pytest.mark.parametrize(

@@ -188,8 +188,7 @@ def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
             squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.covariance[:, :2, :2]), error))
         return float(np.concatenate(squares).mean() / 2.0)
 
-    assert honesty(checked) == honesty(plain) > 3.0
-    assert 0.8 < honesty(learned) < 1.3
+    assert honesty(checked) == honesty(plain) > 3.0 and 0.8 < honesty(learned) < 1.3
     with pytest.raises(InputError, match="declared, check or learn"):
         gt.smooth(tracks, "separate", trust="blindly")
 

@@ -48,8 +48,7 @@ def test_fitting_gives_back_the_homography(seed: int, count: int) -> None:
     np.testing.assert_allclose(
         apply_homography(fit.homography, pixels()), apply_homography(truth, pixels()), rtol=1e-6
     )
-    assert fit.max_error < 1e-7
-    assert fit.n_pairs == count
+    assert fit.max_error < 1e-7 and fit.n_pairs == count
     noisy = fit_homography(source, apply_homography(truth, source) + rng.normal(0.0, 0.05, source.shape))
     assert noisy.rms_error <= noisy.max_error < 0.5  # metres
 
@@ -84,16 +83,14 @@ def test_beyond_the_horizon_there_is_no_ground() -> None:
     camera = camera_at(tilt=1.2)
     v_horizon = -(camera.homography[2, 0] * 640 + camera.homography[2, 2]) / camera.homography[2, 1]
     below, above = camera.image_to_ground([[640, v_horizon + 2], [640, v_horizon - 2]])
-    assert np.isfinite(below).all()
-    assert np.isnan(above).all()
+    assert np.isfinite(below).all() and np.isnan(above).all()
     behind = CENTRE[:2] - 30.0 * (below - CENTRE[:2]) / np.linalg.norm(below - CENTRE[:2])
     assert np.isnan(camera.ground_to_image(behind)).all()
 
 
 def test_a_camera_knows_whether_its_ground_is_mirrored() -> None:
     camera = camera_at()
-    assert not camera.is_mirrored
-    assert not GroundCamera.from_scale(0.01).is_mirrored
+    assert not camera.is_mirrored and not GroundCamera.from_scale(0.01).is_mirrored
     assert GroundCamera.from_homography(np.diag([1.0, -1.0, 1.0]) @ camera.homography).is_mirrored
 
 

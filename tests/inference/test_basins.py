@@ -75,8 +75,7 @@ def test_whoever_turns_around_is_followed_out_of_the_past(engine: Any) -> None:
     )
     found = track_online(people.tracks[0], "separate", engine=engine, lag=2.0)
     error = np.abs(difference(found.head, found.true_head))
-    assert (error[:30] < np.pi / 2.0).mean() > 0.7
-    assert (error[50:] < np.pi / 4.0).all()
+    assert (error[:30] < np.pi / 2.0).mean() > 0.7 and (error[50:] < np.pi / 4.0).all()
 
 
 HABITS = StrollerParameters(stops_per_minute=8.0, turns_per_minute=0.0, fastest_turn=1.0)

@@ -233,8 +233,7 @@ def test_the_gradient_of_the_cost_vanishes_at_the_estimate(preset: str, situatio
     at_estimate = gradient(cost, size)
     elsewhere = np.random.default_rng(0).normal(0.0, 0.05, size)
     beside = gradient(lambda vector: cost(elsewhere + vector), size)
-    assert np.abs(at_estimate).max() < 1e-4
-    assert np.abs(at_estimate).max() < 1e-5 * np.abs(beside).max()
+    assert np.abs(at_estimate).max() < 1e-4 and np.abs(at_estimate).max() < 1e-5 * np.abs(beside).max()
 
 
 # Little to go by.
@@ -246,8 +245,7 @@ def test_tracks_of_a_few_frames_have_estimates(preset: str, length: int) -> None
     model = Model(preset)
     for track in (walk(length), walk(length, classes=True), replace(walk(length), body=None, head=None)):
         found = smooth_track(track, model).track
-        assert np.isfinite(found.position).all()
-        assert np.isfinite(found.velocity).all()
+        assert np.isfinite(found.position).all() and np.isfinite(found.velocity).all()
         assert_covariances_are_proper(found, model)
     if length == 1:
         np.testing.assert_allclose(smooth_track(walk(1), Model("separate")).track.position, walk(1).position)
@@ -264,8 +262,7 @@ def test_frames_without_any_observation_are_bridged(preset: str) -> None:
     assert miss[gap].max() < 0.3
     spread = found.std("x")
     # Among the inner frames: where the head steers, the ends of the track are less certain than the gap.
-    assert 5 + np.argmax(spread[5:25]) in range(14, 18)
-    assert spread[15] > 1.1 * spread[10]
+    assert 5 + np.argmax(spread[5:25]) in range(14, 18) and spread[15] > 1.1 * spread[10]
     for name in ("body", "head"):
         estimate, spread = getattr(found, name), found.std(name)
         if estimate is not None:
@@ -298,8 +295,7 @@ def test_a_robust_likelihood_resists_an_outlier_that_ruins_the_plain_one(robust:
     sound = smooth_track(spoiled_track, Model("position", parameters)).track
     ruined = np.linalg.norm(plain.position - clean.position, axis=1).max()
     resisted = np.linalg.norm(sound.position - clean.position, axis=1).max()
-    assert ruined > 0.5
-    assert resisted < 0.2 * ruined
+    assert ruined > 0.5 and resisted < 0.2 * ruined
 
 
 def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood() -> None:
@@ -315,8 +311,7 @@ def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood
         )
         found = smooth_track(track, Model("separate", parameters)).track
         errors[outlier] = np.abs(difference(found.body, found.true_body))[17:22].max()
-    assert errors[0.0] > 0.5
-    assert errors[0.1] < 0.4 * errors[0.0]
+    assert errors[0.0] > 0.5 and errors[0.1] < 0.4 * errors[0.0]
 
 
 def oblique_camera() -> GroundCamera:
@@ -354,12 +349,9 @@ def some_tracks() -> TrackSet:
 @EVERY_PRESET
 def test_a_track_that_fails_is_named_and_the_others_come_out(preset: str) -> None:
     first, failed, last = solve(some_tracks(), preset)
-    assert isinstance(failed, Failure)
-    assert failed.track_id == 7
-    assert "no position" in failed.reason
-    assert isinstance(first, Solution)
-    assert isinstance(last, Solution)
-    assert (first.track.track_id, last.track.track_id) == (1, 3)
+    assert isinstance(failed, Failure) and failed.track_id == 7
+    assert "no position" in failed.reason and isinstance(first, Solution)
+    assert isinstance(last, Solution) and (first.track.track_id, last.track.track_id) == (1, 3)
     alone = smooth_track(some_tracks()[3], Model(preset))
     np.testing.assert_array_equal(last.track.position, alone.track.position)
     with pytest.raises(SolveError, match=r"track 7: .*no position"):

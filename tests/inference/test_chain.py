@@ -198,10 +198,8 @@ def test_a_track_of_numbers_too_great_to_square_fails_alone() -> None:
     position = np.where(np.arange(12).reshape(6, 2) == 4, 1e8, 0.0)
     huge = replace(walk(6, track_id=2), position=position, position_std=np.full(6, 1e-153))
     first, failed, last = solve(TrackSet((walk(6, track_id=1), huge, walk(6, track_id=3))), engine="chain")
-    assert isinstance(first, Solution)
-    assert isinstance(failed, Failure)
-    assert "not finite" in failed.reason
-    assert isinstance(last, Solution)
+    assert isinstance(first, Solution) and isinstance(failed, Failure)
+    assert "not finite" in failed.reason and isinstance(last, Solution)
 
 
 class Homesick(Term):
@@ -218,8 +216,7 @@ class Homesick(Term):
 
 def test_a_term_without_a_kernel_is_gtsams_work() -> None:
     model = Model("position", terms=[Homesick])
-    assert engine_of(model) == "gtsam"
-    assert engine_of(Model("position")) == "chain"
+    assert engine_of(model) == "gtsam" and engine_of(Model("position")) == "chain"
     track = walk(10)
     found = smooth_track(track, model)
     assert found.engine == "gtsam"
@@ -237,7 +234,6 @@ def test_a_term_is_linear_only_if_its_own_class_says_so() -> None:
     def is_linear(model: Model) -> bool:
         return model.is_linear(pack([walk()], model))
 
-    assert is_linear(Model("position"))
-    assert not is_linear(Model("position", terms=[Steered]))
+    assert is_linear(Model("position")) and not is_linear(Model("position", terms=[Steered]))
     assert [name for name in presets if is_linear(Model(name))] == ["position"]
     assert not is_linear(Model("position", Parameters(likelihood=LikelihoodParameters(robust="huber"))))

@@ -85,8 +85,7 @@ def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
             descend(problem, n, states, steps, memory)
             costs.append(float(memory.ended[COST]))
             assert memory.ended[FIRST_COST] == pytest.approx(costs[0])
-        assert (np.diff(costs) <= 0.0).all()
-        assert costs[-1] < costs[0]
+        assert (np.diff(costs) <= 0.0).all() and costs[-1] < costs[0]
 
 
 def test_what_was_not_seen_is_taken_from_the_nearest_in_time() -> None:

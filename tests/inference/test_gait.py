@@ -54,8 +54,7 @@ def test_the_offset_of_people_who_side_step_is_found(degrees: float) -> None:
 def test_side_stepping_is_never_worse_than_separate_and_joint_is(degrees: float) -> None:
     tracks = people(np.radians(degrees), 12, seed=2)
     full, separate, joint = (errors(tracks, smoothed(tracks, m)) for m in ("full", "separate", "joint"))
-    assert (full < separate).all()
-    assert joint[0] > 2.0 * separate[0]
+    assert (full < separate).all() and joint[0] > 2.0 * separate[0]
 
 
 def test_a_head_that_looks_aside_does_not_turn_the_body() -> None:
@@ -105,8 +104,7 @@ def test_the_past_of_a_window_is_not_forgotten() -> None:
     hidden = np.arange(len(track)) >= 150
     channels = {name: np.where(hidden, np.nan, getattr(track, name)) for name in ("body", "head")}
     found = track_online(replace(track, **channels), "full", lag=1.0)
-    assert found.aligned_p[149] < 0.1
-    assert found.aligned_p[-1] < 0.3
+    assert found.aligned_p[149] < 0.1 and found.aligned_p[-1] < 0.3
     assert abs(difference(found.gait_offset[-1], found.gait_offset[149])) < np.radians(15.0)
 
 
@@ -296,8 +294,7 @@ def test_people_of_every_gait_on_motion_capture(data_dir: Path) -> None:
         found = smoothed(noisy, "full")
         full = errors(noisy, found)
         joint, separate = (errors(noisy, smoothed(noisy, m)) for m in ("joint", "separate"))
-        assert (full <= separate).all()
-        assert (full <= joint).all()
+        assert (full <= separate).all() and (full <= joint).all()
         medians = np.median([errors([t], [e]) for t, e in zip(noisy, found, strict=True)], axis=0)
         assert (medians <= ((5.7, 6.2) if ordinary else (8.7, 6.1))).all()
         apart = [e.position - t.true_position for t, e in zip(noisy, found, strict=True)]

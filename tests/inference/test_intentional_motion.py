@@ -51,8 +51,7 @@ def test_somebody_who_looks_aside_is_expected_to_go_there() -> None:
     )
     hidden = withhold(track, t > 1.5)
     ahead, steered = (track_online(hidden, preset) for preset in ("position", "intentional"))
-    assert abs(ahead.position[-1, 1]) < 1e-3
-    assert steered.position[-1, 1] > 0.3
+    assert abs(ahead.position[-1, 1]) < 1e-3 and steered.position[-1, 1] > 0.3
     assert smooth_track(hidden, Model("intentional")).track.position[-1, 1] > 0.3
 
 
@@ -122,8 +121,7 @@ def test_the_head_tells_of_a_turn_that_is_not_seen(data_dir: Path) -> None:
     smoothed = error(smooth_track(track, offline).track for track in odd)
     rts = error(rauch_tung_striebel(track, between) for track in odd)
     print(f"online {steered} against {kalman}, offline {smoothed} against {rts}")
-    assert steered[0] < 0.55 * kalman[0] and steered[1] <= 0.135
-    assert (smoothed < rts).all()
+    assert steered[0] < 0.55 * kalman[0] and steered[1] <= 0.135 and (smoothed < rts).all()
 
 
 def straight(head: np.ndarray, dt: float = 0.1) -> Track:

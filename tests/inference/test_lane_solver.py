@@ -53,8 +53,7 @@ def relative(covariance: FloatArray, other: FloatArray) -> float:
 def test_the_size_of_the_work_decides_and_what_a_track_is_like() -> None:
     model, track = Model("full"), walk(25)
     few, many = [track] * (LARGE // 25 - 1), [track] * (LARGE // 25)
-    assert not any(fit_lanes(few, model))
-    assert all(fit_lanes(many, model))
+    assert not any(fit_lanes(few, model)) and all(fit_lanes(many, model))
     # A part of the work goes the way of the whole.
     assert fit_lanes([track], model, LARGE) == [True]
     assert fit_lanes(many, model, LARGE - 1) == [False] * len(many)
@@ -108,8 +107,7 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
     assert (alone.cost, alone.iterations) == (beside[3].cost, beside[3].iterations)
     np.testing.assert_array_equal(alone.track.covariance, beside[3].track.covariance)
     for k, (found, expected) in enumerate(zip(beside, one_by_one, strict=True)):
-        assert isinstance(found, Solution)
-        assert found.track.track_id == k
+        assert isinstance(found, Solution) and found.track.track_id == k
         np.testing.assert_allclose(found.track.position, expected.position, atol=1e-6)
         if k % 3 == 1:
             np.testing.assert_array_equal(found.track.position, expected.position)

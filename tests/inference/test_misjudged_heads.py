@@ -46,8 +46,7 @@ def test_a_head_that_looks_aside_is_believed_all_the_same() -> None:
     seen = classified(people(0.0, 4, seed=33, seconds=4.0, head=aside), turned=0, seed=34)
     found = list(smooth(seen, "full"))
     offsets = np.concatenate([difference(one.head, one.body) for one in found])
-    assert np.mean(offsets) > 0.6 * aside
-    assert errors(seen, found)[1] < 12.0
+    assert np.mean(offsets) > 0.6 * aside and errors(seen, found)[1] < 12.0
 
 
 def test_angles_have_no_such_doubts() -> None:

@@ -40,8 +40,7 @@ def run(smoother: OnlineSmoother, seen: Sequence[Observation]) -> list[Estimate]
 
 
 def assert_same(found: Estimate, expected: Estimate, tolerance: float) -> None:
-    assert found.t == expected.t
-    assert found.frame == expected.frame
+    assert found.t == expected.t and found.frame == expected.frame
     np.testing.assert_allclose(found.position, expected.position, atol=tolerance)
     np.testing.assert_allclose(found.velocity, expected.velocity, atol=tolerance)
     for a, b in ((found.body, expected.body), (found.head, expected.head)):
@@ -110,8 +109,7 @@ def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, c
                     last.covariance, gauss_newton_covariance(batch, track, model), rtol=1e-4, atol=1e-7
                 )
         apart.append(np.mean(far))
-    assert apart[0] > apart[1] > apart[2]
-    assert apart[2] < 1e-5
+    assert apart[0] > apart[1] > apart[2] and apart[2] < 1e-5
 
 
 @EVERY_ENGINE
@@ -205,8 +203,7 @@ def test_a_late_observation_after_the_window_has_moved_equals_the_kalman_filter(
     run(smoother, [o for k, o in enumerate(seen[:36]) if k != 33])
     found = smoother.update(seen[33])
     expected = kalman_filter(track)
-    assert found.status == "late"
-    assert (found.t, found.frame) == (seen[35].t, seen[35].frame)
+    assert found.status == "late" and (found.t, found.frame) == (seen[35].t, seen[35].frame)
     np.testing.assert_allclose(found.position, expected.position[35], atol=1e-8)
     np.testing.assert_allclose(found.covariance[:4, :4], expected.covariance[35, :4, :4], atol=1e-8)
     for k in range(36, 40):
@@ -307,8 +304,7 @@ def test_a_failed_update_is_reported_and_leaves_no_trace(
     times += [seen[after].t + 5.0] * bool(before) + [seen[after].t - 0.15] * (after > 2)
     for t in times:
         failed = smoother.update(Observation(t=t, frame=way, position=seen[after].position))
-        assert failed.status == "failed"
-        assert failed.reason and "\n" not in failed.reason
+        assert failed.status == "failed" and failed.reason and "\n" not in failed.reason
         if before:
             assert_same(failed, before[-1], 0.0)
         else:

@@ -35,8 +35,7 @@ def test_a_table_of_a_million_columns_is_read_and_its_names_are_not_all_listed(t
     names = ",".join(f"c{k}" for k in range(n))
     path.write_text(f"{HEADER},{names}\n" + "".join(row + ",1" * n + "\n" for row in ROWS[1:3]))
     done = command("info", path)  # it ran for more than half an hour
-    assert done.returncode == 0
-    assert len(done.stdout + done.stderr) < 2000
+    assert done.returncode == 0 and len(done.stdout + done.stderr) < 2000
     assert "999990 more" in done.stderr
 
 
@@ -52,8 +51,7 @@ def test_a_gzip_bomb_is_refused_in_little_memory(tmp_path: Path, text: bytes) ->
         resource.setrlimit(resource.RLIMIT_DATA, (2**31, 2**31))
 
     done = command("info", path, preexec_fn=bounded)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert "more than 200 times its size" in done.stderr
 
 

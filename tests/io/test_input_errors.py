@@ -25,10 +25,8 @@ def line_with(data: bytes, fragment: bytes) -> int:
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
 def test_the_undamaged_file_is_read_and_every_row_counted(sample: Sample, tmp_path: Path) -> None:
     tracks = io.read(sample.write(tmp_path), **sample.options)
-    assert tracks.summary.format == sample.format
-    assert tracks.summary.rows_read == sample.rows
-    assert tracks.summary.rows_used == tracks.n_frames
-    assert len(tracks) == 2
+    assert tracks.summary.format == sample.format and tracks.summary.rows_read == sample.rows
+    assert tracks.summary.rows_used == tracks.n_frames and len(tracks) == 2
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
@@ -61,8 +59,7 @@ def test_what_is_no_finite_number(sample: Sample, tmp_path: Path) -> None:
         worse = sample.number.replace(number[0], text.encode(), 1)
         path.write_bytes(data.replace(sample.number, worse, 1))
         error = refused(path)
-        assert error.line == line_with(data, sample.number)
-        assert error.column is not None
+        assert error.line == line_with(data, sample.number) and error.column is not None
         assert repr(text) in error.found
 
 
@@ -75,8 +72,7 @@ def test_rows_of_another_width(sample: Sample, tmp_path: Path) -> None:
     for worse in (mark.join([b"1", b"1", *cells]), mark.join(cells[:2])):
         path.write_bytes(b"\n".join([*lines[:3], worse, *lines[4:]]))
         error = refused(path)
-        assert error.line == 4
-        assert "columns" in error.found
+        assert error.line == 4 and "columns" in error.found
 
 
 @pytest.mark.parametrize("sample", DELIMITED, ids=name_of)
@@ -229,8 +225,7 @@ def test_ego_poses_that_do_not_reach_a_frame(tmp_path: Path) -> None:
     oxts = tmp_path / "oxts/0001.txt"
     oxts.write_text("".join(oxts.read_text().splitlines(keepends=True)[:3]))
     error = refused(path)
-    assert error.column == "frame"
-    assert error.line == line_with(path.read_bytes(), b"\n3 1 ") + 1
+    assert error.column == "frame" and error.line == line_with(path.read_bytes(), b"\n3 1 ") + 1
 
 
 BAD_NATIVE = {
@@ -264,16 +259,14 @@ def test_native_tables(text: str, column: str | None, line: int | None, tmp_path
     path = tmp_path / "table.csv"
     path.write_text(text)
     error = refused(path)
-    assert error.column == column
-    assert error.line == line
+    assert error.column == column and error.line == line
 
 
 def test_options_that_do_not_exist_or_make_no_sense(tmp_path: Path) -> None:
     path = sample_of("mot").write(tmp_path)
     (tmp_path / "gt.txt").write_text("1,1,10,20,30,40,0,-1,-1,-1\n")
     assert "1 marked to be ignored" in refused(tmp_path / "gt.txt").found
-    assert "fsp" in refused(path, fsp=25).found
-    assert "fps" in refused(path, fps=0.0).found
+    assert "fsp" in refused(path, fsp=25).found and "fps" in refused(path, fps=0.0).found
     assert "fps" in refused(path, fps=float("nan")).found
     assert "inch" in refused(path, point_pairs=path, point_pairs_unit="inch").found
     assert "nonsense" in refused(path, format="nonsense").found

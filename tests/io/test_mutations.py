@@ -104,8 +104,7 @@ def outcome(path: Path, options: dict[str, object], seed: int) -> str:
             error.add_note(f"seed {seed}")
             raise
         else:
-            assert isinstance(tracks, TrackSet)
-            assert tracks.summary.rows_used == tracks.n_frames
+            assert isinstance(tracks, TrackSet) and tracks.summary.rows_used == tracks.n_frames
             for track in tracks:
                 assert_as_checked(track)
             result = "read"

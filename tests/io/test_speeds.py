@@ -51,8 +51,7 @@ def test_centimetres_and_a_wrong_rate_are_told_with_numbers() -> None:
 def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
     noisy = walkers(hz=30.0, noise=0.5)
     steps = np.hypot(noisy.x.diff(), noisy.y.diff()) * 30.0
-    assert np.median(steps.dropna()) > 12.0
-    assert not told(noisy)
+    assert np.median(steps.dropna()) > 12.0 and not told(noisy)
     jumping = walkers()
     jumping.loc[jumping.frame % 10 == 0, "x"] += 500.0
     assert not told(jumping)

@@ -64,8 +64,7 @@ def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
         calibration = calibration_of(replace(Parameters(), orientation=orientation))
         turns = calibration.body_turns, calibration.head_turns
         body, head = (lag_variances(share * seconds, lasting, ends)[1] for lasting in turns)
-        assert head == pytest.approx(found, rel=0.1)
-        assert body == pytest.approx(4.0 * head)
+        assert head == pytest.approx(found, rel=0.1) and body == pytest.approx(4.0 * head)
 
 
 @pytest.mark.parametrize("preset", ["separate", "joint-body", "joint"])

@@ -42,16 +42,14 @@ def test_numba_s_own_setting_stays_as_it_was(monkeypatch, tmp_path: Path) -> Non
     def twice(x: float) -> float:
         return 2.0 * x
 
-    assert str(tmp_path) == numba.config.CACHE_DIR
-    assert twice(3.0) == 6.0
+    assert str(tmp_path) == numba.config.CACHE_DIR and twice(3.0) == 6.0
     assert list(tmp_path.glob(f"{module._digest()}/*/*.nbc"))
 
 
 def test_without_a_folder_to_write_to_it_compiles_all_the_same(monkeypatch, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "taken"))
-    assert machine_code_folder() is None
-    assert compiled(lambda x: 2.0 * x)(3.0) == 6.0
+    assert machine_code_folder() is None and compiled(lambda x: 2.0 * x)(3.0) == 6.0
 
 
 def test_a_numba_that_does_not_compile_is_an_error(monkeypatch) -> None:

@@ -91,8 +91,7 @@ def test_lanes_choose_and_are_put_each_for_itself() -> None:
     x, found = np.linspace(0.0, 1.0, LANES)[None], np.full((1, 6, LANES), 7.0)
     assert not branch(x, found)
     np.testing.assert_array_equal(found[0, 0], np.where(x[0] < 0.75, np.where(x[0] > 0.5, x[0], -1.0), 7.0))
-    assert (found[0, 1:] == 7.0).all()
-    assert branch(x + 0.5, found)
+    assert (found[0, 1:] == 7.0).all() and branch(x + 0.5, found)
     assert [straight(x) for x in (0.25, 0.6, 0.9)] == [-1.0, 0.6, 7.0]
 
 

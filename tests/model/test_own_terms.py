@@ -92,8 +92,7 @@ def told(track: Track, move: float = 0.4) -> Track:
 def test_it_is_solved_as_gtsam_solves_it_offline_and_online() -> None:
     track = told(walk(30, seed=4))
     found, graph = (smooth_track(track, MODEL, engine=engine) for engine in ("chain", "gtsam"))
-    assert found.engine == "chain"
-    assert found.cost == pytest.approx(graph.cost, rel=1e-7)
+    assert found.engine == "chain" and found.cost == pytest.approx(graph.cost, rel=1e-7)
     np.testing.assert_allclose(difference(found.track.head, graph.track.head), 0.0, atol=1e-4)
     for engine, near in (("chain", 1e-4), ("fixed-lag", 1e-2)):
         last = track_online(track, MODEL, engine=engine, lag=100.0)

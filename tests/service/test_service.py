@@ -37,8 +37,7 @@ def test_answers_are_those_of_track_however_rows_come(service):
             connection.send(line)
         connection.send("")
         found, closed = everything(connection)
-    assert closed.code == 1000
-    assert found == of_track(sent)
+    assert closed.code == 1000 and found == of_track(sent)
     sent = rows(40)
     expected = of_track(sent)
     with service.connect("together") as connection:
@@ -68,8 +67,7 @@ def test_a_stream_goes_on_where_its_connection_ended(service):
         for line in sent[40:]:
             connection.send(line)
         found += answers(connection, 20)
-    assert found == whole
-    assert service.request("DELETE", "/v1/streams/kept")[0] == 204
+    assert found == whole and service.request("DELETE", "/v1/streams/kept")[0] == 204
     with service.connect("kept") as connection:  # and begins anew
         connection.send(sent[0])
         assert connection.recv(timeout=60) == whole[0]
@@ -89,8 +87,7 @@ def test_a_stream_that_another_service_has_open_is_not_forgotten(service):
             assert (kept.stat().st_ino, kept.read_bytes()) == before
             connection.send("")
             everything(connection)
-        assert other.request("DELETE", "/v1/streams/shared")[0] == 204
-        assert not kept.exists()
+        assert other.request("DELETE", "/v1/streams/shared")[0] == 204 and not kept.exists()
         assert other.request("DELETE", "/v1/streams/shared")[0] == 404
         with service.connect("shared") as connection:
             connection.send(rows(1)[0])
