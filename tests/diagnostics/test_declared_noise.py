@@ -202,9 +202,7 @@ def test_scales_are_of_what_the_data_declare_alone() -> None:
     np.testing.assert_allclose(likelihood.kappas("head", None, 2), [4.0, 4.0])
 
 
-def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(
-    tmp_path: Path,
-) -> None:
+def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(tmp_path: Path) -> None:
     people = gt.simulate("position", n_tracks=8, n_steps=60, fps=10.0, rng=np.random.default_rng(0))
     overconfident, stds = tmp_path / "people.parquet", {}
     declared = people.map(lambda track: replace(track, position_std=np.full(len(track), 0.1 / 3.0)))

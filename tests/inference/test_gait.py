@@ -11,13 +11,7 @@ from scipy import special
 
 import graphtrack as gt
 from graphtrack.baselines.particle_model import transition
-from graphtrack.geometry.angles import (
-    class_kappa,
-    difference,
-    direction,
-    unit,
-    wrap,
-)
+from graphtrack.geometry.angles import class_kappa, difference, direction, unit, wrap
 from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.initialisation import pack
 from graphtrack.kernels.compilation import compiled

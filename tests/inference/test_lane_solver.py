@@ -14,13 +14,7 @@ import graphtrack as gt
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import Solution
 from graphtrack.inference.chain import batch
-from graphtrack.inference.chain.batch import (
-    LARGE,
-    LONGEST,
-    fit_lanes,
-    has_lanes,
-    solve_packed,
-)
+from graphtrack.inference.chain.batch import LARGE, LONGEST, fit_lanes, has_lanes, solve_packed
 from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import pack, pack_to_solve
 from graphtrack.inference.result import seconds_to_ends

@@ -315,9 +315,7 @@ def derivative(function: Callable[[np.ndarray], Any], at: np.ndarray, step: floa
 
 
 @EVERY_CASE
-def test_the_kernels_add_up_to_the_density_with_a_curvature_that_is_never_negative(
-    case: Case,
-) -> None:
+def test_the_kernels_add_up_to_the_density_with_a_curvature_that_is_never_negative(case: Case) -> None:
     term = case.term(case.parameters)
     for states, track in every_situation(case):
         packed, rows, total = packed_alone(term, track, CAMERA), rows_of(states), 0.0

@@ -51,9 +51,7 @@ def walk(
     )
     if classes:
         return replace(
-            track,
-            body_likelihood=scores(seen_body, 8, rng),
-            head_likelihood=scores(seen_head, 12, rng),
+            track, body_likelihood=scores(seen_body, 8, rng), head_likelihood=scores(seen_head, 12, rng)
         )
     return replace(track, body=seen_body, head=seen_head)
 
