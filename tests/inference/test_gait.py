@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gaits import FPS, errors, people
 from mode_recursions import both_ways
 from scipy import special
+from walks import FPS, errors, people
 
 import graphtrack as gt
 from graphtrack.baselines.particle_model import transition

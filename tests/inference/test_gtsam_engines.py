@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gaits import people
 from selection import others_slow
-from walks import walk
+from walks import people, walk
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference

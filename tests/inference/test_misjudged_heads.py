@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gaits import errors, people
 from mode_recursions import both_ways
 from scipy import special
+from walks import errors, people
 
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, mean_absolute_error, unit
 from graphtrack.inference.online import OnlineSmoother

@@ -1,13 +1,18 @@
 """NDJSON as a file: the table, bounds and words of CSV; and what a stream answered, read as a file."""
 
 import json
+import re
+import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 from format_samples import made_tracks
 from refusals import refused
 
+import graphtrack as gt
 from graphtrack import io
+from graphtrack.errors import InputWarning
 from graphtrack.tracks.schema import COLUMNS, INTEGERS, TOGETHER
 
 ROW = {"track_id": 1, "frame": 0, "t": 0.0, "x": 1.0, "y": 2.0}
@@ -98,3 +103,51 @@ def test_the_answers_of_a_stream_are_read(tmp_path):
     summary = tracks.summary
     assert (summary.rows_read, summary.rows_used, sum(summary.refused.values())) == (9, 4, 5)
     assert not summary.notes
+
+
+def walkers(n: int = 12, steps: int = 40, hz: float = 10.0, noise: float = 0.1) -> pd.DataFrame:
+    """People who walk at 1.3 m/s, seen with noise (metres, each axis)."""
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame({"track_id": np.repeat(np.arange(n), steps), "frame": np.tile(np.arange(steps), n)})
+    table["t"] = table.frame / hz
+    table["x"] = 1.3 * table.t + rng.normal(0.0, noise, len(table))
+    table["y"] = table.track_id + rng.normal(0.0, noise, len(table))
+    return table
+
+
+def told(table: pd.DataFrame) -> list[str]:
+    """The notes on speeds."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", InputWarning)
+        notes = gt.TrackSet.from_table(table).summary.notes
+    found = [note for note in notes if "faster than" in note]
+    assert [str(one.message) for one in caught] == [f"table: {note}" for note in found]
+    return found
+
+
+def test_centimetres_and_a_wrong_rate_are_told_with_numbers() -> None:
+    centimetres = walkers()
+    centimetres[["x", "y"]] *= 100.0
+    (note,) = told(centimetres)
+    found = re.match(r"12 of 12 tracks move faster than 12 m/s \(median (\d+), greatest (\d+)\)", note)
+    assert found is not None and 125 <= float(found[1]) <= float(found[2]) <= 140
+    assert all(word in note for word in ("metres", "fps", "homography", "metres_per_pixel"))
+    fast = walkers()
+    fast["t"] /= 100.0
+    assert len(told(fast)) == 1
+    standing = walkers(noise=0.01)
+    standing.loc[standing.track_id >= 2, "x"] = standing.track_id
+    standing[["x", "y"]] *= 100.0
+    assert told(standing)[0].startswith("2 of 12 tracks")
+
+
+def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
+    noisy = walkers(hz=30.0, noise=0.5)
+    steps = np.hypot(noisy.x.diff(), noisy.y.diff()) * 30.0
+    assert np.median(steps.dropna()) > 12.0 and not told(noisy)
+    jumping = walkers()
+    jumping.loc[jumping.frame % 10 == 0, "x"] += 500.0
+    assert not told(jumping)
+    odd = walkers()
+    odd.loc[odd.track_id == 0, "x"] *= 100.0
+    assert not told(odd)
