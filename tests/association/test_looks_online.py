@@ -1,4 +1,4 @@
-"""What detections look like and how sure the detector was, online."""
+"""Online association with appearance and scores of detections."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TURNING = {"acceleration_density": 0.2}
 
 
 def kept(found: np.ndarray, whose: np.ndarray, frame: np.ndarray, person: int) -> bool:
-    """Whether somebody has the same identity before and after being hidden."""
+    """Return True if a person has the same identity before and after being hidden."""
     before, after = (found[(whose == person) & some] for some in (frame < 32, frame > 40))
     return bool(before[-1] == after[-1] > 0)
 

@@ -1,4 +1,4 @@
-"""Who is who online: said at once, revised, saved, and the estimates that follow."""
+"""Online data association: at once, revised, saved, and the estimates that follow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where people come and go, and where detections are false: rates over the ground."""
+"""Rates of birth, death and clutter over the ground, and velocities steered by body and head."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def record(request: pytest.FixtureRequest) -> Callable[[str, float], None]:
 
 
 def regressed(entry: dict[str, Any], value: float) -> bool:
-    """Whether a value is worse than the baseline's by more than the tolerance, a share of it."""
+    """Return True if a value is worse than the baseline's by more than the tolerance, a share of it."""
     allowed = entry["tolerance"] * abs(entry["value"])
     worse = entry["value"] - value if entry["direction"] == "higher" else value - entry["value"]
     return bool(worse > allowed)

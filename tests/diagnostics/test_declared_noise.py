@@ -1,4 +1,4 @@
-"""What the data say of the noise that is declared: multipliers, biases, and what comes of correcting them."""
+"""Tests of the declared noise: multipliers, biases, and their correction."""
 
 from __future__ import annotations
 

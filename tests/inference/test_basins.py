@@ -62,7 +62,7 @@ def test_offline_nobody_faces_backwards(preset: str, engine: Any) -> None:
 
 @pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
 def test_whoever_turns_around_is_followed_out_of_the_past(engine: Any) -> None:
-    """What left the window says that the head points one way; then it turns within a few frames.
+    """The marginalised past holds the head in one direction; then it turns within a few frames.
 
     Not of a full history, which forgets nothing: to have turned around costs more than these answers weigh.
     """
@@ -90,7 +90,7 @@ def standing_still(n: int = 60) -> Track:
 
 
 def proposed(track: Track, states: np.ndarray) -> np.ndarray | None:
-    """What `unwind` proposes for some states; None: nothing."""
+    """The start that `unwind` proposes for some states, or None."""
     problem, memory = problem_of(pack([track], Model("joint"))), workspace(len(track))
     memory.length[0] = len(track)
     return memory.again.copy() if unwind(problem, 0, len(track), states, memory) else None

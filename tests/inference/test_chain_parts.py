@@ -38,7 +38,7 @@ from graphtrack.smoothing import track_online
 
 
 def own_cost(problem: object, state: FloatArray) -> float:
-    """What the first frame costs by itself."""
+    """Cost of the first frame by itself."""
     vectors, matrices = np.zeros((2, 6)), np.zeros((3, 6, 6))
     ways = True, False, True  # exact, links, own
     memory = np.zeros((1, 4)), *vectors, *matrices
@@ -141,7 +141,6 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
 
 
 def test_each_coupling_has_its_own_lead() -> None:
-    """How long the head leads says nothing of the last frames of the body's coupling, nor the other way."""
     track, model = walk(20, seed=3), Model("full")
     found = {}
     for leads in ((0.1, 0.1), (0.1, 0.6), (0.6, 0.1)):

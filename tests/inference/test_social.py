@@ -210,7 +210,7 @@ def test_who_is_in_no_conversation_is_as_without_groups(people, within: float) -
 
 
 def test_who_walks_past_a_conversation_is_told_nothing_of_it() -> None:
-    """Where positions alone are seen, the least of it would be all that is known of a body."""
+    """With positions alone, the least of it would be all that is known of a body."""
     frame = np.arange(60)
     t = 0.4 * frame
     passing = [np.column_stack([0.7 * t - 8.0, np.full(60, y)]) for y in (0.0, 0.9)]

@@ -61,7 +61,7 @@ def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
 
 @pytest.fixture
 def rehearsed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
-    """What was made ready, in words, with the names of its rehearsals; nothing is compiled."""
+    """Names of rehearsals that were asked for; nothing is compiled."""
     found: list[tuple[str, ...]] = []
     for module in (warm, particle):
         monkeypatch.setattr(

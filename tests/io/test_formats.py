@@ -1,4 +1,4 @@
-"""What each reader makes of its format, on made-up files whose answer is known."""
+"""Readers of each format on synthetic files whose answer is known, and scores of MOT text."""
 
 from __future__ import annotations
 

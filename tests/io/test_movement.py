@@ -23,7 +23,7 @@ for name in ("h5netcdf", "h5py"):
     pytest.importorskip(name, reason="the extra movement has it")
 
 POSES = Path(__file__).parent / "made_elsewhere" / "movement.nc.gz"
-"""What movement 0.15 wrote: two people, seen from above, who walk on circles of 50 pixels, counter-clockwise
+"""Poses written by movement 0.15: two people, seen from above, who walk on circles of 50 pixels, counter-clockwise
 and 0.1 rad a frame, and look ahead. In frame 5 anna's right shoulder is missing."""
 
 
@@ -66,7 +66,7 @@ def test_movement_takes_what_is_written() -> None:
 
 
 def circle(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where anna is (metres, 0.01 a pixel, y up) and where she goes."""
+    """Positions of anna (metres, 0.01 a pixel, y up) and her heading."""
     angle = 0.1 * frame
     return np.array([3.0, -2.4]) + 0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1), angle + np.pi / 2.0
 
@@ -87,7 +87,7 @@ def test_poses_that_movement_wrote_are_positions_bodies_and_heads() -> None:
 
 
 def poses_in_metres() -> Any:
-    """What movement wrote, in metres with y up, and without a unit."""
+    """The poses in metres with y up, without a unit."""
     poses = xarray.load_dataset(BytesIO(gzip.decompress(POSES.read_bytes())), engine="h5netcdf")
     poses["position"] = poses["position"] * xarray.DataArray([0.01, -0.01], dims="space")
     return poses

@@ -82,7 +82,7 @@ MUTATIONS = (flip_bytes, truncate, change_lines, change_cells, insert_junk)
 
 
 def assert_as_checked(track: Track) -> None:
-    """What a reader vouches for is what a user's own arrays would have to be."""
+    """Assert that a reader's arrays pass the checks of a user's own."""
     checked = Track(**vars(track))
     for name, value in vars(track).items():
         if isinstance(value, np.ndarray):
@@ -113,7 +113,7 @@ def outcome(path: Path, options: dict[str, object], seed: int) -> str:
 
 
 def refusals(sample: Sample, named: bool, seeds: range, tmp_path: Path) -> set[str]:
-    """What is said of damaged copies, "read" among it if it happens."""
+    """Messages of the errors of damaged copies, or "read"."""
     path = sample.write(tmp_path)
     whole = path.read_bytes()
     options = dict(sample.options)

@@ -1,4 +1,4 @@
-"""NDJSON as a file: the table, bounds and words of CSV; and what a stream answered, read as a file."""
+"""NDJSON as a file, answers of a stream read as one, and notes on speeds that no pedestrian has."""
 
 import json
 import re

@@ -19,7 +19,7 @@ from graphtrack.errors import InputError
 from graphtrack.tracks.track import Track, TrackSet
 
 SIMULATED = Path(__file__).parent / "made_elsewhere" / "jupedsim.sqlite.gz"
-"""What JuPedSim 1.4 wrote: three agents in a room of 6 m × 4 m, 200 steps of 10 ms, each tenth."""
+"""Written by JuPedSim 1.4: three agents in a room of 6 m × 4 m, 200 steps of 10 ms, each tenth."""
 
 
 def seen() -> TrackSet:

@@ -1,4 +1,4 @@
-"""What is written is read back: through CSV, gzip, Parquet and DataFrames."""
+"""Round trips through CSV, gzip, Parquet and DataFrames."""
 
 from __future__ import annotations
 

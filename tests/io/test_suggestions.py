@@ -129,7 +129,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run_suggested(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[TrackSet, str]:
-    """What the suggested line reads, run as it was printed, and the line."""
+    """The tracks that the suggested line reads, run as it was printed, and the line."""
     done = command.run("info", path, "--suggest", program="graphtrack")
     assert done.returncode == 0, done.stderr
     (line,) = done.stdout.splitlines()

@@ -34,12 +34,12 @@ from websockets.exceptions import ConnectionClosed
 MOST_SECONDS = 0.1
 """Within which 99 % of the rows are to be answered."""
 GROWTH = 1.1
-"""How much more memory there may be in the end than at a fifth of the time."""
+"""Largest ratio of the memory at the end to that at a fifth of the time."""
 
 
 @dataclass
 class Told:
-    """What the clients saw: seconds from each row to its answer, rows sent, and answers that were errors.
+    """Results of the clients: seconds from each row to its answer, rows sent, and answers that were errors.
 
     ``ends``: how connections were closed that lost rows.
     """
@@ -62,7 +62,7 @@ def row(person: int, frame: int, rate: float) -> str:
 
 @lru_cache(64)
 def messages(people: int, frame: int, rate: float, together: bool) -> list[str]:
-    """What a client sends of a frame; all streams see the same people, so that clients cost little."""
+    """Messages of a frame; all streams see the same people, so that clients cost little."""
     rows = [row(person, frame, rate) for person in range(people)]
     return ["\n".join(rows)] if together else rows
 

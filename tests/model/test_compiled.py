@@ -1,4 +1,4 @@
-"""How functions are declared, where their machine code is kept, and what is logged of compiling."""
+"""Declaration of compiled functions, the folder of their machine code, and the log of compiling."""
 
 from __future__ import annotations
 

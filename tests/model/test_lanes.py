@@ -118,7 +118,7 @@ def test_lanes_can_be_taken_and_put_one_by_one() -> None:
 
 @compiled
 def through_views(matrices: FloatArray, rows: FloatArray, frames: FloatArray, records: np.ndarray) -> None:
-    """What stands in one view of lanes into others."""
+    """Copy numbers from one view of lanes into others."""
     blocks, short, seen = lane_array(matrices), lane_rows(rows, 3), lane_records(frames, records)
     for k in range(2):
         block = blocks[k]

@@ -171,7 +171,7 @@ def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
 
 
 def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
-    """What is remembered of a frame of one kind would be the first frame's bearing of the window."""
+    """A cached frame would keep the first frame's bearing of the window."""
     track = replace(walk(20, seed=2), body=None, head=None, body_kappa=None, head_kappa=None)
     whole, rows = pack([track], MODEL).records, FrameRows(MODEL)
     rows.make(len(track), np.zeros(2), np.array([0, len(track)]), np.zeros((0, N)))

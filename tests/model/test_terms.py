@@ -249,7 +249,7 @@ OF_OBSERVATIONS = every(
 )
 SPEEDS = np.array([0.05, 0.12, 0.129, 0.131, 0.14, 1e-3])
 DEVIATIONS = np.array([0.0, PI, PI - 1e-9, -PI + 1e-9, PI - 1e-3, 1e-6])
-"""Where something changes its sign or its kind."""
+"""Values at which something changes its sign or its kind."""
 
 
 def somewhere(
@@ -384,7 +384,7 @@ def test_the_factors_have_the_cost_and_the_gradient_of_the_kernels(case: Case) -
 
 
 def place_of(key: int, k: int) -> np.ndarray:
-    """Where a variable of frame k or of the one before stands among 12 numbers."""
+    """Places of a variable of frame k or of the one before among 12 numbers."""
     symbol = gtsam.Symbol(key)
     first = {"x": 0, "v": 2, "b": 4, "h": 5}[chr(symbol.chr())] + 6 * (symbol.index() - k + 1)
     return np.arange(first, first + (2 if chr(symbol.chr()) in "xv" else 1))
@@ -460,7 +460,7 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
 def costs_at(
     term: Term, packed: PackedTracks, k: int, row: np.ndarray, place: int, angles: np.ndarray
 ) -> np.ndarray:
-    """What a frame costs with one orientation at each of the angles."""
+    """Costs of a frame with one orientation at each of the angles."""
     turned = np.tile(row, (len(angles), 1))
     turned[:, place] = angles
     return np.array([evaluate(term, packed, k, row, other)[0] for other in turned])

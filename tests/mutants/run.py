@@ -71,7 +71,7 @@ def find(tree: Path, piece: str) -> Path:
 
 
 def fails(tree: Path, tests: tuple[str, ...]) -> str:
-    """What pytest says of the first test that fails; "" if all pass."""
+    """The line of pytest that names the first failed test; "" if all pass."""
     environment = {
         **os.environ,
         "PYTHONPATH": str(tree),
