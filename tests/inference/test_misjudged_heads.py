@@ -119,7 +119,7 @@ def test_what_was_seen_by_a_classifier_stays_so_while_the_head_is_hidden() -> No
 
 @pytest.mark.parametrize("doubt", [0.0, 0.4, 1.0])
 def test_doubted_classes_are_mixed_with_what_says_nothing(doubt: float) -> None:
-    """The weight that classes lose is spread over the circle: by quadrature, with the gradient by differences."""
+    """Their lost weight is spread over the circle: by quadrature, with the gradient by differences."""
     n, rng = HEAD_CLASSES, np.random.default_rng(39)
     heights = rng.random(n + 1)
     heights /= heights.sum()

@@ -23,7 +23,7 @@ for name in ("h5netcdf", "h5py"):
     pytest.importorskip(name, reason="the extra movement has it")
 
 POSES = Path(__file__).parent / "made_elsewhere" / "movement.nc.gz"
-"""Poses written by movement 0.15: two people, seen from above, who walk on circles of 50 pixels, counter-clockwise
+"""By movement 0.15: two people seen from above who walk on circles of 50 pixels, counter-clockwise
 and 0.1 rad a frame, and look ahead. In frame 5 anna's right shoulder is missing."""
 
 
