@@ -50,20 +50,6 @@ def test_numbers_without_a_header_are_diagnosed(format: str | None, mark: str, t
     np.testing.assert_array_equal(found[1].pixel, expected[1].pixel)
 
 
-@pytest.mark.parametrize("name", ["table.csv", "table.txt"])
-def test_utf_16_is_read_by_its_mark_and_told_without_one(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    for mark, encoding in (
-        ("\ufeff", "utf-16-le"),
-        ("\ufeff", "utf-16-be"),
-        ("", "utf-16-le"),
-        ("", "utf-16-be"),
-    ):
-        path.write_bytes((mark + TABLE).encode(encoding))
-        options = {} if mark else named(refused(path))
-        assert io.read(path, **options).n_frames == 4
-
-
 def test_a_line_before_the_header_and_a_decimal_comma_are_named(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("sep=,\n" + TABLE)

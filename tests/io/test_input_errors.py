@@ -106,7 +106,8 @@ def test_encodings_and_gzip(sample: Sample, tmp_path: Path) -> None:
         path.write_bytes(data.decode().encode("utf-16"))
         assert io.read(path, **sample.options).n_frames == plain.n_frames
         path.write_bytes(data.decode().encode("utf-16-be"))
-        assert refused(path, format=sample.format).found == "UTF-16 text"
+        error = refused(path, format=sample.format)
+        assert error.found == "UTF-16 text" and "--encoding" in error.expected
         path.write_bytes(data[:-1] + b"\xe9\n")
         assert refused(path, format=sample.format).found == "the byte 0xe9"
 
