@@ -54,9 +54,7 @@ def test_groups_looks_and_forecasts_of_a_crowd_beside_a_plain_tracker(
         lambda t, seen: tracker.forecast(2.0, 0.4),
     )
     whole, *own, peer = milliseconds(*steps, HungarianTracker().step)
-    print(
-        f"\nms of a frame: tracker {whole:.1f}, groups, attention, forecast {np.round(own, 1)}, plain {peer:.1f}"
-    )
+    print(f"\nms: tracker {whole:.1f}, groups, attention, forecast {np.round(own, 1)}, plain {peer:.1f}")
     name = "frame of 100 people, groups, attention, forecast /"
     record(f"{name} Kalman and Hungarian, processor time", sum(own) / peer)
     record(f"{name} tracker full, processor time", sum(own) / whole)
