@@ -35,7 +35,6 @@ EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
 # Between them they have every term.
 MOST_TERMS = pytest.mark.parametrize("preset", others_slow(PRESETS, ["joint-intentional", "joint-place"]))
 SYMMETRIC = pytest.mark.parametrize("preset", ["joint", "position", "separate"])
-ORIENTED = pytest.mark.parametrize("preset", ["separate", "joint"])
 
 
 def assert_same_angles(found: np.ndarray | None, expected: np.ndarray | None, tolerance: float) -> None:

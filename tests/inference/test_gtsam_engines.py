@@ -21,7 +21,6 @@ from graphtrack.tracks.track import Track
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
 CONVERGED: dict[str, Any] = {"relinearize_threshold": 1e-4, "step_tolerance": 1e-7, "max_iterations": 200}
-BOTH_MODES = pytest.mark.parametrize("lag", [2.0, None], ids=["window", "full history"])
 
 
 def online(
