@@ -249,9 +249,10 @@ def test_a_marginal_prior_owns_its_numbers() -> None:
 
 
 class Failing(Term):
-    """Fails in one of several ways at the frames 90 and up."""
+    """Fails in one of several ways at the frames 90 and up, or anywhere when it is ``broken``."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
+    broken: ClassVar[bool] = False
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         frame, key = step.observation.frame, step.position_key
@@ -259,30 +260,15 @@ class Failing(Term):
             raise RuntimeError("no factors today")
 
         def callback(values: gtsam.Values) -> np.ndarray:
-            if frame == 91:
+            if frame == 91 or type(self).broken:
                 raise RuntimeError("the residual cannot be had")
-            return np.full(1 if frame == 92 else 2, np.nan if frame == 93 else 0.0)
+            pull = np.full(1 if frame == 92 else 2, np.nan if frame == 93 else 0.0)
+            return pull if frame >= 90 else 0.01 * np.sin(values.atPoint2(key))
 
-        if frame >= 91:
-            return [custom_factor([key], 2, callback)]
-        return []
+        return [custom_factor([key], 2, callback)]
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         return 0.0
-
-
-class FailingLater(Failing):
-    """Works while its step is the newest and fails when it is linearised again after others have come."""
-
-    broken: ClassVar[bool] = False
-
-    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        def callback(values: gtsam.Values) -> np.ndarray:
-            if type(self).broken:
-                raise RuntimeError("broken since")
-            return 0.01 * np.sin(values.atPoint2(step.position_key))
-
-        return [custom_factor([step.position_key], 2, callback)]
 
 
 @GTSAM_ENGINES
@@ -317,14 +303,14 @@ def test_a_failed_update_is_reported_and_leaves_no_trace(
 def test_a_factor_that_breaks_later_is_rolled_back_too(
     engine: Any, lag: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = Model("joint", terms=[FailingLater])
+    model = Model("joint", terms=[Failing])
     seen = list(observations(walk(30, seed=15)))
     options: dict[str, Any] = {"engine": engine, "lag": lag, "relinearize_threshold": 1e-9}
     smoother, plain = (OnlineSmoother(model, **options) for _ in range(2))
     run(smoother, seen[:20])
     run(plain, seen[:20])
     with monkeypatch.context() as patch:
-        patch.setattr(FailingLater, "broken", True)
+        patch.setattr(Failing, "broken", True)
         assert [e.status for e in run(smoother, seen[20:22])] == ["failed"] * 2
     for observation in seen[22:]:
         assert_same(smoother.update(observation), plain.update(observation), REBUILT[engine])

@@ -466,23 +466,6 @@ def costs_at(
     return np.array([evaluate(term, packed, k, row, other)[0] for other in turned])
 
 
-def test_curvatures_that_can_be_indefinite_are() -> None:
-    """Else the two curvatures would not be told apart above."""
-    for case in CASES:
-        if case.name in (
-            "body dynamics",
-            "body follows motion",
-            "head follows body",
-            "body angle",
-            "metres, Cauchy",
-        ):
-            term, least = case.term(case.parameters), 0.0
-            for states, track in every_situation(case):
-                packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
-                least = min(least, np.linalg.eigvalsh(evaluate(term, packed, 1, rows[0], rows[1])[2]).min())
-            assert least < -1e-3, case.name
-
-
 @OF_OBSERVATIONS
 def test_a_term_costs_nothing_where_nothing_was_seen(case: Case) -> None:
     n = 3
