@@ -59,8 +59,10 @@ def test_what_was_measured_is_compared_to_the_last_place(
 ) -> None:
     (tmp_path / "page.md").write_text(PAGE, encoding="utf-8")
     rows = [row for claim in claim_of(error, text) for row in claim.compare(Results(TABLES), tmp_path)]
-    assert len(rows) == 4
-    assert all(holds for *_, holds in rows) == held
+    assert len(rows) == 4 and all(holds for *_, holds in rows) == held
+    (tmp_path / "page.md").write_text(PAGE.replace("| two", "| three"), encoding="utf-8")
+    with pytest.raises(LookupError, match="no line 'two'"):
+        claim_of(1.25)[0].compare(Results(TABLES), tmp_path)
 
 
 def test_a_label_may_have_several_cells(tmp_path: Path) -> None:
@@ -71,9 +73,3 @@ def test_a_label_may_have_several_cells(tmp_path: Path) -> None:
         "full | 10": [Shown(1.5, 0.1), Shown(95.0, 1.0)],
         "full | 2.5": [Shown(2.5, 0.1), Shown(90.0, 1.0)],
     }
-
-
-def test_a_line_that_is_gone_is_told(tmp_path: Path) -> None:
-    (tmp_path / "page.md").write_text(PAGE.replace("| two", "| three"), encoding="utf-8")
-    with pytest.raises(LookupError, match="no line 'two'"):
-        claim_of(1.25)[0].compare(Results(TABLES), tmp_path)
