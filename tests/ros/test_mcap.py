@@ -11,12 +11,12 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import json_format
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from recordings import STORE, make
+from recordings import STORE
 from rosbags.rosbag2 import Reader
 
 import graphtrack as gt
 from graphtrack.io.formats.ros_bag import MARKERS, SCENE
-from graphtrack.io.formats.ros_writing import TOPICS, Repeated, message_for, moments_of
+from graphtrack.io.formats.ros_writing import TOPICS
 from graphtrack.tracks.table import AsRead
 from graphtrack.tracks.time import TimeScale
 from graphtrack.tracks.track import Track, TrackSet
@@ -171,24 +171,6 @@ def test_arrows_point_where_people_go_and_look(written):
         assert 2.0 * np.arctan2(turn.z, turn.w) == pytest.approx(angle)
     (way,) = (m for m in message.markers if m.ns == "velocity" and m.id == 0)
     assert way.scale.x == pytest.approx(np.hypot(*truth[1].velocity[0]))
-
-
-@pytest.mark.parametrize("kind", sorted(TOPICS.values()))
-def test_repeated_messages_are_those_that_are_built_one_by_one(kind):
-    def built(stamp, people):
-        return STORE.serialize_cdr(message_for(kind, make, stamp, "map", people), kind)
-
-    seen = 0
-    for moments in moments_of(estimates()):
-        found = Repeated(built, moments.people).messages(moments.stamps, moments.quantities)
-        for stamp, numbers, raw in zip(moments.stamps.tolist(), moments.quantities, found, strict=True):
-            people = [
-                one._replace(of=one.of._make(row))
-                for one, row in zip(moments.people, numbers.tolist(), strict=True)
-            ]
-            assert raw == bytes(built(stamp, people))
-            seen += 1
-    assert seen == N
 
 
 def test_names_and_dates_are_written_as_they_were_read(tmp_path):

@@ -244,7 +244,7 @@ def test_a_clock_that_is_set_back_takes_its_tf_with_it():
     seen(0.0, 20.0)
     # Between two tellings of the new time there is none of the old.
     late = live.take(people(0.4, [person("ben", 0.0, 0.0)], "base"))
-    assert [one.of.x for one in late.people] == [pytest.approx(20.0)]
+    assert [one.x for one in late.people] == [pytest.approx(20.0)]
 
 
 def test_who_is_not_seen_for_long_is_forgotten():
@@ -255,4 +255,4 @@ def test_who_is_not_seen_for_long_is_forgotten():
         told = live.take(people(1.0 + 0.1 * k, [person("ben", 0.0, 5.0)]))
     assert [one.name for one in told.people] == ["ben"] and list(live._named) == ["ben"]
     told = live.take(people(10.0, [person("anna", 50.0, 0.0)]))
-    assert told.people[0].of.x == pytest.approx(50.0, abs=1e-3)
+    assert told.people[0].x == pytest.approx(50.0, abs=1e-3)

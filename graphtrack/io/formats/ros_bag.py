@@ -62,13 +62,6 @@ def _is_rotation(quaternion: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((length > 0.0) & np.isfinite(length))
 
 
-def quaternion_of(yaw: FloatArray) -> FloatArray:
-    """Quaternions (n, 4) of rotations about the vertical by (n,) radians; no rotation for NaN."""
-    half = np.nan_to_num(np.asarray(yaw, dtype=float)) / 2.0
-    none = np.zeros_like(half)
-    return np.stack([none, none, np.sin(half), np.cos(half)], axis=-1)
-
-
 def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
     """The quaternions (n, 4) of turning by the second, then by the first."""
     known = _is_rotation(second)
