@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from typer.core import TyperCommand
-
 from graphtrack.cli import options
 from graphtrack.cli.console import (
     emit,
@@ -88,24 +86,6 @@ FIGURES, RELIABILITY = ("errors.png", "nees.png"), "reliability.png"
 """Files of `write_figures`: the last one with --reliability."""
 
 
-class CompareCommand(TyperCommand):
-    """The command, for which ``--calibration`` without a file means `--reliability`.
-
-    A calibration is a camera's file and what a forecaster is judged by, and both are asked for by that name.
-    """
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line."""
-        after = [*args[1:], "--"]
-        return super().parse_args(
-            ctx,
-            [
-                "--reliability" if one == "--calibration" and following.startswith("-") else one
-                for one, following in zip(args, after, strict=True)
-            ],
-        )
-
-
 def named(methods: str | None) -> list[str]:
     """The methods of an option; none if it was not given."""
     if methods is None:
@@ -148,7 +128,7 @@ def compare(
         graph with every engine and particle-modes, joint for particles, and the filters' own.
     occlude : Seconds around the sharpest turn to withhold and to score.
     figures : Folder for figures (PNG).
-    reliability : How honest uncertainties are (also as --calibration, without a file): NEES and coverage of
+    reliability : How honest uncertainties are: NEES and coverage of
         50, 90 and 95 % intervals for position, velocity, body, head; with --figures a figure of it.
 
     Trackers, from detections without identities

@@ -98,12 +98,8 @@ def tracking_report(
     errors = tuple(person_errors(pair) for pair in pairs)
     lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
     replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour)
-    words = (
-        "The time that people spent where, under everybody's path, and the paths by the way they went; "
-        "a dot is where one ends"
-        if is_crowd(pairs)
-        else "Everybody's path from above, with body and head at regular times"
-    )
+    words = "Everybody's path from above"
+    words += "" if is_crowd(pairs) else ", with body and head at regular times"
     picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
     parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
     extra: tuple[Card, ...] = ()

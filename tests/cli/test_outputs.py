@@ -47,7 +47,6 @@ COINCIDING = {
     "info a.csv --calibration H.txt --json H.txt": ("--json", "--calibration"),
     "fit a.csv -o m.toml --model m.toml": ("--output", "--model"),
     "fit a.csv -o new.toml --report x --json x": ("--report", "--json"),
-    "fit a.csv -o new.toml --report new.toml.progress": ("the progress file of --output", "--report"),
     "reproduce baxter-statistics --out . --json baxter-statistics.json": ("--json", "--out"),
     "reproduce chen-joint --out new --json new/chen-joint.json": ("--json", "--out"),
     "reproduce chen-joint --out full --data data --json data/salsa/features.txt": ("--json", "--data"),

@@ -114,15 +114,3 @@ def test_a_comparison_has_it_for_each_method_and_quantity(tmp_path, monkeypatch,
     }
     kept = json.loads((tmp_path / "found.json").read_text())
     assert [row["nees"] for row in kept["calibration"]] == [row["nees"] for row in found.calibration]
-
-
-@pytest.mark.parametrize("after", [[], ["--seed", "1"]])
-def test_calibration_without_a_file_asks_for_reliability(after, tmp_path, monkeypatch, capsys):
-    from graphtrack.io import write
-
-    write(TrackSet((walk(20),)), tmp_path / "walk.csv")
-    arguments = ["compare", str(tmp_path / "walk.csv"), "--methods", "kf", "--calibration", *after]
-    monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0 and "Reliability" in capsys.readouterr().out
