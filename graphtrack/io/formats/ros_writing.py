@@ -23,7 +23,6 @@ from graphtrack.io.formats.ros_bag import (
     OURS,
     OWN_INPUT,
     PEOPLE,
-    SCENE,
     SECOND,
     need_rosbags,
     typestore,
@@ -227,7 +226,7 @@ _WHITE = "#FFFFFF"
 _POINT = 0.3  # metres of the point of an arrow of body or head
 
 _ARROW, _CYLINDER, _TEXT = 0, 3, 9
-_DELETE_ALL_MARKERS, _DELETE_ALL_ENTITIES = 3, 1
+_DELETE_ALL = 3
 
 
 class Arrow(NamedTuple):
@@ -262,87 +261,14 @@ def _shares(colour: str) -> tuple[float, float, float]:
     return red / 255.0, green / 255.0, blue / 255.0
 
 
-def scene_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person]) -> Any:
-    """``foxglove_msgs/SceneUpdate``: people as cylinders with heads, arrows, ellipses, names; stamp in ns."""
-    time = time_of(make, stamp)
-    entities = [
-        make(
-            "foxglove_msgs/msg/SceneEntity",
-            timestamp=time,
-            frame_id=frame_id,
-            id=one.name,
-            arrows=[_arrow(make, one, arrow) for arrow in arrows_of(one)],
-            spheres=[_head(make, one)],
-            cylinders=list(_cylinders(make, one)),
-            texts=[_text(make, one)],
-        )
-        for one in people
-    ]
-    delete = make("foxglove_msgs/msg/SceneEntityDeletion", timestamp=time, type=_DELETE_ALL_ENTITIES)
-    return make(SCENE, deletions=[delete], entities=entities)
-
-
-def _colour(make: Make, name: str, alpha: float = 1.0) -> Any:
-    red, green, blue = _shares(name)
-    return make("foxglove_msgs/msg/Color", r=red, g=green, b=blue, a=alpha)
-
-
 def _size(make: Make, x: float, y: float, z: float) -> Any:
     return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def _arrow(make: Make, one: Person, arrow: Arrow) -> Any:
-    return make(
-        "foxglove_msgs/msg/ArrowPrimitive",
-        pose=pose_at(make, one.x, one.y, arrow.z, arrow.yaw),
-        shaft_length=arrow.shaft,
-        shaft_diameter=0.05,
-        head_length=arrow.tip,
-        head_diameter=0.12,
-        color=_colour(make, arrow.colour),
-    )
-
-
-def _head(make: Make, one: Person) -> Any:
-    return make(
-        "foxglove_msgs/msg/SpherePrimitive",
-        pose=pose_at(make, one.x, one.y, EYES, one.head),
-        size=_size(make, 0.2, 0.16, 0.24),
-        color=_colour(make, person_colour(one.number), 0.8),
-    )
-
-
-def _cylinders(make: Make, one: Person) -> Iterator[Any]:
-    found = [(one.body, _SHOULDERS, (WIDTH / 2.0, WIDTH), 0.6)]
-    if one.ellipse is not None:
-        longer, shorter, yaw = one.ellipse
-        found.append((yaw, _THIN, (longer, shorter), 0.4))
-    for yaw, height, extent, alpha in found:
-        yield make(
-            "foxglove_msgs/msg/CylinderPrimitive",
-            pose=pose_at(make, one.x, one.y, height / 2.0, yaw),
-            size=_size(make, *extent, height),
-            bottom_scale=1.0,
-            top_scale=1.0,
-            color=_colour(make, person_colour(one.number), alpha),
-        )
-
-
-def _text(make: Make, one: Person) -> Any:
-    return make(
-        "foxglove_msgs/msg/TextPrimitive",
-        pose=pose_at(make, one.x, one.y, _ABOVE),
-        billboard=True,
-        font_size=0.25,
-        color=_colour(make, _WHITE),
-        text=one.label,
-    )
 
 
 def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person]) -> Any:
     """``visualization_msgs/MarkerArray``: a namespace for each kind of drawing; stamp in ns."""
     header = header_of(make, stamp, frame_id)
-    found = [make("visualization_msgs/msg/Marker", header=header, action=_DELETE_ALL_MARKERS)]
+    found = [make("visualization_msgs/msg/Marker", header=header, action=_DELETE_ALL)]
 
     def add(name: str, one: Person, kind: int, pose: Any, scale: Any, colour: str, **more: Any) -> None:
         red, green, blue = _shares(colour)
@@ -362,6 +288,9 @@ def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[Pers
         )
 
     for one in people:
+        body = pose_at(make, one.x, one.y, _SHOULDERS / 2.0, one.body)
+        scale = _size(make, WIDTH / 2.0, WIDTH, _SHOULDERS)
+        add("person", one, _CYLINDER, body, scale, person_colour(one.number), alpha=0.6)
         for arrow in arrows_of(one):
             pose = pose_at(make, one.x, one.y, arrow.z, arrow.yaw)
             add(arrow.name, one, _ARROW, pose, _size(make, arrow.shaft + arrow.tip, 0.05, 0.12), arrow.colour)
@@ -382,11 +311,9 @@ TOPICS: Mapping[str, str] = {
     OWN_INPUT: DETECTIONS,
     f"{OURS}tracked": IDS,
     f"{OURS}markers": MARKERS,
-    f"{OURS}scene": SCENE,
 }
 """Topic → type of what is written."""
 
-_DRAWN = (MARKERS, SCENE)
 _BETWEEN_DRAWINGS = 95_000_000
 """Nanoseconds from one drawing to the next, at least: ten a second are seen as motion."""
 
@@ -396,8 +323,6 @@ _CHUNK = 4 * 2**20
 
 def message_for(kind: str, make: Any, stamp: int, frame_id: str, people: list[Person]) -> Any:
     """Estimates of people at a time (ns) as a message of one of the types of `TOPICS`."""
-    if kind == SCENE:
-        return scene_message(make, stamp, frame_id, people)
     if kind == MARKERS:
         return markers_message(make, stamp, frame_id, people)
     build: Mapping[str, Callable[..., Any]] = {
@@ -429,7 +354,7 @@ def write_mcap(tracks: TrackSet, path: Path) -> None:
             draws = stamp - drawn >= _BETWEEN_DRAWINGS
             drawn = stamp if draws else drawn
             for kind, channel in channels.items():
-                if draws or kind not in _DRAWN:
+                if draws or kind != MARKERS:
                     data = store.serialize_cdr(message_for(kind, make, stamp, frame_id, people), kind)
                     writer.add_message(channel, log_time=stamp, publish_time=stamp, data=data)
         writer.finish()
