@@ -220,21 +220,3 @@ def test_unknown_and_repeated_methods_are_refused(tracks: TrackSet) -> None:
             compare(tracks, methods)
     own: Method = Echo()
     assert make_method(own) is own
-
-
-def test_the_published_filters_stand_beside_the_graph() -> None:
-    observed = simulate(n_tracks=3, n_steps=40, rng=np.random.default_rng(0))
-    names = ["kf", "intentional", "particle", "isam2", "rts", "ffbs", "smoother"]
-    found = compare(observed, names)
-    assert not found.failures
-    assert {row["method"] for row in found.group("online")} == set(names[:4])
-    assert {row["method"] for row in found.group("offline")} == set(names[4:])
-    # Who uses the same observations says so in the same words, and the caption repeats it.
-    information = found.information
-    assert information["particle"] == information["isam2"] == "positions, body, head; past only"
-    assert information["ffbs"] == information["smoother"]
-    assert information["intentional"] == "positions, head; past only"
-    assert all(f"{name} ({information[name]})" in found.caption for name in names)
-    errors = {row["method"]: row["mean"] for row in found.rows if row["metric"] == "body error"}
-    assert errors["particle"] < 1.25 * errors["isam2"]
-    assert errors["ffbs"] < errors["particle"]
