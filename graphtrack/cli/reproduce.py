@@ -146,7 +146,6 @@ def demo(
         observed,
         title="graphtrack demo",
         comparison=comparison.rows,
-        consistency=comparison.nees,
         calibration=comparison.calibration,
     )
     write_html(out / REPORT, report)

@@ -37,7 +37,7 @@ COINCIDING = {
     "track - --state H.txt --homography H.txt": ("--state", "--homography"),
     "compare a.csv --methods kf --position-noise 0.1 --json a.csv": ("--json", "the input"),
     "compare a.csv --methods kf --position-noise 0.1 --figures full": ("--figures", "the input"),
-    "compare a.csv --methods kf --position-noise 0.1 --figures empty --json empty/nees.png": (
+    "compare a.csv --methods kf --position-noise 0.1 --figures empty --json empty/reliability.png": (
         "--figures",
         "--json",
     ),

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from made_up import ERRORS, NEES, observed, walker
+from made_up import ERRORS, observed, walker
 from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
-from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
+from graphtrack.report.plots import plot_angles, plot_errors, plot_tracks
 from graphtrack.report.plots.scene import CROWD
 from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR
 from graphtrack.tracks.track import Track, TrackSet
@@ -177,11 +177,6 @@ def test_errors_stand_at_their_median_with_their_spread(table):
     assert len([line for line in figure.axes[1].lines if line.get_marker() == "o"]) == 1  # NaN is left out
 
 
-def test_nees_is_filled_inside_its_band_and_hollow_outside():
-    dots = [line for line in plot_nees(NEES).axes[0].lines if line.get_marker() == "o"]
-    assert [line.get_markerfacecolor() == "white" for line in dots] == [True, False]
-
-
 def test_tables_that_lack_something_are_refused():
     with pytest.raises(InputError, match="at least one row"):
         plot_errors([])
@@ -189,8 +184,6 @@ def test_tables_that_lack_something_are_refused():
         plot_errors([ERRORS[0], {k: v for k, v in ERRORS[1].items() if k != "unit"}])
     with pytest.raises(InputError, match="a number"):
         plot_errors([{**ERRORS[0], "median": "much"}])
-    with pytest.raises(InputError, match="positive"):
-        plot_nees([{**NEES[0], "count": 0}])
 
 
 def test_matplotlib_is_not_loaded_before_it_is_needed():
