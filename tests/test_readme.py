@@ -49,7 +49,7 @@ def check_tracks(names):
     (answer,) = (text for line, text in names["outputs"].items() if "|" in line)
     assert [json.loads(line)["status"] for line in answer.splitlines()] == ["new"]
     assert {"smoothed.csv", "report.html", "scores.json", "learned.toml"} <= names["files"]
-    assert {"report.html", "tracks.png", "errors.png", "nees.png", "estimates.csv"} <= names["of_demo"]
+    assert {"report.html", "tracks.png", "errors.png", "reliability.png", "estimates.csv"} <= names["of_demo"]
 
 
 def test_everything_about_tracks_runs_from_top_to_bottom(names):

@@ -8,6 +8,7 @@ accelerations and turns that last, change covariances alone; see `graphtrack.inf
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
@@ -310,6 +311,20 @@ class Parameters:
                 raise InputError(f"the unknown {kind} {table!r}", expected)
             parts[table] = with_table(getattr(start, table), table, values)
         return replace(start, **parts)
+
+    def value(self, name: str) -> float:
+        """Number of a name such as "motion.head_rate"."""
+        group, key = name.split(".")
+        return float(getattr(getattr(self, group), key))
+
+    def with_values(self, values: Mapping[str, float]) -> Parameters:
+        """The same with other numbers, by names such as "motion.head_rate"."""
+        groups: dict[str, dict[str, float]] = {}
+        for name, value in values.items():
+            group, key = name.split(".")
+            groups.setdefault(group, {})[key] = value
+        changed = {group: replace(getattr(self, group), **own) for group, own in groups.items()}
+        return replace(self, **changed)
 
 
 def steady(parameters: Parameters) -> Parameters:

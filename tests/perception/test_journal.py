@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -68,3 +69,27 @@ def test_records_that_nothing_can_be_made_of_are_looked_at_again(tmp_path: Path,
     again.add(1, of_frame())
     again.close(remove=False)
     assert set(opened(path).frames) == {0, 1}
+
+
+def test_a_journal_that_cannot_be_taken_up_stays_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "journal"
+    journal = opened(path)
+    journal.add(7, of_frame())
+    journal.close(remove=False)
+    written = path.read_bytes()
+    really = Path.open
+
+    def full(self: Path, mode: str = "r", *rest: object, **more: object) -> object:
+        stream = really(self, mode, *rest, **more)  # type: ignore[arg-type]
+        if "w" in mode:
+            stream.close()
+            raise OSError(28, "No space left on device")
+        return stream
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        with suppress(OSError):
+            opened(path)
+    assert path.read_bytes() == written and 7 in opened(path).frames
