@@ -28,7 +28,7 @@ from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
 from perception.drawing.people import ShownPerson, draw_tracked
-from perception.images.frames import Frame
+from perception.images.frames import Clock, Frame
 from perception.images.pixels import pictures
 from perception.observe.tables import BOX
 
@@ -277,14 +277,14 @@ def write_video(
     frames: Iterable[Frame],
     people: Mapping[int, Sequence[ShownPerson]],
     camera: GroundCamera,
-    rate: float,
+    clock: Clock,
 ) -> int:
     """Write the frames with their people; how many there are. One at a time is in memory."""
     count = 0
-    with pictures(path, rate) as write:
+    with pictures(path, clock.rate) as write:
         for frame in frames:
             if frame.image is not None:
-                words = f"frame {frame.number}  {frame.number / rate:.2f} s"
+                words = f"frame {frame.number}  {clock.seconds(frame.number):.2f} s"
                 write(frame.number, draw_tracked(frame.image, words, people.get(frame.number, ()), camera))
                 count += 1
     return count

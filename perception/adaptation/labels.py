@@ -21,7 +21,7 @@ from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, feet_of, heights_of, standing_in, upright_picture
-from perception.images.frames import Frame
+from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
 from perception.pose.features import LENGTH, Projection, describe, light_of
 
@@ -244,7 +244,7 @@ def walking_labels(
     boxes: Sequence[PersonBox],
     looks: NDArray[np.uint8] | None,
     camera: GroundCamera,
-    fps: float,
+    clock: float | Clock,
     parameters: LabelParameters = LabelParameters(),
     view: LeaningView | None = None,
 ) -> WalkingLabels:
@@ -255,7 +255,7 @@ def walking_labels(
     boxes : without identities they are associated
     looks : (n, `LENGTH`) what the people in the boxes look like, for that; None: not known
     camera : over the ground
-    fps : frames a second
+    clock : times of the frames, or frames a second
     view : where people lean in the picture, so that their feet are not where their boxes end
     """
     pixel = feet_of(boxes, view)
@@ -266,7 +266,7 @@ def walking_labels(
     frame = np.array([item.frame for item in boxes])[usable]
     table: dict[str, Any] = {
         "frame": frame,
-        "t": frame / fps,
+        "t": seconds(frame, clock),
         "x": position[usable, 0],
         "y": position[usable, 1],
         f"input_{_ROW}": usable.astype(float),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from perception.adaptation.models import CameraModels
     from perception.detection.boxes import PersonBox
     from perception.ground.calibration import FoundView
-    from perception.images.frames import FrameSource
+    from perception.images.frames import Clock, FrameSource
     from perception.storage import ModelCard
 
 
@@ -98,7 +98,7 @@ def teach(
     frames: FrameSource,
     people: Sequence[PersonBox],
     camera: GroundCamera,
-    rate: float,
+    clock: Clock,
     refuse: Callable[[str], object],
     *,
     seed: int = 0,
@@ -117,7 +117,7 @@ def teach(
             return known, _sentence(known)
     rng = np.random.default_rng(seed)
     try:
-        recordings = [Recording(frames, people, rate)]
+        recordings = [Recording(frames, people, clock)]
         models = adapted(recordings, camera, package_models(), rng, progress_bar, refuse).models
     except TooFewWalkers as error:
         sentence = f"the camera does not teach itself, the package's models look: {error.found}"
@@ -217,13 +217,13 @@ def adapt(
     recordings = []
     with ExitStack() as searches:
         for frames, place, of_recording in zip(opened, places, given, strict=True):
-            rate = camera.rate(frames)
+            clock = camera.clock(frames)
             if of_recording is None:
-                search = PeopleSearch(frames, on_ground, rate, place, camera.stamps, one_size=True)
+                search = PeopleSearch(frames, on_ground, clock, place, camera.stamps, one_size=True)
                 people = searches.enter_context(search).people(refuse)
             else:
                 people = read_boxes(of_recording, refuse)
-            recordings.append(Recording(frames, people, rate))
+            recordings.append(Recording(frames, people, clock))
         found = adapted(recordings, on_ground, package_models(), rng, progress_bar, refuse)
         found.models.save(output)
         if write_model is not None:

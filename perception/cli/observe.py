@@ -42,7 +42,7 @@ from perception.cli.searching import (
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
-    from perception.images.frames import FrameSource
+    from perception.images.frames import Clock, FrameSource
     from perception.observe.live import LiveObserver
     from perception.observe.pipeline import Models, SeenFrame
     from perception.observe.tables import SeenTracks
@@ -173,12 +173,12 @@ def observe(
         check_table_name(output)
     looks = not identified if appearance is None else appearance
     models = model.load(appearance=looks, has_keypoints=networks.has_keypoints)
-    ground, rate = camera.on_ground(), camera.rate(frames)
+    ground, clock = camera.on_ground(), camera.clock(frames)
     models = models.seeing(ground, frames.size)
     if streamed:
-        _stream(frames, given, LiveObserver(models, ground, rate, identified=identified), refused, networks)
+        _stream(frames, given, LiveObserver(models, ground, clock, identified=identified), refused, networks)
     else:
-        run = _Run(frames, rate, ground, output, networks, given, identified, bool(causal), render, refused)
+        run = _Run(frames, clock, ground, output, networks, given, identified, bool(causal), render, refused)
         run.observe(models, model, camera, write_boxes_to)
 
 
@@ -192,7 +192,7 @@ class _Run:
     """A run on a whole recording; what it knows so far stays beside the output."""
 
     frames: FrameSource
-    rate: float
+    clock: Clock
     camera: GroundCamera | None
     output: Path
     networks: OwnNetworks
@@ -218,7 +218,7 @@ class _Run:
         search = PeopleSearch(
             frames,
             self.camera,
-            self.rate,
+            self.clock,
             self.output,
             (*camera.stamps, self.networks.asked),
             causal=self.causal,
@@ -239,8 +239,8 @@ class _Run:
             write_boxes(people, write_boxes_to)
         own: list[object] = [stamp_of(path) for path in (*model.parts, model.camera_models)]
         if model.adapt and self.camera is not None:
-            asked = key_of(frames.stamp(), self.rate, people, stamp_of_camera(self.camera))
-            taught, _ = teach(taught_place, asked, frames, people, self.camera, self.rate, refuse)
+            asked = key_of(frames.stamp(), self.clock, people, stamp_of_camera(self.camera))
+            taught, _ = teach(taught_place, asked, frames, people, self.camera, self.clock, refuse)
             models, own = replace(models, of_camera=taught).seeing(self.camera, frames.size), [asked]
         looked = time.perf_counter()
         leaning = None if models.view is None else stamp_of_camera(self.camera)
@@ -255,7 +255,7 @@ class _Run:
         looked_at = search.found.keys() | points.frames.keys()
         empty = set() if self.given is not None else looked_at - {item.frame for item in people}
         known = frozenset(journal.frames.keys() | empty)
-        seen = journal.frames, models.head_classes, self.camera, self.rate
+        seen = journal.frames, models.head_classes, self.camera, self.clock
         try:
             left = frames.count - len(known)
             with decoded_frames(frames, lambda k: k not in known, left, one_size=one_size) as decoded:
@@ -273,7 +273,7 @@ class _Run:
         seconds = time.perf_counter() - looked
         if self.render is not None:  # what is drawn stays in memory
             assert observed is not None
-            _render(frames, observed, journal.frames, self.render, self.rate)
+            _render(frames, observed, journal.frames, self.render, self.clock.rate)
         if alone is not None:
             from graphtrack.io.read_write import write_table
 

@@ -17,7 +17,7 @@ from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.images.frames import Frame, FrameSource
+    from perception.images.frames import Clock, Frame, FrameSource
 
 _SHOWN = 5
 _FPS = 25.0
@@ -64,9 +64,11 @@ class CameraOptions:
         """Identity of the files' contents: path, size and time."""
         return stamp_of(self.homography), stamp_of(self.calibration)
 
-    def rate(self, frames: FrameSource) -> float:
-        """Frames a second: those that are asked for, or else the video's."""
-        return self.fps or frames.fps or _FPS
+    def clock(self, frames: FrameSource) -> Clock:
+        """Return the times of frames: by the rate that is asked for, or else by the video."""
+        from perception.images.frames import Clock
+
+        return Clock(self.fps) if self.fps is not None else frames.clock(frames.fps or _FPS)
 
     def on_ground(self) -> GroundCamera | None:
         """The camera; None if the options name none."""

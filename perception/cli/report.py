@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.tracks.track import TrackSet
     from perception.detection.boxes import PersonBox
-    from perception.images.frames import FrameSource
+    from perception.images.frames import Clock, FrameSource
     from perception.report import ReportFolder
 
 _STAGES = 7
@@ -81,8 +81,8 @@ def report(
     given = None if boxes is None else read_boxes(boxes)
     folder = ReportFolder(output, _STAGES, lambda words: emit(words))
     folder.open()
-    run = _Run(folder, frames, camera.rate(frames), known, person_height, seed)
-    run.assumed.append(_of_rate(frames, run.rate, camera.fps))
+    run = _Run(folder, frames, camera.clock(frames), known, person_height, seed)
+    run.assumed.append(_of_rate(frames, run.clock, camera.fps))
     run.find_people(boxes, given)
     run.find_ground(camera.calibration or camera.homography)
     run.teach(adapt)
@@ -98,9 +98,11 @@ def report(
         run.view(showing)
 
 
-def _of_rate(frames: FrameSource, rate: float, fps: float | None) -> str:
+def _of_rate(frames: FrameSource, clock: Clock, fps: float | None) -> str:
     source = "as given" if fps else "as the video says" if frames.fps else "assumed, since nothing says it"
-    return f"{counted(frames.count, 'frame')}, {rate:g} a second ({source})"
+    if clock.stamps is not None:
+        source = "on average; times are the video's time stamps"
+    return f"{counted(frames.count, 'frame')}, {clock.rate:g} a second ({source})"
 
 
 @dataclass
@@ -109,7 +111,7 @@ class _Run:
 
     folder: ReportFolder
     frames: FrameSource
-    rate: float
+    clock: Clock
     known: GroundCamera | None
     person_height: float
     seed: int
@@ -130,13 +132,13 @@ class _Run:
                 read_boxes(boxes or detected, refused.setdefault)
                 detected.unlink(missing_ok=True)
                 return [f"{len(given)} boxes of {boxes}", *_told(refused)]
-            found = found_people(self.frames, self.known, self.rate, detected, refused.setdefault)
+            found = found_people(self.frames, self.known, self.clock, detected, refused.setdefault)
             if not found:
                 raise InputError("a recording in which nobody is found", "people, or their boxes (--boxes)")
             write_boxes(found, detected)
             return [f"{len(found)} boxes of people who were detected", *_told(refused)]
 
-        asked = self.frames.stamp(), stamp_of_camera(self.known), self.rate, given
+        asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given
         self.assumed += self.folder.stage("people", asked, () if given else ("boxes",), work)
         self.people = read_boxes(detected) if given is None else given
         if not self.people:
@@ -200,13 +202,13 @@ class _Run:
                 return [f"{said}: {'as asked' if not adapt else 'no ground is known'}"]
             refuse, seed = refused.setdefault, self.seed
             models, said = teach(
-                place, key, self.frames, self.people, self.camera, self.rate, refuse, seed=seed
+                place, key, self.frames, self.people, self.camera, self.clock, refuse, seed=seed
             )
             if models is None:
                 place.unlink(missing_ok=True)
             return [said]
 
-        self.assumed += self.folder.stage("models", (adapt, self.rate, self.seed), (), work)
+        self.assumed += self.folder.stage("models", (adapt, self.clock, self.seed), (), work)
 
     def observe(self) -> None:
         """Stage 4: what is seen of everybody, and who is who."""
@@ -235,11 +237,11 @@ class _Run:
                     pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
                 classes, camera = models.head_classes, self.camera
                 if identified:
-                    observed = to_tracks(journal.frames, classes, camera, self.rate).tracks
+                    observed = to_tracks(journal.frames, classes, camera, self.clock).tracks
                     beyond = observed.summary.refused
                     tracks = numbered(observed, self.people)
                 else:
-                    found = to_detections(journal.frames, classes, camera, self.rate)
+                    found = to_detections(journal.frames, classes, camera, self.clock)
                     beyond = found.refused
                     tracks = associated(found.columns, found.number, self.people)
             except InputError:  # the same command would end in the same way
@@ -252,7 +254,7 @@ class _Run:
             left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
             return [*tracks.summary.notes, *left_out, *_told(refused)]
 
-        self.assumed += self.folder.stage("observations", self.rate, ("observations",), work)
+        self.assumed += self.folder.stage("observations", self.clock, ("observations",), work)
 
     def estimate(self, method: str) -> None:
         """Stage 5: where everybody is, how they move and point."""
@@ -284,10 +286,10 @@ class _Run:
             count, place = self.frames.count, self.folder.file("video")
             unit = "frames drawn"
             with decoded_frames(self.frames, lambda k: True, count, unit=unit, one_size=True) as decoded:
-                write_video(place, decoded, people, self.camera, self.rate)
+                write_video(place, decoded, people, self.camera, self.clock)
             return []
 
-        self.folder.stage("video", self.rate, ("video",), work)
+        self.folder.stage("video", self.clock, ("video",), work)
 
     def write_page(self, title: str) -> None:
         """Stage 7: the page, the view from above, and what was assumed."""
@@ -336,7 +338,7 @@ class _Run:
 def found_people(
     frames: FrameSource,
     camera: GroundCamera | None,
-    rate: float,
+    clock: Clock,
     output: Path,
     refuse: Callable[[str], object],
 ) -> list[PersonBox]:
@@ -345,7 +347,7 @@ def found_people(
     from perception.cli.searching import PeopleSearch
 
     asked = (stamp_of_camera(camera),)
-    with PeopleSearch(frames, camera, rate, output, asked, one_size=True) as search:
+    with PeopleSearch(frames, camera, clock, output, asked, one_size=True) as search:
         return search.people(refuse)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from perception.detection.ground_search import Candidates, GroundSearch
     from perception.detection.rescoring import PersonProbability
     from perception.detection.yolo import NetworkParameters, YoloNetwork
-    from perception.images.frames import Frame, FrameSource
+    from perception.images.frames import Clock, Frame, FrameSource
     from perception.images.pixels import Image
     from perception.observe.journal import FrameJournal
 
@@ -219,7 +219,7 @@ class PeopleSearch:
     ----------
     frames : the recording
     camera : over the ground; None: people may have any size
-    fps : frames a second
+    clock : times of the frames
     output : of the command
     asked : what the result depends on besides the frames
     causal : whether a detection depends on its frame alone: without a background, and nothing is learned
@@ -230,7 +230,7 @@ class PeopleSearch:
 
     frames: FrameSource
     camera: GroundCamera | None
-    fps: float
+    clock: Clock
     output: Path
     asked: tuple[object, ...] = ()
     causal: bool = False
@@ -252,7 +252,7 @@ class PeopleSearch:
         from perception.detection.rescoring import PersonProbability
         from perception.observe.journal import FrameJournal
 
-        key = key_of(self.frames.stamp(), self.fps, self.causal, *self.asked)
+        key = key_of(self.frames.stamp(), self.clock, self.causal, *self.asked)
         detections, taught = search_journals(self.output)
         journal = FrameJournal(detections, key, Detections.to_record, Detections.from_record)
         known = FrameJournal(taught, key, PersonProbability.to_record, PersonProbability.from_record)
@@ -352,7 +352,7 @@ class PeopleSearch:
     def _backgrounds(self, numbers: list[int]) -> Backgrounds:
         from perception.detection.background import Backgrounds, background_samples
 
-        samples = [] if self.causal else background_samples(numbers, self.fps)
+        samples = [] if self.causal else background_samples(numbers, self.clock.rate)
         wanted = {number for part in samples for number in part}
         if not wanted:
             return Backgrounds.of((), samples, numbers)
@@ -367,7 +367,7 @@ class PeopleSearch:
         """Candidates for people in the frames that are learned from."""
         from perception.detection.rescoring import learning_frames
 
-        wanted = frozenset(learning_frames(numbers, self.fps))
+        wanted = frozenset(learning_frames(numbers, self.clock.rate))
         search: GroundSearch | None = None
         found: dict[int, Candidates] = {}
         with decoded_frames(
@@ -384,7 +384,7 @@ class PeopleSearch:
     def _taught(self, camera: GroundCamera, candidates: dict[int, Candidates]) -> PersonProbability | None:
         from perception.detection.rescoring import taught
 
-        found = taught(candidates, camera, self.fps, np.random.default_rng(0))
+        found = taught(candidates, camera, self.clock, np.random.default_rng(0))
         if found is None:
             emit(
                 "  note: too few people surely walk: detections are not taught by this recording, and their "

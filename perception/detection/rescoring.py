@@ -32,6 +32,7 @@ from perception.detection.ground_search import (
     strongest,
 )
 from perception.detection.hog import foot_boxes
+from perception.images.frames import Clock, seconds
 from perception.images.pixels import Image
 
 _PARTS = 3  # every third frame is left out at a time
@@ -245,7 +246,7 @@ class PersonProbability:
 def taught(
     frames: Mapping[int, Candidates],
     camera: GroundCamera,
-    fps: float,
+    clock: float | Clock,
     rng: np.random.Generator,
     parameters: TeachingParameters = TeachingParameters(),
 ) -> PersonProbability | None:
@@ -270,7 +271,7 @@ def taught(
         return None
     table: dict[str, Any] = {
         "frame": numbers[found],
-        "t": numbers[found] / fps,
+        "t": seconds(numbers[found], clock),
         "x": place[found, 0],
         "y": place[found, 1],
         "score": expit(score[found]),

@@ -122,7 +122,7 @@ def _sequence_errors(
     camera, recording = lobby_camera(), sequence.recording
     people = recording.people
     view = LeaningView.of(camera, recording.frames.size())
-    labels = walking_labels(people, None, camera, recording.rate, view=view)
+    labels = walking_labels(people, None, camera, recording.clock, view=view)
     walking = {
         (people[k].frame, people[k].track_id): angle
         for k, angle in zip(labels.box.tolist(), labels.angle.tolist(), strict=True)
@@ -145,7 +145,7 @@ def _sequence_errors(
                 head[key] = float(looking.head_classes.mean_pan(seen.pan[:1])[0])
         said[name] = body, head
         if of_camera is not None:
-            smoothed = _smoothed(everybody, of_camera, recording.rate)
+            smoothed = _smoothed(everybody, of_camera, recording.clock)
     body, head = said["taught"]
     return {
         "judged on": sequence.name,

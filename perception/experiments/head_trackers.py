@@ -224,7 +224,7 @@ def followed(tracker: Tracker, clip: HeadClip, *, guided: bool = False) -> list[
     left, top, width, height = (float(value) for value in clip.boxes[0])
 
     def guide(first: Box) -> GraphGuide:
-        return GraphGuide(BoxCamera.from_box(first, PERSON_IN_HEADS), tracker.pan_classes, fps=clip.fps)
+        return GraphGuide(BoxCamera.from_box(first, PERSON_IN_HEADS), tracker.pan_classes, clock=clip.fps)
 
     frames = (Frame(k, image) for k, image in enumerate(clip.images))
     box = (left, top, width, height)

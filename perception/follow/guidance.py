@@ -15,6 +15,7 @@ from graphtrack.model import Model, Observation, Parameters
 from graphtrack.model.parameters import MotionParameters, steady
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from perception.follow.ground import BoxCamera
+from perception.images.frames import Clock, seconds
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal
 
@@ -115,7 +116,7 @@ class GraphGuide:
     ----------
     boxes : from boxes to the ground
     pan_classes : of the tracker; None for one without pans
-    fps : frames a second
+    clock : times of the frames, or frames a second
     model : of the graph; by default `GUIDE_MODEL`
     lag : seconds of history that the graph keeps open
     doubt : when estimates are not taken in
@@ -130,12 +131,12 @@ class GraphGuide:
         boxes: BoxCamera,
         pan_classes: PoseClasses | None = None,
         *,
-        fps: float = 25.0,
+        clock: float | Clock = 25.0,
         model: Model | str | Path = GUIDE_MODEL,
         lag: float = 2.0,
         doubt: DoubtParameters = DoubtParameters(),
     ) -> None:
-        self.boxes, self.pan_classes, self.fps = boxes, pan_classes, fps
+        self.boxes, self.pan_classes, self.clock = boxes, pan_classes, clock
         self._doubt = Doubt(doubt)
         self._new_smoother = lambda: OnlineSmoother(model, engine="chain", lag=lag)
         self._smoother = self._new_smoother()
@@ -149,7 +150,7 @@ class GraphGuide:
 
     def observe(self, frame: int, estimate: BoxEstimate) -> None:
         """Take in what the tracker says of a frame, by its number."""
-        t = frame / self.fps
+        t = float(seconds(frame, self.clock))
         observation = Observation(t)
         if estimate.found and self._doubt.sure(estimate.confidence, t):
             seen = self.boxes.sighting(estimate, self.pan_classes)
@@ -227,7 +228,7 @@ class GraphGuide:
         if self._last is None or self._last.status == "waiting":
             return None
         density = self._smoother.model.parameters.motion.acceleration_density
-        position, covariance = _moved(self._last, frame / self.fps - self._last.t, density)
+        position, covariance = _moved(self._last, float(seconds(frame, self.clock)) - self._last.t, density)
         centre = self.boxes.box_centre(position, self._height)
         if not np.isfinite(centre).all():
             return None

@@ -18,7 +18,7 @@ from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox, boxes_by_frame, foot_point, points_of
 from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
-from perception.images.frames import Frame
+from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
 from perception.observe.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
@@ -341,7 +341,7 @@ def channels_of(
     heads: NDArray[np.int64],
     head_classes: PoseClasses,
     camera: GroundCamera,
-    fps: float,
+    clock: float | Clock,
     *,
     in_image: bool = False,
     projection: Projection | None = None,
@@ -352,7 +352,7 @@ def channels_of(
     ----------
     items : one person in n frames, on this side of the horizon
     heads : (n,) which candidate is the head
-    head_classes, camera, fps : as of `perception.observe.tables.to_tracks`
+    head_classes, camera, clock : as of `perception.observe.tables.to_tracks`
     in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
         et al. 2011, eq. 13–14)
     projection : of appearance; None: tracks have none
@@ -373,7 +373,7 @@ def channels_of(
     scores = np.array([item.score for item in items], float)  # None is NaN
     return {
         "frame": frame,
-        "t": frame / fps,
+        "t": seconds(frame, clock),
         "position": position,
         "pixel": pixel,
         "body_likelihood": of_body,

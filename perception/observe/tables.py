@@ -23,6 +23,7 @@ from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
+from perception.images.frames import Clock
 from perception.observe.pipeline import SeenFrame, SeenPerson, channels_of, in_heights, is_on_ground
 from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
@@ -70,7 +71,7 @@ def to_detections(
     frames: Mapping[int, SeenFrame],
     head_classes: PoseClasses,
     camera: GroundCamera | None,
-    fps: float,
+    clock: float | Clock,
     *,
     causal: bool = False,
 ) -> SeenDetections:
@@ -79,7 +80,7 @@ def to_detections(
     Parameters
     ----------
     frames : what was seen, by number; it is gone through two or three times
-    head_classes, camera, fps, causal : as in `perception.observe.tables.to_tracks`
+    head_classes, camera, clock, causal : as in `perception.observe.tables.to_tracks`
 
     Raises
     ------
@@ -95,7 +96,7 @@ def to_detections(
         seen += len(items)
         items = [item for item in items if is_on_ground(item, camera)]
         if items:
-            names, values = _rows(items, head_classes, camera, fps, projection)
+            names, values = _rows(items, head_classes, camera, clock, projection)
             parts.append(values)
             numbers.append(np.array([item.track_id for item in items], np.int64))
     if not parts:
@@ -116,12 +117,12 @@ def _rows(
     items: list[SeenPerson],
     head_classes: PoseClasses,
     camera: GroundCamera,
-    fps: float,
+    clock: float | Clock,
     projection: Projection,
 ) -> tuple[list[str], FloatArray]:
     """Names of columns, and rows (n, columns); a score that is not known is NaN."""
     heads = np.array([HeadPath().update(in_heights(item)) for item in items], np.int64)
-    known = channels_of(items, heads, head_classes, camera, fps, projection=projection)
+    known = channels_of(items, heads, head_classes, camera, clock, projection=projection)
     at = {name: np.asarray(known[name], float) for name in ("frame", "t")}
     place = np.arange(len(items))
     score = np.array([item.score for item in items], float)
@@ -203,7 +204,7 @@ def to_tracks(
     frames: Mapping[int, SeenFrame],
     head_classes: PoseClasses,
     camera: GroundCamera | None,
-    fps: float,
+    clock: float | Clock,
     *,
     causal: bool = False,
 ) -> SeenTracks:
@@ -216,6 +217,7 @@ def to_tracks(
     frames : observations by number, each person once a frame; they are read three or four times
     head_classes : pan classes of ``SeenPerson.pan``
     camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
+    clock : times of the frames, or frames a second
     causal : whether rows are made of the frames up to their own alone: the heads are those that
         `select_so_far` gives, the scale is that of the first frame and appearance is projected in a fixed
         way. Else heads are chosen along whole tracks, and the projection is fitted to the recording.
@@ -241,7 +243,7 @@ def to_tracks(
         items, start = pending[track_id], done[track_id]
         if items:
             chosen = heads[track_id][start : start + len(items)]
-            known = channels_of(items, chosen, head_classes, camera, fps, projection=projection)
+            known = channels_of(items, chosen, head_classes, camera, clock, projection=projection)
             known |= known.pop("inputs")
             known["score"] = np.array([item.score for item in items], float)  # NaN where not known
             parts[track_id].append(known)

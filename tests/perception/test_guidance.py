@@ -200,7 +200,7 @@ def test_guided_the_colour_tracker_finds_a_head_again_behind_a_wall() -> None:
             tracker,
             (Frame(k, image) for k, image in enumerate(clip.images)),
             lambda image: first,
-            guide=(lambda box: GraphGuide(BoxCamera.from_box(box, PERSON_IN_HEADS, 0.5), fps=clip.fps))
+            guide=(lambda box: GraphGuide(BoxCamera.from_box(box, PERSON_IN_HEADS, 0.5), clock=clip.fps))
             if is_guided
             else None,
         )
