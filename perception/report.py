@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,6 +30,7 @@ from perception.drawing.people import ShownPerson, draw_tracked
 from perception.images.frames import Clock, Frame
 from perception.images.pixels import pictures
 from perception.observe.tables import BOX
+from perception.storage import key_of
 
 STAGES = "stages.json"
 """Which stages are done, and what they said."""
@@ -139,11 +139,6 @@ def check_folder(path: Path) -> None:
     """
     if not (path / STAGES).is_file():
         check_place(path, directory=True)
-
-
-def key_of(*asked: object) -> str:
-    """A hash of all that tells one run from another."""
-    return hashlib.sha256(repr(asked).encode()).hexdigest()
 
 
 class ShownPeople(Mapping[int, list[ShownPerson]]):

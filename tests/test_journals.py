@@ -22,7 +22,7 @@ def test_a_journal_that_cannot_be_taken_up_stays_as_it_was(
     def take_up() -> EvaluationJournal | FrameJournal[str]:
         if kind == "learning":
             return EvaluationJournal(path, "key")
-        found = FrameJournal(path, "key", str, str)
+        found = FrameJournal(path, "key", str)
         found.open()
         return found
 
@@ -31,7 +31,7 @@ def test_a_journal_that_cannot_be_taken_up_stays_as_it_was(
         first.put("stage", np.zeros(1), np.ones(1))
     else:
         first.add(7, "seen")
-        first.close(remove=False)
+        first.close()
     written = path.read_bytes()
     really = Path.open
 
@@ -48,6 +48,4 @@ def test_a_journal_that_cannot_be_taken_up_stays_as_it_was(
             take_up()
     assert path.read_bytes() == written
     again = take_up()
-    assert (
-        again.get("stage", np.zeros(1)) == 1.0 if isinstance(again, EvaluationJournal) else 7 in again.frames
-    )
+    assert again.get("stage", np.zeros(1)) == 1.0 if isinstance(again, EvaluationJournal) else 7 in again

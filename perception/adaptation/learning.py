@@ -55,6 +55,7 @@ from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, feet_of, standing_in, upright_picture
 from perception.images.frames import Clock, Frame, FrameSource, Progress, seconds, told_frames
 from perception.images.pixels import Image, crop
+from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.head_detection import HeadLocaliser, select_along_track
 from perception.storage import ModelCard
@@ -194,6 +195,11 @@ class PackageModels:
     head_localiser: HeadLocaliser
     body_pose: FeatureClassifier
     head_pose: FeatureClassifier
+
+    @classmethod
+    def load(cls) -> PackageModels:
+        """Load them."""
+        return cls(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -14,9 +13,10 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import PersonHeight, stamp_of_camera, teach
+from perception.cli.adapt import PersonHeight, described, stamp_of_camera, teach
 from perception.cli.observe import ModelOptions
-from perception.cli.options import Boxes, CameraOptions, VideoOrFolder, decoded_frames
+from perception.cli.options import Boxes, CameraOptions, VideoOrFolder, decoded_frames, skipped
+from perception.cli.searching import PeopleSearch, look_at_people
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from perception.report import ReportFolder
 
 _STAGES = 7
-_SHOWN = 10
-"""Things that were left out, which are told; of more the number."""
 
 
 def report(
@@ -131,12 +129,16 @@ class _Run:
             if given is not None:
                 read_boxes(boxes or detected, refused.setdefault)
                 detected.unlink(missing_ok=True)
-                return [f"{len(given)} boxes of {boxes}", *_told(refused)]
-            found = found_people(self.frames, self.known, self.clock, detected, refused.setdefault)
-            if not found:
-                raise InputError("a recording in which nobody is found", "people, or their boxes (--boxes)")
-            write_boxes(found, detected)
-            return [f"{len(found)} boxes of people who were detected", *_told(refused)]
+                return [f"{len(given)} boxes of {boxes}", *skipped(refused)]
+            search = PeopleSearch(
+                self.frames, self.known, self.clock, detected, (stamp_of_camera(self.known),)
+            )
+            with search.people(refused.setdefault) as (found, _):
+                if not found:
+                    nobody = "a recording in which nobody is found"
+                    raise InputError(nobody, "people, or their boxes (--boxes)")
+                write_boxes(found, detected)
+            return [f"{len(found)} boxes of people who were detected", *skipped(refused)]
 
         asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given
         self.assumed += self.folder.stage("people", asked, () if given else ("boxes",), work)
@@ -150,7 +152,7 @@ class _Run:
         """Stage 2: the camera, as given or found out."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
-        from perception.ground.calibration import CalibrationParameters, ViewUnknown, found_view
+        from perception.ground.calibration import ViewUnknown, found_view
 
         place = self.folder.file("calibration")
 
@@ -158,10 +160,9 @@ class _Run:
             place.unlink(missing_ok=True)
             if self.known is not None:
                 return [f"the camera is that of {given}"]
-            parameters = CalibrationParameters(person_height=self.person_height)
             rng = np.random.default_rng(self.seed)
             try:
-                found = found_view(self.people, self.frames.size(), rng, parameters)
+                found = found_view(self.people, self.frames.size(), rng, self.person_height)
             except ViewUnknown as error:
                 height = self.person_height
                 return [
@@ -169,14 +170,7 @@ class _Run:
                     f"median box is {height:g} m high, with no regard to perspective; directions are rough"
                 ]
             found.write(place)
-            view = found.view
-            return [
-                f"the camera is found from {found.boxes} boxes: focal length {view.focal:.0f} ± "
-                f"{found.std['focal']:.0f} pixels, {np.degrees(view.tilt):.1f} ± "
-                f"{np.degrees(found.std['tilt']):.1f}° down, {view.height:.2f} ± {found.std['height']:.2f} m "
-                f"high; distances ± {100 * found.distance_std:.0f} %",
-                *found.notes,
-            ]
+            return [f"the camera is found {described(found)}", *found.notes]
 
         asked = (stamp_of_camera(self.known), str(given), self.person_height, self.seed)
         self.assumed += self.folder.stage("ground", asked, (), work)
@@ -213,8 +207,8 @@ class _Run:
     def observe(self) -> None:
         """Stage 4: what is seen of everybody, and who is who."""
         from graphtrack.io import write
-        from perception.observe import pipeline
         from perception.observe.journal import FrameJournal
+        from perception.observe.pipeline import SeenFrame
         from perception.observe.tables import associated, numbered, to_detections, to_tracks
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
@@ -225,34 +219,20 @@ class _Run:
             chosen = ModelOptions(camera_models=taught if taught.is_file() else None)
             models = chosen.load(appearance=not identified, has_keypoints=False)
             models = models.seeing(self.camera, self.frames.size)
-            encode, decode = pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
-            journal = FrameJournal(place.with_name(f"{place.name}.journal"), key, encode, decode)
-            journal.open()
-            if journal.frames:
-                emit(f"  going on after {counted(len(journal.frames), 'frame')}")
-            known = frozenset(journal.frames)
-            count = self.frames.count - len(known)
-            try:
-                with decoded_frames(self.frames, lambda k: k not in known, count, one_size=True) as decoded:
-                    pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
-                classes, camera = models.head_classes, self.camera
+            with FrameJournal(place.with_name(f"{place.name}.journal"), key, SeenFrame) as journal:
+                look_at_people(self.frames, self.people, models, journal, refused.setdefault)
+                seen = journal, models.head_classes, self.camera, self.clock
                 if identified:
-                    observed = to_tracks(journal.frames, classes, camera, self.clock).tracks
+                    observed = to_tracks(*seen).tracks
                     beyond = observed.summary.refused
                     tracks = numbered(observed, self.people)
                 else:
-                    found = to_detections(journal.frames, classes, camera, self.clock)
+                    found = to_detections(*seen)
                     beyond = found.refused
                     tracks = associated(found.columns, found.number, self.people)
-            except InputError:  # the same command would end in the same way
-                journal.close(remove=True)
-                raise
-            finally:
-                journal.close(remove=False)
-            write(tracks, place)
-            journal.close(remove=True)
+                write(tracks, place)
             left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
-            return [*tracks.summary.notes, *left_out, *_told(refused)]
+            return [*tracks.summary.notes, *left_out, *skipped(refused)]
 
         self.assumed += self.folder.stage("observations", self.clock, ("observations",), work)
 
@@ -333,26 +313,3 @@ class _Run:
         from graphtrack.io import read
 
         return read(self.folder.file(name))
-
-
-def found_people(
-    frames: FrameSource,
-    camera: GroundCamera | None,
-    clock: Clock,
-    output: Path,
-    refuse: Callable[[str], object],
-) -> list[PersonBox]:
-    """People who are detected, as `perception observe` does; a search that was broken off goes on."""
-    from perception.cli.adapt import stamp_of_camera
-    from perception.cli.searching import PeopleSearch
-
-    asked = (stamp_of_camera(camera),)
-    with PeopleSearch(frames, camera, clock, output, asked, one_size=True) as search:
-        return search.people(refuse)
-
-
-def _told(refused: Sequence[str] | dict[str, None]) -> list[str]:
-    """List the first few reasons, and how many more there are."""
-    reasons = list(refused)
-    more = [f"skipped: {len(reasons) - _SHOWN} more"] if len(reasons) > _SHOWN else []
-    return [f"skipped: {reason}" for reason in reasons[:_SHOWN]] + more

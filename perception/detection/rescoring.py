@@ -6,7 +6,6 @@ not seen the frame.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -67,18 +66,6 @@ class Certainty:
         """Probabilities (n,) of log odds (n,), in the same order."""
         beyond = log_odds - np.clip(log_odds, self.said[0], self.said[-1])
         return np.asarray(expit(np.interp(log_odds, self.said, self.found) + _ORDER * beyond), float)
-
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        return {"said": self.said.tolist(), "found": self.found.tolist()}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Self:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        said, found = (np.array(values[name], float) for name in ("said", "found"))
-        if said.ndim != 1 or not len(said) or said.shape != found.shape:
-            raise ValueError("log odds of other shapes")
-        return cls(said, found)
 
 
 def judged_by_other_frames(
@@ -215,26 +202,6 @@ class PersonProbability:
     def untaught(cls, *, foreground: bool) -> PersonProbability:
         """A model of no recording: even where the first filter's scores are 0, or 1 with a background."""
         return cls(np.zeros(FEATURES, np.float32), 0.0, 2.0, 0.0, -2.0 if foreground else 0.0)
-
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        names = ("bias", "first", "taught", "offset", "people", "boxes")
-        weight = base64.b64encode(self.weight.astype("<f4").tobytes()).decode()
-        certainty = None if self.certainty is None else self.certainty.to_record()
-        return {name: getattr(self, name) for name in names} | {"weight": weight, "certainty": certainty}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> PersonProbability:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        weight = np.frombuffer(base64.b64decode(values["weight"], validate=True), "<f4").astype(np.float32)
-        if len(weight) != FEATURES:
-            raise ValueError("weights of another number")
-        bias, first, taught, offset = (float(values[k]) for k in ("bias", "first", "taught", "offset"))
-        known = values["certainty"]
-        certainty = None if known is None else Certainty.from_record(known)
-        return cls(
-            weight, bias, first, taught, offset, int(values["people"]), int(values["boxes"]), certainty
-        )
 
     def of(self, candidates: Candidates) -> FloatArray:
         """Probabilities (n,)."""

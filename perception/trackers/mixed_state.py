@@ -37,23 +37,13 @@ Labels = Literal["sampled", "summed"]
 Likelihood = Literal["ratio", "density"]
 
 
-@dataclass(frozen=True)
-class ColourMemory:
-    """Term of the head's colours in the logarithm of the ratio: ``sharpness``·(similarity − ``typical``).
-
-    Attributes
-    ----------
-    colours : how they are counted
-    sharpness : per unit of the Bhattacharyya coefficient
-    typical : the coefficient that says nothing; rendered heads have 0.88 or more for 95 % of the frames,
-        boxes elsewhere 0.83 or less for 95 %
-    rate : share of the remembered histogram that a frame replaces, while the head is seen
-    """
-
-    colours: BoxColours = field(default_factory=BoxColours)
-    sharpness: float = 20.0
-    typical: float = 0.8
-    rate: float = 0.05
+COLOURS = BoxColours()
+"""How the colours of the followed head are counted."""
+_SHARPNESS, _TYPICAL = 20.0, 0.8
+"""Per unit of the Bhattacharyya coefficient; the coefficient that says nothing: rendered heads have 0.88 or
+more for 95 % of the frames, boxes elsewhere 0.83 or less for 95 %."""
+MEMORY = 0.05
+"""Share of the remembered histogram that a frame replaces, while the head is seen."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +57,8 @@ class MixedStateParameters:
         distribution of its labels given its path, so that only boxes are sampled (Rao–Blackwell)
     likelihood : "ratio": p(z|X)/p(z|no head) with a weight for each filter, and the head may be hidden;
         "density": p_T(z|k) of eq. 5 as it is printed, by which the head is always there
-    colour : the colours of the head that is followed, by which it is told from other heads and from what
-        hides it; None: exemplars alone, as in the paper
+    colour : whether the colours of the head that is followed tell it from other heads and from what hides it,
+        by a term ``_SHARPNESS``·(similarity − ``_TYPICAL``) of the log ratio; in the paper exemplars alone do
     dynamics : of the box
     pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
         faces with backs of heads; Ba & Odobez (2003) have −90° to 90° only.
@@ -84,7 +74,7 @@ class MixedStateParameters:
     particles: int = 200
     labels: Labels = "summed"
     likelihood: Likelihood = "ratio"
-    colour: ColourMemory | None = field(default_factory=ColourMemory)
+    colour: bool = True
     dynamics: BoxDynamics = field(default_factory=BoxDynamics)
     pan_limit: float = float(np.pi)
     pan_std: float = float(np.radians(12.0))
@@ -119,7 +109,7 @@ class MixedStateParameters:
             particles,
             likelihood="density",
             labels="sampled",
-            colour=None,
+            colour=False,
             pan_limit=float(np.pi / 2.0),
             resample_below=1.0,
             plain_exemplars=True,
@@ -177,9 +167,8 @@ class MixedStateTracker:
         self._belief = np.tile(self.exemplars.prior(), (n, 1))
         # A given box is known to hold a head, however little it looks like one.
         self._seen = 1.0
-        if p.colour is not None:
-            colours = p.colour.colours
-            self._colours = colours.of_boxes(colours.of_pixels(image), boxes_of(first[None]))[0]
+        if p.colour:
+            self._colours = COLOURS.of_boxes(COLOURS.of_pixels(image), boxes_of(first[None]))[0]
         return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
@@ -245,20 +234,18 @@ class MixedStateTracker:
 
     def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
         """Terms of the colours in the log ratio (n,), and the bins (h, w) of the frame."""
-        memory = self.parameters.colour
-        if memory is None or self._colours is None:
+        if self._colours is None:
             return np.zeros(len(self._cloud.weights)), None
-        pixels = memory.colours.of_pixels(image)
-        similarity = bhattacharyya(memory.colours.of_boxes(pixels, self._cloud.boxes), self._colours)
-        return memory.sharpness * (similarity - memory.typical), pixels
+        pixels = COLOURS.of_pixels(image)
+        similarity = bhattacharyya(COLOURS.of_boxes(pixels, self._cloud.boxes), self._colours)
+        return _SHARPNESS * (similarity - _TYPICAL), pixels
 
     def _remember(self, pixels: NDArray[np.int32], box: Box) -> float:
         """Similarity of the colours at the estimate, which then are learned as far as the head is seen."""
-        memory = self.parameters.colour
-        assert memory is not None and self._colours is not None
-        here = memory.colours.of_boxes(pixels, np.array([box]))[0]
+        assert self._colours is not None
+        here = COLOURS.of_boxes(pixels, np.array([box]))[0]
         similarity = float(bhattacharyya(here[None], self._colours)[0])
-        rate = memory.rate * self._seen
+        rate = MEMORY * self._seen
         self._colours = (1.0 - rate) * self._colours + rate * here
         return similarity
 

@@ -11,7 +11,6 @@ from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from graphtrack.baselines.particle_weights import effective_sample_size, resample
@@ -300,26 +299,6 @@ def cut(grey: NDArray[np.uint8], boxes: FloatArray, side: int) -> NDArray[np.uin
     return np.asarray(patches, np.uint8).reshape(shape)
 
 
-@njit(cache=True)
 def equalised(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Every patch (n, h, w) with its histogram equalised, as ``cv2.equalizeHist`` does for one."""
-    flat = patches.reshape(len(patches), -1)
-    result = np.empty_like(flat)
-    size = flat.shape[1]
-    levels = np.empty(256, np.uint8)
-    for i in range(len(flat)):
-        count = np.zeros(256, np.int64)
-        for value in flat[i]:
-            count[value] += 1
-        first = 0
-        while count[first] == 0:
-            first += 1
-        levels[first] = first if count[first] == size else 0
-        scale = np.float32(255.0) / np.float32(max(size - count[first], 1))
-        below = 0
-        for level in range(first + 1, 256):
-            below += count[level]
-            levels[level] = np.uint8(np.rint(np.float32(below) * scale))
-        for j in range(size):
-            result[i, j] = levels[flat[i, j]]
-    return result.reshape(patches.shape)
+    """Every patch (n, h, w) with its histogram equalised."""
+    return np.array([cv2.equalizeHist(patch) for patch in patches], np.uint8).reshape(patches.shape)

@@ -14,7 +14,7 @@ from graphtrack.model import Observation
 from perception.experiments.head_trackers import graph_on_top, survives
 from perception.follow.following import Followed, follow, to_track
 from perception.follow.ground import PERSON_IN_HEADS, BoxCamera
-from perception.follow.guidance import GUIDE_MODEL, Doubt, DoubtParameters, GraphGuide
+from perception.follow.guidance import GUIDE_MODEL, DoubtParameters, GraphGuide
 from perception.images.frames import Frame
 from perception.pose.classes import PoseClasses
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
@@ -121,25 +121,6 @@ def test_patience_ends() -> None:
     for k in range(30, 90):
         guide.observe(k, estimate(np.array([20.0, 20.0]), found=k > 35))
     assert np.linalg.norm(guide.predict(90).centre - 20.0) < 3.0
-
-
-def test_nothing_is_said_before_anything_is_known() -> None:
-    guide = GraphGuide(BOXES)
-    assert guide.predict(0) is None
-    guide.observe(0, estimate(np.zeros(2), found=False))
-    assert guide.predict(1) is None
-    guide.observe(1, estimate(course(1)))
-    assert guide.predict(2) is not None
-
-
-def test_doubt_learns_what_is_usual() -> None:
-    rng = np.random.default_rng(0)
-    for usual in (0.6, 0.9, 0.9999):
-        doubt, odds = Doubt(), np.log(usual / (1.0 - usual))
-        for k in range(60):
-            assert doubt.sure(1.0 / (1.0 + np.exp(-odds - rng.uniform(-0.3, 0.3))), k / FPS)
-            doubt.learn()
-        assert [doubt.sure(1.0 / (1.0 + np.exp(-odds + 3.0)), k / FPS) for k in range(60, 70)][-1] is False
 
 
 # -- what the graph adds -----------------------------------------------------------------------------------

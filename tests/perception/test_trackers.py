@@ -24,7 +24,7 @@ MAKE: dict[str, Callable[..., Tracker]] = {
     "color": lambda **options: ColourTracker(exemplars=FACING, **options),
     "mixed-state": lambda **options: MixedStateTracker(exemplars=FACING, **options),
     "sampled": lambda **options: MixedStateTracker(
-        MixedStateParameters(labels="sampled", colour=None), exemplars=FACING, **options
+        MixedStateParameters(labels="sampled", colour=False), exemplars=FACING, **options
     ),
     "sigma-pi": lambda **options: make_tracker("sigma-pi", **options),
 }
