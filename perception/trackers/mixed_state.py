@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey
 from perception.pose.classes import PoseClasses
 from perception.pose.features import SIDE
-from perception.trackers.color import BoxColours, bhattacharyya
+from perception.trackers.color import bhattacharyya, box_colours, hue_bins
 from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
 from perception.trackers.tracker import (
     PATCH_MARGIN,
@@ -37,11 +37,14 @@ Labels = Literal["sampled", "summed"]
 Likelihood = Literal["ratio", "density"]
 
 
-COLOURS = BoxColours()
-"""How the colours of the followed head are counted."""
 _SHARPNESS, _TYPICAL = 20.0, 0.8
 """Per unit of the Bhattacharyya coefficient; the coefficient that says nothing: rendered heads have 0.88 or
 more for 95 % of the frames, boxes elsewhere 0.83 or less for 95 %."""
+TRANSITIONS = float(np.radians(12.0)), 0.05, 0.9
+"""1-σ of the pan in radians a frame, share of each neighbouring tilt class relative to staying, and
+probability of the same exemplar while the pose stays; see `HeadExemplars.transitions`."""
+_VANISH, _APPEAR = 0.02, 0.05
+"""Probabilities a frame that a seen head is hidden, and that a hidden one is seen."""
 MEMORY = 0.05
 """Share of the remembered histogram that a frame replaces, while the head is seen."""
 
@@ -62,11 +65,6 @@ class MixedStateParameters:
     dynamics : of the box
     pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
         faces with backs of heads; Ba & Odobez (2003) have −90° to 90° only.
-    pan_std : radians a frame, of p(θ_t|θ_{t−1})
-    tilt_share : a frame, to each neighbouring tilt class, relative to staying
-    stay : probability of the same exemplar while the pose stays
-    start_std : 1-σ of the first boxes about the given one, as a share of its size
-    vanish, appear : probabilities a frame that a seen head is hidden, and that a hidden one is seen
     resample_below : share of the particles; resampling is systematic, below this effective sample size
     plain_exemplars : whether the package's exemplars are those of the form as printed (`HeadExemplars.plain`)
     """
@@ -77,12 +75,6 @@ class MixedStateParameters:
     colour: bool = True
     dynamics: BoxDynamics = field(default_factory=BoxDynamics)
     pan_limit: float = float(np.pi)
-    pan_std: float = float(np.radians(12.0))
-    tilt_share: float = 0.05
-    stay: float = 0.9
-    start_std: float = 0.04
-    vanish: float = 0.02
-    appear: float = 0.05
     resample_below: float = 0.5
     plain_exemplars: bool = False
 
@@ -148,8 +140,7 @@ class MixedStateTracker:
         classes = self.exemplars.classes
         self.pan_classes: PoseClasses | None = classes.pans
         self._rng = generator(seed)
-        p = self.parameters
-        self._transitions = self.exemplars.transitions(p.pan_std, p.tilt_share, p.stay)
+        self._transitions = self.exemplars.transitions(*TRANSITIONS)
         self._reach = np.cumsum(self._transitions, axis=1)
         self._shape: tuple[int, int] = (0, 0)
         self._seen = 1.0
@@ -162,13 +153,13 @@ class MixedStateTracker:
         self._colours = None
         n, p = self.parameters.particles, self.parameters
         self._reference = first[2:]
-        self._cloud = Cloud.about(first, n, p.start_std, self._rng)
+        self._cloud = Cloud.about(first, n, self._rng)
         self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
         self._belief = np.tile(self.exemplars.prior(), (n, 1))
         # A given box is known to hold a head, however little it looks like one.
         self._seen = 1.0
         if p.colour:
-            self._colours = COLOURS.of_boxes(COLOURS.of_pixels(image), boxes_of(first[None]))[0]
+            self._colours = box_colours(hue_bins(image), boxes_of(first[None]))[0]
         return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
@@ -184,7 +175,7 @@ class MixedStateTracker:
             self._label = np.minimum((self._reach[self._label] < drawn).sum(axis=1), last)
         else:
             self._belief = self._belief @ self._transitions
-        return self._look(image, self._seen * (1.0 - p.vanish) + (1.0 - self._seen) * p.appear)
+        return self._look(image, self._seen * (1.0 - _VANISH) + (1.0 - self._seen) * _APPEAR)
 
     def _look(self, image: Image, visible: float) -> BoxEstimate:
         """Weigh the particles by the frame; ``visible`` is the probability before it."""
@@ -236,14 +227,14 @@ class MixedStateTracker:
         """Terms of the colours in the log ratio (n,), and the bins (h, w) of the frame."""
         if self._colours is None:
             return np.zeros(len(self._cloud.weights)), None
-        pixels = COLOURS.of_pixels(image)
-        similarity = bhattacharyya(COLOURS.of_boxes(pixels, self._cloud.boxes), self._colours)
+        pixels = hue_bins(image)
+        similarity = bhattacharyya(box_colours(pixels, self._cloud.boxes), self._colours)
         return _SHARPNESS * (similarity - _TYPICAL), pixels
 
     def _remember(self, pixels: NDArray[np.int32], box: Box) -> float:
         """Similarity of the colours at the estimate, which then are learned as far as the head is seen."""
         assert self._colours is not None
-        here = COLOURS.of_boxes(pixels, np.array([box]))[0]
+        here = box_colours(pixels, np.array([box]))[0]
         similarity = float(bhattacharyya(here[None], self._colours)[0])
         rate = MEMORY * self._seen
         self._colours = (1.0 - rate) * self._colours + rate * here

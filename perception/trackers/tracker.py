@@ -103,6 +103,10 @@ class Tracker(Protocol):
         ...
 
 
+START_STD = 0.04
+"""1-σ of the first boxes about the given one, as a share of its size."""
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """n weighed boxes and where they were a frame before.
@@ -118,9 +122,9 @@ class Cloud:
     weights: FloatArray
 
     @classmethod
-    def about(cls, first: FloatArray, count: int, std: float, rng: np.random.Generator) -> Cloud:
-        """Equal particles about a state (4,), at rest; ``std`` is the 1-σ as a share of the size."""
-        noise = std * rng.standard_normal((count, 4))
+    def about(cls, first: FloatArray, count: int, rng: np.random.Generator) -> Cloud:
+        """Equal particles about a state (4,), at rest."""
+        noise = START_STD * rng.standard_normal((count, 4))
         noise[:, :2] *= np.exp(first[2:])
         now = first + noise
         return cls(now, now.copy(), np.full(count, 1.0 / count))
@@ -212,7 +216,6 @@ class BoxDynamics:
     ----------
     persistence : share of the centre's last step that is made again, 0 (random walk) … 1 (constant velocity)
     centre_std : 1-σ of the noise of the centre, as a share of the box's width and height
-    size_persistence : the same for the logarithm of the size
     size_std : 1-σ of the noise of the logarithm of the size
     reversion : share of the way back to the first size that is gone in each frame
     guided_share : share of the particles whose centre is drawn from a `Proposal`, where there is one

@@ -17,6 +17,7 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import write_calibration
+from perception.detection import rescoring
 from perception.detection.background import Background, Backgrounds, background_samples
 from perception.detection.boxes import foot_point
 from perception.detection.ground_search import (
@@ -31,7 +32,6 @@ from perception.detection.hog import TALL
 from perception.detection.rescoring import (
     GroundDetector,
     PersonProbability,
-    TeachingParameters,
     learning_frames,
     taught,
 )
@@ -39,7 +39,12 @@ from perception.images.frames import Frame
 from perception.synthetic import Camera
 from perception.synthetic.clips import CAMERA, FPS, SIZE, PastedStreet, pasted_street
 
-SEARCHED = TeachingParameters(least_boxes=4, least_people=4)
+
+@pytest.fixture
+def little_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few people who walk shortly are enough."""
+    monkeypatch.setattr(rescoring, "LEAST_BOXES", 4)
+    monkeypatch.setattr(rescoring, "LEAST_PEOPLE", 4)
 
 
 @pytest.fixture(scope="module")
@@ -197,10 +202,10 @@ def precision_and_recall(
 
 
 def test_people_are_found_and_what_is_taught_helps(
-    street: PastedStreet, candidates: dict[int, Candidates]
+    street: PastedStreet, candidates: dict[int, Candidates], little_teaches: None
 ) -> None:
     untaught = PersonProbability.untaught(foreground=True)
-    of_street = taught(candidates, street.camera, FPS, np.random.default_rng(0), parameters=SEARCHED)
+    of_street = taught(candidates, street.camera, FPS, np.random.default_rng(0))
     assert of_street is not None and of_street.people >= 4
     before, after = (precision_and_recall(street, candidates, one) for one in (untaught, of_street))
     assert sum(after) >= sum(before) - 0.02
@@ -208,11 +213,11 @@ def test_people_are_found_and_what_is_taught_helps(
 
 
 def test_what_was_taught_holds_for_other_people(
-    street: PastedStreet, candidates: dict[int, Candidates]
+    street: PastedStreet, candidates: dict[int, Candidates], little_teaches: None
 ) -> None:
     first = set(list(candidates)[: len(candidates) // 2])
     half = {k: candidates[k] for k in first}
-    of_half = taught(half, street.camera, FPS, np.random.default_rng(0), parameters=SEARCHED)
+    of_half = taught(half, street.camera, FPS, np.random.default_rng(0))
     assert of_half is not None
     said, true = [], []
     for item in street.boxes[len(first) :]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ from perception.pose.features import gabor_features
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.synthetic.heads import HeadVariation, make_heads
 from perception.trackers.head_exemplars import LOOKING_UP, HeadExemplars, load_head_exemplars
-from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
+from perception.trackers.mixed_state import TRANSITIONS, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import PATCH_MARGIN, BoxDynamics, cut, equalised
 from perception.training import train_head_exemplars
 
@@ -182,22 +183,24 @@ def test_training_on_few_people_gives_a_model_that_knows_its_heads() -> None:
     np.testing.assert_allclose(np.exp(model.log_weight).sum(axis=1), 1.0, rtol=1e-5)
 
 
+@pytest.fixture
+def at_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All particles begin with the given box."""
+    monkeypatch.setattr("perception.trackers.tracker.START_STD", 0.0)
+
+
 # -- the tracker -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("likelihood", ["ratio", "density"])
-def test_with_one_box_the_filter_is_that_of_a_hidden_markov_chain(likelihood: str, clip: HeadClip) -> None:
-    parameters = MixedStateParameters(
-        3,
-        likelihood=likelihood,
-        colour=False,
-        dynamics=STILL,
-        start_std=0.0,  # type: ignore[arg-type]
-    )
-    tracker = MixedStateTracker(parameters, exemplars=FACING, seed=0)
+def test_with_one_box_the_filter_is_that_of_a_hidden_markov_chain(
+    likelihood: str, clip: HeadClip, at_one_place: None
+) -> None:
+    options: dict[str, Any] = {"likelihood": likelihood, "colour": False, "dynamics": STILL}
+    tracker = MixedStateTracker(MixedStateParameters(3, **options), exemplars=FACING, seed=0)
     box = clip.boxes[0]
     found = [tracker.start(clip.images[0], tuple(box)), *(tracker.step(i) for i in clip.images[1:4])]
-    transitions = FACING.transitions(parameters.pan_std, parameters.tilt_share, parameters.stay)
+    transitions = FACING.transitions(*TRANSITIONS)
     log_likelihood = FACING.log_ratio if likelihood == "ratio" else FACING.log_density
     belief = FACING.prior()
     for k, item in enumerate(found):
@@ -210,11 +213,11 @@ def test_with_one_box_the_filter_is_that_of_a_hidden_markov_chain(likelihood: st
 
 
 @pytest.mark.slow
-def test_sampled_labels_tend_to_the_summed_ones(clip: HeadClip) -> None:
+def test_sampled_labels_tend_to_the_summed_ones(clip: HeadClip, at_one_place: None) -> None:
     box = tuple(clip.boxes[0])
     pans = {}
     for labels in ("sampled", "summed"):
-        parameters = MixedStateParameters(2000, labels, dynamics=STILL, start_std=0.0)  # type: ignore[arg-type]
+        parameters = MixedStateParameters(2000, labels, dynamics=STILL)  # type: ignore[arg-type]
         tracker = MixedStateTracker(parameters, exemplars=FACING, seed=1)
         tracker.start(clip.images[0], box)
         pans[labels] = tracker.step(clip.images[1]).pan
