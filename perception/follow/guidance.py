@@ -36,7 +36,8 @@ _WARM_UP = 0.4
 pattern."""
 _REGAIN, _GATE, PATIENCE = 0.3, 2.5, 2.5
 """Seconds through which a target that was lost must be found before it is believed; deviations within which
-it must then be where it is expected, and have moved so; seconds after which it is believed, whatever it is."""
+it must then be where it is expected, and have moved so; seconds after which it is believed, whatever it
+is."""
 _FEWEST = 8  # frames from which a deviation is learned
 
 
