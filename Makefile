@@ -63,9 +63,8 @@ load: $(VENV)/installed-test
 docs: $(VENV)/installed-test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --site-dir site
 
-pictures: demo
-	mkdir -p docs/images
-	cp demo/tracks.png docs/images/demo.png
+pictures: $(VENV)/installed
+	$(BIN)/python docs/pictures.py
 
 # Hours: the experiments that README and docs quote, at full size, and whether the pages say what they measured.
 claims: $(VENV)/installed-test

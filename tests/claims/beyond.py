@@ -141,14 +141,14 @@ def real_heads(results: Results) -> Measured:
     return found
 
 
-MODEL, PERCEPTION, TRACKERS = "docs/model.md", "docs/perception.md", "docs/trackers.md"
+MODEL, PERCEPTION, TRACKERS = "docs/results/model.md", "docs/perception.md", "docs/trackers.md"
 
 BEYOND: tuple[Claim, ...] = (
     Claim(MODEL, "gaits", gaits_offline, "| offline | ordinary: body |"),
     Claim(MODEL, "gaits", gaits_online, "| online | ordinary: body |"),
     Claim(MODEL, "gaits", gaits_said, labels=(MODES_SAID,)),
     Claim("docs/baselines.md", "gaits", gaits_rivals, "| graph less particles, modes |"),
-    Claim("README.md", "gaits", readme_said, labels=(README_SAID,)),
+    Claim(MODEL, "gaits", readme_said, labels=(README_SAID,)),
     Claim(MODEL, "honesty", honesty, "| model | | Hz | position |", cells=3),
     Claim(PERCEPTION, "perception evaluate people --seed 0", found_people, "| `score` |"),
     Claim(TRACKERS, "perception evaluate heads --heads 2 --seed 0", real_heads, "| two heads, 25 pictures"),

@@ -185,7 +185,7 @@ def occlusion_offline(results: Results) -> Measured:
 
 
 def occlusion_said(results: Results) -> Measured:
-    """What docs/papers.md says of it."""
+    """What docs/results/papers.md says of it."""
     data, head = WINDOWS[2]
     best = [
         results.row(ERROR, data=data, head=head, method=method)["reduction %"]
@@ -285,7 +285,7 @@ HEADS_SAID = (
 
 
 def chen_heads(results: Results) -> Measured:
-    """What docs/papers.md says of heads."""
+    """What docs/results/papers.md says of heads."""
     columns, found = ("joint-body (°)", "joint (°)"), []
     for method in ("particle", "graph"):
         where = {"data": "mocap, walking", "angle": "head", "method": method}
@@ -407,22 +407,26 @@ def strangers(results: Results) -> Measured:
 
 CLAIMS: Sequence[Claim] = (
     Claim("docs/baselines.md", "baxter-statistics", deviations, "| deviation |"),
-    Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
-    Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
+    Claim(
+        "docs/results/papers.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"
+    ),
+    Claim(
+        "docs/results/papers.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"
+    ),
     Claim("docs/baselines.md", "baxter-simulated", simulated_by_method, "| corpus | 100 %: MSE"),
     Claim("docs/baselines.md", "baxter-caviar", caviar_gains, "| CAVIAR | 100 %: MSE"),
     Claim("docs/baselines.md", "baxter-caviar", caviar_likelihoods, labels=(NATS_SAID,)),
     Claim("docs/baselines.md", "baxter-caviar", caviar_reasons, "| all detected | `printed`: MSE"),
     Claim("docs/baselines.md", "baxter-occlusion", occlusion_online, "| online | corpus, 3 s"),
     Claim("docs/baselines.md", "baxter-occlusion", occlusion_offline, "| offline | corpus,"),
-    Claim("docs/papers.md", "baxter-occlusion", occlusion_said, labels=(OCCLUSION_SAID,)),
-    Claim("docs/papers.md", "chen-joint", chen_joint, "| body | observed |"),
-    Claim("docs/papers.md", "chen-joint", chen_fitted, "| five parameters fitted |"),
-    Claim("docs/papers.md", "chen-joint", chen_pairs, "| graph less particles |"),
-    Claim("docs/papers.md", "baxter-simulated", cells_won, "| cells of 21 |"),
-    Claim("docs/papers.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
-    Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
-    Claim("README.md", "chen-classes", engines, "| engine | | models |"),
+    Claim("docs/results/papers.md", "baxter-occlusion", occlusion_said, labels=(OCCLUSION_SAID,)),
+    Claim("docs/results/papers.md", "chen-joint", chen_joint, "| body | observed |"),
+    Claim("docs/results/papers.md", "chen-joint", chen_fitted, "| five parameters fitted |"),
+    Claim("docs/results/papers.md", "chen-joint", chen_pairs, "| graph less particles |"),
+    Claim("docs/results/papers.md", "baxter-simulated", cells_won, "| cells of 21 |"),
+    Claim("docs/results/papers.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
+    Claim("docs/results/engines.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
+    Claim("docs/engine.md", "chen-classes", engines, "| engine | | models |"),
     Claim("README.md", "baxter-simulated", readme_corpus, READMES),
     Claim("README.md", "baxter-occlusion", readme_windows, READMES),
     Claim("README.md", "chen-joint", readme_joint, READMES),
