@@ -70,12 +70,12 @@ def table(values: Any) -> list[str]:
     meanings = described(values)
     lines = ["| parameter | meaning | unit | default | range | learned |", "|---|---|---|---|---|---|"]
     for one in fields(values):
-        limits = one.metadata.get("range")
+        limits, unit = one.metadata.get("range"), one.metadata.get("unit")
         shown = f"{number(limits[0])} to {number(limits[1])}" if limits else ""
         cells = [
             f"`{one.name}`",
-            meanings[one.name],
-            one.metadata.get("unit") or "–",
+            meanings[one.name].replace(f", {unit}", "", 1) if unit else meanings[one.name],
+            unit or "–",
             number(getattr(values, one.name)),
             shown,
             "yes" if is_learned(values, one) else "",

@@ -112,7 +112,7 @@ def test_people_who_are_steered_are_simulated_so(preset: str) -> None:
 
 @pytest.mark.slow
 def test_the_head_tells_of_a_turn_that_is_not_seen(data_dir: Path) -> None:
-    """Turning walks of motion capture, a second withheld at the sharpest turn; docs/model.md has the errors.
+    """Turning walks of motion capture, a second withheld at the sharpest turn: docs/results/model.md.
 
     Every method has the parameters that were best on the even clips.
     """
