@@ -26,4 +26,5 @@ def on_page_content(content: str, *, page: Page, config: MkDocsConfig, files: Fi
 def _typeset(found: re.Match[str]) -> str:
     block = found["tag"] == "div"
     markup = convert(html.unescape(found["latex"]).strip(), display="block" if block else "inline")
+    markup = markup.replace(r"\_", "_")  # names of parameters, which the converter leaves escaped
     return f'<div class="equation">{markup}</div>' if block else markup
