@@ -64,9 +64,8 @@ load: $(VENV)/installed-test
 docs: $(VENV)/installed-test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --site-dir site
 
-pictures: demo
-	mkdir -p docs/images
-	cp demo/tracks.png docs/images/demo.png
+pictures: $(VENV)/installed
+	$(BIN)/python docs/pictures.py
 
 # Hours: the experiments at full size, stored in docs/results/data and written into the pages.
 claims: $(VENV)/installed-test
