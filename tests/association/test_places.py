@@ -10,7 +10,7 @@ import pytest
 import graphtrack as gt
 from graphtrack.association.likelihood import BODY, STATE, Chains, Scene, link_by, refresh, steer, unlinked
 from graphtrack.association.online import TOLD, OnlineAssociation
-from graphtrack.association.scene import AHEAD, SPREAD, learn_places, seen_from_within
+from graphtrack.association.scene import AHEAD, SPREAD, learn_places, learn_scene, seen_from_within
 
 FRAMES, CROSSING = 400, 20
 
@@ -38,6 +38,14 @@ def test_people_come_where_they_came_and_leave_where_they_left() -> None:
     assert births[0] > 2.0 > 1.0 > births[1] and births[0] > 4.0 * births[2]
     assert deaths[2] > 2.0 > 1.0 > deaths[1] and deaths[2] > 4.0 * deaths[0]
     assert clutter[3] > 2.0 and clutter[:3].max() < 0.2
+
+
+def test_without_gaps_a_scene_keeps_its_prior_of_occlusions() -> None:
+    """One occlusion of 2 s, and a hundredth of two events, count beside what was observed."""
+    chains, identity = street()
+    found = learn_scene(chains, identity, gt.SceneParameters(), np.full(len(identity), np.nan), 0.4)
+    assert found.occlusion_seconds == pytest.approx(2.0)
+    assert found.occlusion_probability == pytest.approx(0.02 / ((identity >= 0).sum() + 2.0))
 
 
 @pytest.mark.parametrize("k", [0, 7, 300])
