@@ -118,6 +118,10 @@ def _online(engine: OnlineEngine) -> Callable[[Model], Method]:
     return _method(engine, estimate)
 
 
+def _particle(name: str) -> Callable[[Model], Method]:
+    return _method(name, lambda track, model, camera: particle_filter(track, model, camera=camera).track)
+
+
 registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
     {
         "kf": _method("kf", lambda track, model, camera: kalman_filter(track, model.parameters), "positions"),
@@ -128,9 +132,8 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         ),
         "intentional-printed": _own("printed"),
         "intentional-consistent": _own("consistent"),
-        "particle": _method(
-            "particle", lambda track, model, camera: particle_filter(track, model, camera=camera).track
-        ),
+        "particle": _particle("particle"),
+        "particle-modes": _particle("particle-modes"),
         "ffbs": _method(
             "ffbs",
             lambda track, model, camera: particle_smoother(track, model, camera=camera).track,
@@ -154,7 +157,8 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
 
 ``intentional`` is Baxter et al.'s tracker in continuous time; ``intentional-printed`` and
 ``intentional-consistent`` are its own filter (eq. 2–6) with its own parameters, whatever the model.
-``particle`` is Chen et al.'s filter and ``ffbs`` its smoother."""
+``particle`` is Chen et al.'s filter and ``ffbs`` its smoother; ``particle-modes`` is the filter with the
+modes of the couplings that its own model, ``full``, has."""
 
 
 _OWN = {

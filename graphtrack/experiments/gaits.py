@@ -52,11 +52,6 @@ Errors = Mapping[tuple[str, str, str], FloatArray]
 """(people, way, model) → errors (draws, clips, 3), in the order of `MEASURES`."""
 
 
-def presets_of(way: str) -> tuple[str, ...]:
-    """Presets that a way of estimating knows: the particle filter has no modes of the couplings."""
-    return PRESETS[:-1] if way == PARTICLES else PRESETS
-
-
 def people(settings: Settings) -> dict[str, TrackSet]:
     """The clips that nothing was fitted to, those of odd place; nothing without the recording."""
     whole = settings.tracks(*MOCAP)
@@ -101,7 +96,7 @@ def errors(settings: Settings, progress: Progress) -> Errors:
     for who, way, clips, draws in _parts(settings):
         for draw in range(draws):
             seen = _noisy(clips, settings, draw)
-            for preset in presets_of(way):
+            for preset in PRESETS:
                 estimates = ESTIMATORS[way](seen, preset)
                 values = [_errors_of(one, truth) for one, truth in zip(estimates, seen, strict=True)]
                 empty = np.empty((draws, len(clips), len(MEASURES)))
@@ -152,7 +147,7 @@ def _detail(found: Errors) -> Records:
 @tabulated("The error of full less another's")
 def _differences(found: Errors, rng: np.random.Generator) -> Records:
     for who, way in dict.fromkeys(key[:2] for key in found):
-        for other in PRESETS[:-1] if way != PARTICLES else ():
+        for other in PRESETS[:-1]:
             record: dict[str, Cell] = {"people": who, "": way, "full less": other}
             yield record | _paired(found[who, way, "full"], found[who, way, other], rng)
 
@@ -160,7 +155,7 @@ def _differences(found: Errors, rng: np.random.Generator) -> Records:
 @tabulated("The error of the graph (online, chain) less that of the particle filter")
 def _rivals(found: Errors, rng: np.random.Generator) -> Records:
     for who in dict.fromkeys(key[0] for key in found):
-        for preset in presets_of(PARTICLES):
+        for preset in PRESETS:
             record: dict[str, Cell] = {"people": who, "model": preset}
             yield record | _paired(found[who, CHAIN, preset], found[who, PARTICLES, preset], rng)
 
@@ -176,7 +171,7 @@ def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dic
 
 def work(settings: Settings) -> int:
     """Draws and models of all ways."""
-    return sum(draws * len(presets_of(way)) for _, way, _, draws in _parts(settings)) or 1
+    return sum(draws for *_, draws in _parts(settings)) * len(PRESETS) or 1
 
 
 EXPERIMENT = Experiment(

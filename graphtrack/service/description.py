@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from typing import Any, get_args
 
 from graphtrack import __version__
@@ -186,7 +187,7 @@ def _range(value: dict[str, Any]) -> str:
     return str(value.get("description", ""))
 
 
-def _table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def _table(headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     lines = ["<table><tr>", *(f"<th>{heading}</th>" for heading in headings), "</tr>"]
     for first, second, third in rows:
         cells = f"<td><code>{html.escape(first)}</code></td><td><code>{html.escape(second)}</code></td>"

@@ -16,7 +16,7 @@ from graphtrack.service.settings import Metrics, Service
 from graphtrack.service.worker import ASIDE, DONE, PIECE, WARM, work
 
 FORKED = "forkserver" in multiprocessing.get_all_start_methods()  # not on Windows
-PROCESSES = multiprocessing.get_context("forkserver" if FORKED else "spawn")
+PROCESSES = multiprocessing.get_context("forkserver") if FORKED else multiprocessing.get_context("spawn")
 _ERROR = b'"error"'
 _PAUSE = 0.002
 """Seconds in which answers gather while more of them are to come: to look for each costs as much as a row."""

@@ -284,7 +284,7 @@ class StateFile:
         content.flush(mark)
 
     def _write_anew(self, texts: list[bytes]) -> None:
-        content = _Content(_opened(self._new, "w+b"))
+        content = _Content(_opened(self._new, "w+"))
         if self._content is not None:
             shutil.copymode(self._final, self._new)
         content.append(texts)
@@ -371,8 +371,8 @@ def _unlock(lock: FileLock) -> None:
     lock.release()
 
 
-def _opened(path: Path, mode: str = "r+b") -> io.FileIO:
-    return path.open(mode, buffering=0)
+def _opened(path: Path, mode: str = "r+") -> io.FileIO:
+    return io.FileIO(path, mode)
 
 
 def _write(file: io.FileIO, data: bytes, at: int) -> None:

@@ -140,21 +140,6 @@ class Detections:
     def __len__(self) -> int:
         return len(self.scores)
 
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        record = {"boxes": self.boxes.tolist(), "scores": self.scores.tolist()}
-        return record if self.points is None else record | {"points": self.points.round(3).tolist()}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Detections:
-        """Invert `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        scores = np.array(values["scores"], float).reshape(-1)
-        boxes = np.array(values["boxes"], float).reshape(len(scores), 4)
-        points = None
-        if "points" in values:
-            points = np.array(values["points"], float).reshape(len(scores), N_POINTS, 3)
-        return cls(boxes, scores, points)
-
 
 class Detector(Protocol):
     """Anything that finds people in an image."""
@@ -292,7 +277,13 @@ def points_of(item: PersonBox) -> FloatArray:
 
 
 def from_supervision(
-    detections: Any, frame: int, *, person: int | None = 0, keypoints: Any = None, first: int = 1
+    detections: Any,
+    frame: int,
+    *,
+    person: int | None = 0,
+    keypoints: Any = None,
+    first: int = 1,
+    refuse: Callable[[str], object] = lambda reason: None,
 ) -> list[PersonBox]:
     """The people of a ``supervision.Detections``, with its tracker's ids where it has any.
 
@@ -303,6 +294,7 @@ def from_supervision(
     person : the class of people; None: all are people
     keypoints : a ``supervision.KeyPoints`` of the same people in the same order
     first : number of the first detection without an id; give other numbers to other frames
+    refuse : receives a sentence for each reason for which boxes are left out, with their number
 
     Raises
     ------
@@ -316,11 +308,16 @@ def from_supervision(
         said = array_of(keypoints, "keypoint_confidence")
         sure = said if said is not None else array_of(keypoints, "confidence")
         points = _joined(places, None if sure is None or sure.ndim != 2 else sure, found.among)
-    return _boxes(found, points, frame, first)
+    return _boxes(found, points, frame, first, refuse)
 
 
 def from_ultralytics(
-    results: Any, frame: int, *, person: int | None = None, first: int = 1
+    results: Any,
+    frame: int,
+    *,
+    person: int | None = None,
+    first: int = 1,
+    refuse: Callable[[str], object] = lambda reason: None,
 ) -> list[PersonBox]:
     """The people of Ultralytics' ``Results`` of one image, with ids and keypoints where it has any.
 
@@ -328,7 +325,7 @@ def from_ultralytics(
     ----------
     results : with ``boxes`` (``xyxy``, ``conf``, ``cls``, ``id``) and perhaps ``keypoints``
     person : the class of people; None: the one that ``results.names`` calls "person", or else 0
-    frame, first : as in `from_supervision`
+    frame, first, refuse : as in `from_supervision`
 
     Raises
     ------
@@ -341,7 +338,7 @@ def from_ultralytics(
     if keypoints is not None and getattr(keypoints, "xy", None) is not None:
         places = array_of(keypoints, "xy", "keypoints with xy")
         points = _joined(places, array_of(keypoints, "conf"), found.among)
-    return _boxes(found, points, frame, first)
+    return _boxes(found, points, frame, first, refuse)
 
 
 def _joined(places: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArray:
@@ -359,7 +356,15 @@ def _joined(places: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArr
     return in_coco_order(np.concatenate([places, sure[..., None]], axis=2), BY_NUMBER[places.shape[1]])
 
 
-def _boxes(found: FoundBoxes, points: FloatArray | None, frame: int, first: int) -> list[PersonBox]:
+def _boxes(
+    found: FoundBoxes,
+    points: FloatArray | None,
+    frame: int,
+    first: int,
+    refuse: Callable[[str], object],
+) -> list[PersonBox]:
+    for reason, count in found.refused.items():
+        refuse(f"frame {frame}: {count} {reason}")
     boxes: list[PersonBox] = []
     identified = found.track_id is not None
     for k, (left, top, width, height) in enumerate(found.box.tolist()):

@@ -93,7 +93,7 @@ def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
 
 @pytest.mark.slow
 def test_the_head_tells_of_a_turn_that_is_not_seen(data_dir: Path) -> None:
-    """Turning walks of motion capture, a second withheld at the sharpest turn; docs/model.md has the errors.
+    """Turning walks of motion capture, a second withheld at the sharpest turn: docs/results/model.md.
 
     Every method has the parameters that were best on the even clips.
     """

@@ -51,6 +51,8 @@ LENGTHS = ("position_std", "velocity", "true_position")
 HAS_ROW = "has_row"
 """Variable (time, individuals) that says where a track has a row, where rows without a position are some."""
 
+PARTIAL = "with a part of what gives a position"
+
 SPACE_UNITS = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "m"),
     **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), "cm"),
@@ -258,6 +260,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     both = np.isfinite(standing).all(axis=-1, keepdims=True)
     channels["pixel" if in_image else "position"] = np.where(both, standing, np.nan)
     kept = read.has_row(channels)
+    n_partial = int((np.isfinite(points).any(axis=(-2, -1)) & ~kept).sum())
     people, steps = np.nonzero(kept)
     if not len(people):
         raise read.fail("nobody who is anywhere", "at least one position")
@@ -271,6 +274,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
         {**given, "t": t[steps]},
         lambda row: int(steps[row]) + 1,
         names_of | read.labels(ids),
+        refused={PARTIAL: n_partial} if n_partial else {},
         notes=tuple(notes),
         as_read=AsRead(time=time, names=names_of),
     )
