@@ -22,6 +22,7 @@ from graphtrack.io.formats.pedpy import JUPEDSIM, PEDPY
 from graphtrack.io.formats.ros_reading import BAG
 from graphtrack.io.formats.salsa import SALSA
 from graphtrack.io.formats.towncentre import TOWNCENTRE
+from graphtrack.io.formats.trajnet import TRAJNET
 from graphtrack.io.libraries import GEOPACKAGE, GEOPARQUET
 from graphtrack.io.source import Source
 from graphtrack.io.text import other_delimiter, parse_number
@@ -81,6 +82,7 @@ FORMATS = (
     PARQUET,
     GEOPACKAGE,
     GEOPARQUET,
+    TRAJNET,
     NDJSON,
     MOVEMENT,
     JUPEDSIM,
