@@ -39,7 +39,9 @@ def test_an_unknown_name_is_an_attribute_error():
 
 def test_public_functions_stay_functions_whatever_was_imported_first():
     code = "import graphtrack.evaluation.compare, graphtrack.simulation.sampling, graphtrack as gt\n"
-    code += "gt.io.FORMATS\nfunctions = (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read)\n"
+    code += (
+        "gt.io.FORMATS\nfunctions = (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read_identified)\n"
+    )
     code += "assert all(map(callable, functions))"
     modules_after(code)
 

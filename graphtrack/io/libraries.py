@@ -242,7 +242,7 @@ def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
 
 
 GEOPACKAGE, GEOPARQUET = (
-    Format(name, description, (suffix,), lambda head, path: False, _unread, write, is_read=False)
+    Format(name, description, (suffix,), _unread, write, is_read=False)
     for name, description, suffix, write in (
         ("geopackage", "points of a GeoPackage (extra geo)", ".gpkg", _write_geopackage),
         ("geoparquet", "points as GeoParquet (extra geo)", ".geoparquet", _write_geoparquet),

@@ -403,7 +403,7 @@ def test_a_track_that_fails_is_named_and_the_others_come_out(preset: str) -> Non
     assert isinstance(first, Solution)
     assert isinstance(last, Solution)
     assert (first.track.track_id, last.track.track_id) == (1, 3)
-    alone = smooth_track(some_tracks()[3], Model(preset))
+    alone = smooth_track(some_tracks().by_id(3), Model(preset))
     np.testing.assert_array_equal(last.track.position, alone.track.position)
 
 
@@ -438,12 +438,12 @@ def test_two_workers_find_the_same_bytes_as_one(engine: OfflineEngine) -> None:
 def test_estimates_keep_the_truth_and_drop_the_observations() -> None:
     track = replace(walk(6, seed=1), label="corridor", head_kappa=np.full(6, 3.0))
     estimates = smooth(TrackSet((track,)), "joint")
-    found = estimates[1]
+    found = estimates.by_id(1)
     assert found.label == "corridor"
     np.testing.assert_array_equal(found.t, track.t)
     np.testing.assert_array_equal(found.true_position, track.true_position)
     for name in ("position_std", "pixel", "body_kappa", "head_kappa", "body_likelihood", "head_likelihood"):
         assert getattr(found, name) is None
-    positions_only = smooth(TrackSet((track,)), "position")[1]
+    positions_only = smooth(TrackSet((track,)), "position").by_id(1)
     assert positions_only.body is None
     assert positions_only.head is None

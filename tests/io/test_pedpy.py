@@ -42,7 +42,7 @@ def test_frames_and_rate_are_times() -> None:
     )
     found = gt.from_pedpy(SimpleNamespace(data=data, frame_rate=5))
     assert [track.track_id for track in found] == [1, 4]
-    np.testing.assert_array_equal(found[1].t, [2.0, 2.2])
+    np.testing.assert_array_equal(found.by_id(1).t, [2.0, 2.2])
 
 
 def walk(t: Any) -> TrackSet:
@@ -80,8 +80,8 @@ def test_text_files_of_all_headers(
     path.write_text(header + "1 0 10 20.5 170\n1 1 11 21 170\n2\t0\t-3\t4\t160\n")
     tracks = gt.read(path, **options)
     assert tracks.summary.format == "pedpy" and [track.track_id for track in tracks] == [1, 2]
-    np.testing.assert_allclose(tracks[1].position, metre * np.array([[10, 20.5], [11, 21]]))
-    np.testing.assert_allclose(tracks[1].t, [0.0, 1.0 / rate])
+    np.testing.assert_allclose(tracks.by_id(1).position, metre * np.array([[10, 20.5], [11, 21]]))
+    np.testing.assert_allclose(tracks.by_id(1).t, [0.0, 1.0 / rate])
     pedpy = pytest.importorskip("pedpy", reason="the extra pedpy has it")
     given = {"default_frame_rate": options.get("fps"), "default_unit": None}
     if "units" in options:

@@ -36,7 +36,7 @@ def sequence(tmp_path: Path) -> Path:
 def test_a_sequence_is_its_tracks_at_its_own_rate(sequence: Path) -> None:
     tracks = gt.read(sequence)
     assert [track.track_id for track in tracks] == [1, 2]
-    np.testing.assert_allclose(tracks[1].t * 14.0, tracks[1].frame)
+    np.testing.assert_allclose(tracks.by_id(1).t * 14.0, tracks.by_id(1).frame)
     assert "frame rate 14 Hz and images of 640 × 480 from seqinfo.ini" in tracks.summary.notes
     assert "read gt/gt.txt of the sequence" in tracks.summary.notes
 

@@ -69,4 +69,4 @@ def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
 
 def test_a_recording_at_a_wrong_rate_is_told_of(data_dir: Path) -> None:
     with pytest.warns(InputWarning, match="faster than"):
-        io.read(data_dir / "towncentre/frames_001_150/gt.txt")
+        io.read_identified(data_dir / "towncentre/frames_001_150/gt.txt")

@@ -160,7 +160,7 @@ def test_every_variant_is_read_by_the_line_that_is_suggested(
     path = here / "some walks.csv"
     path.write_bytes(variant())
     try:
-        as_it_stands: TrackSet | None = io.read(path)
+        as_it_stands: TrackSet | None = io.read_identified(path)
     except InputError as error:
         as_it_stands = None
         assert "--" in str(error), error
@@ -202,7 +202,7 @@ def test_what_is_no_table_is_told_as_its_reader_tells_it(tmp_path: Path) -> None
     connection.execute("create table gpkg_contents (x)")
     connection.close()
     with pytest.raises(InputError) as read:
-        io.read(database)
+        io.read_identified(database)
     with pytest.raises(InputError) as suggested:
         suggest(database)
     assert "GeoPackage" in str(read.value) and str(suggested.value) == str(read.value)

@@ -1,4 +1,4 @@
-"""Datasets of the package movement (extra ``movement``) and their netCDF files."""
+"""Datasets of the package movement, their netCDF files, and files that movement reads (extra ``poses``)."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,8 @@ from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, plac
 from graphtrack.io.cells import numbered_names
 from graphtrack.io.foreign_tables import numbered_times
 from graphtrack.io.format import Format, steady_rate
-from graphtrack.io.options import METRES, Layout, ReadOptions
+from graphtrack.io.options import METRES, Layout, Reading, ReadOptions
+from graphtrack.io.recognition import CLASSIC, HDF5
 from graphtrack.io.source import Source
 from graphtrack.packages import package
 from graphtrack.tracks.display import listed
@@ -473,7 +476,7 @@ _COORDINATES = {"image": ["u", "v"], "state": list(STATE), "other_state": list(S
 _STD = "std"
 
 
-def from_movement(dataset: Any, **options: Any) -> TrackSet:
+def from_movement(dataset: Any, **options: Unpack[Reading]) -> TrackSet:
     """Tracks from a dataset of the package movement.
 
     A person's position is a pair of keypoints' middle (hips, or ankles where a camera sees them), body and
@@ -490,7 +493,7 @@ def from_movement(dataset: Any, **options: Any) -> TrackSet:
     InputError
         For what is none, and for options that are missing.
     """
-    rows = rows_of_dataset(dataset, ReadOptions(**options), Path("dataset"))
+    rows = rows_of_dataset(dataset, ReadOptions.named(**options), Path("dataset"))
     return TrackSet.from_identified_rows(rows)
 
 
@@ -594,14 +597,53 @@ class _Grid:
         return found
 
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_CLASSIC = (b"CDF\x01", b"CDF\x02")
+DEEPLABCUT, SLEAP = "DeepLabCut", "SLEAP"
+"""Names by which `movement.io.load_dataset` knows the software of a file."""
+
+_OF_SLEAP, _OF_DLC = {"tracks", "node_names"}, {"df_with_missing"}  # what is in their HDF5 files
+
+
+def software_of(source: Source) -> str | None:
+    """The software that wrote a file of poses, as movement calls it; None: the file is a dataset."""
+    if not source.data.startswith(HDF5):
+        return None if source.data.startswith(CLASSIC) else DEEPLABCUT
+    try:
+        with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
+            names = set(file)
+    except (OSError, RuntimeError, ValueError):  # damaged: as a dataset it is told how
+        return None
+    return SLEAP if names >= _OF_SLEAP else DEEPLABCUT if names >= _OF_DLC else None
+
+
+def _by_movement(source: Source, software: str) -> Any:
+    """The dataset that movement makes of a file of another software."""
+    try:
+        movement = import_module("movement.io")
+    except ImportError as error:
+        raise InputError(
+            f"a file of {software}, and no package movement",
+            "pip install 'graphtrack[poses]', or a file that it made where it is installed: "
+            f"movement.io.load_dataset(FILE, source_software='{software}').to_netcdf('tracks.nc')",
+            path=source.path,
+        ) from error
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / ("poses.h5" if source.data.startswith(HDF5) else "poses.csv")
+        file.write_bytes(source.data)
+        try:
+            return movement.load_dataset(file, source_software=software).load()
+        except Exception as error:  # what movement and pandas say of files that are none is of many kinds
+            said = " ".join(str(error).replace(str(file), "it").split()) or type(error).__name__
+            found = f"a file of {software} that movement cannot read ({said[:200]})"
+            raise InputError(found, "a whole one", path=source.path) from error
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
-    """Read a dataset; see `rows_of_dataset`."""
+    """Read a dataset, or a file of DeepLabCut or SLEAP of which movement makes one; see `rows_of_dataset`."""
+    software = software_of(source)
+    if software is not None:
+        return rows_of_dataset(_by_movement(source, software), options, source.path)
     xarray = package("xarray", EXTRA)
-    engine = "scipy" if source.data.startswith(_CLASSIC) else "h5netcdf"
+    engine = "scipy" if source.data.startswith(CLASSIC) else "h5netcdf"
     if engine == "h5netcdf":
         _check_packages()
     return rows_of_dataset(_loaded(xarray, source, engine), options, source.path)
@@ -636,9 +678,8 @@ def write(tracks: TrackSet, path: Path) -> None:
 
 MOVEMENT = Format(
     name="movement",
-    description="netCDF of the package movement (extra movement)",
+    description="netCDF of the package movement (extra movement); DeepLabCut and SLEAP (extra poses)",
     suffixes=(".nc",),
-    looks_like=lambda head, path: head.startswith((_HDF5, *_CLASSIC)),
     read=read,
     write=write,
     takes=("columns", "units"),

@@ -19,7 +19,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.format import Format, rate_to_write, times_told
 from graphtrack.io.options import METRES, ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.io.text import read_numbers
 from graphtrack.packages import package
 from graphtrack.tracks.schema import is_column, unknown
 from graphtrack.tracks.table import Rows, frame_of, from_columns, rows_of_table
@@ -92,22 +92,6 @@ _UNITS = {
 }
 
 
-def _looks_like_text(head: bytes, path: Path) -> bool:
-    """Return whether comments come first, and below them rows of two whole numbers and two numbers."""
-    lines = [line.strip() for line in head.decode("utf-8-sig", errors="replace").split("\n")[:-1]]
-    lines = [line for line in lines if line]
-    rows = [line.split() for line in lines if not line.startswith("#")][:20]
-    if not lines or not lines[0].startswith("#") or not rows:
-        return False
-
-    def matches(cells: list[str]) -> bool:
-        numbers = [parse_number(cell) for cell in cells]
-        known = [number for number in numbers[:4] if number is not None]
-        return 4 <= len(cells) <= 6 and len(known) == 4 and all(float(n).is_integer() for n in known[:2])
-
-    return sum(map(matches, rows)) * 2 > len(rows)
-
-
 def _read_text(source: Source, options: ReadOptions) -> Rows:
     """Read ``id frame x y``; more columns, such as a height, are passed over."""
     header = []
@@ -158,14 +142,12 @@ PEDPY = Format(
     name="pedpy",
     description="text of PedPy and the Pedestrian Dynamics Data Archive: id frame x y",
     suffixes=(".pedpy.txt",),
-    looks_like=_looks_like_text,
     read=_read_text,
     write=_write_text,
     takes=("units",),
 )
 
 
-SQLITE = b"SQLite format 3\0"
 _VERSION = 2
 _OWN = {"id": "track_id", "frame": "frame", "pos_x": "x", "pos_y": "y"}
 _FACING = ("ori_x", "ori_y")
@@ -316,7 +298,6 @@ JUPEDSIM = Format(
     name="jupedsim",
     description="trajectories of JuPedSim (SQLite)",
     suffixes=(".sqlite",),
-    looks_like=lambda head, path: head.startswith(SQLITE),
     read=_read_jupedsim,
     write=_write_jupedsim,
 )
