@@ -50,7 +50,12 @@ class _Later(ModuleType):
     """Stands for a module, and imports it when something of it is asked for."""
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(import_module(self.__name__), name)
+        try:
+            module = import_module(self.__name__)
+        except ModuleNotFoundError as error:
+            expected = "it installed (GTSAM has no wheel for Windows: use the engine chain there)"
+            raise InputError(f"no package {self.__name__}", expected) from error
+        found = getattr(module, name)
         setattr(self, name, found)
         return found
 

@@ -114,15 +114,14 @@ def show(found: GroupScore, json_path: Path | None) -> None:
 def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
     """`graphtrack score` of a table of groups."""
     from graphtrack.interaction.scores import score_groups
-    from graphtrack.io.groups import read_group_rows
+    from graphtrack.interaction.tables import read_group_table
 
     if len(inputs) != 1 or len(truth) != 1:
         raise InputError(f"{len(inputs)} tables of groups, {len(truth)} truths", "one of each")
     options.check_outputs({"--json": json_path}, {"the input": inputs, "--truth": truth})
-    rows = read_group_rows(inputs[0])
-    labels = read_quietly(truth[0])
-    true = labels.labels(rows["frame"], rows["t"], rows["track_id"])
-    show(score_groups(rows["frame"], rows["track_id"], rows["group"], true), json_path)
+    found = read_group_table(inputs[0])
+    true = read_quietly(truth[0]).labels(found.frame, found.t, found.track_id)
+    show(score_groups(found.frame, found.track_id, found.group, true), json_path)
 
 
 PICTURES = ("looks.png", "timeline.png", "matrix.png")

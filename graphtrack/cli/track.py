@@ -270,7 +270,7 @@ def serve(
 
     Clients
     -------
-    token_file : File with the token that clients have to bear; else the variable GRAPHTRACK_TOKEN; else none.
+    token_file : File with the clients' token, else GRAPHTRACK_TOKEN; needed beyond the loopback.
     allow_host : Name in clients' URLs, besides localhost and --host; '*': any. Repeatable.
     allow_origin : Web pages that may use the service, as https://site.example; '*': any. Repeatable.
 
@@ -292,7 +292,7 @@ def serve(
         from graphtrack.service.app import run
     except ModuleNotFoundError as error:
         raise InputError(f"no {error.name}", "pip install 'graphtrack[serve]'") from error
-    from graphtrack.service.settings import Limits, Service, clients_of, is_wildcard
+    from graphtrack.service.settings import Limits, Service, clients_of, is_loopback, is_wildcard
     from graphtrack.streaming.answers import StreamBounds
     from graphtrack.streaming.session import Answers
 
@@ -317,8 +317,9 @@ def serve(
     if token is not None and not all("!" <= character <= "~" for character in token):
         expected = "printable ASCII characters without spaces, which a header can hold"
         raise InputError("a token with other characters", expected, path=token_file)
-    if token is None and host not in ("127.0.0.1", "::1", "localhost"):
-        emit(f"note: no token: whoever reaches {host} may open streams")
+    if token is None and not is_loopback(host):
+        expected = f"--token-file, or the variable {TOKEN}: other machines reach that address"
+        raise InputError(f"--host {host} without a token", expected)
     clients = clients_of(host, allow_host or [], allow_origin or [])
     if not allow_host and is_wildcard(host):
         emit("note: requests are taken for localhost alone; --allow-host NAME adds a name")

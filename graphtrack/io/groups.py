@@ -224,28 +224,25 @@ def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
     return frozenset(group)
 
 
-def _rows_of_table(source: Source, lines: list[tuple[int, str]]) -> tuple[NDArray[np.int64], FloatArray]:
-    """Line, frame, track and group (n, 4) of the rows of a table, and their times (n,) or NaN."""
+def _rows_of_table(source: Source, lines: list[tuple[int, str]]) -> list[tuple[int, ...]]:
+    """Line, frame, track and group of each row of a table."""
     header = [cell.strip() for cell in next(csv.reader([lines[0][1]]))]
     rows: list[tuple[int, ...]] = []
-    times: list[float] = []
     for number, line in lines[1:]:
         cells = next(csv.reader([line]))
         if len(cells) != len(header):
             raise InputError(f"{len(cells)} columns", str(len(header)), path=source.path, line=number)
         of = dict(zip(header, cells, strict=True))
         rows.append((number, *(_whole(source, number, name, of[name]) for name in _NEEDED)))
-        value = parse_number(of.get("t", "").strip())
-        times.append(np.nan if value is None else value)
     if not rows:
         raise InputError("no rows", "at least one row", path=source.path)
-    return np.array(rows, dtype=np.int64), np.array(times)
+    return rows
 
 
 def _read_table(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
     frames: dict[int, dict[int, int]] = {}
     line_of: dict[int, int] = {}
-    for number, frame, person, group in _rows_of_table(source, lines)[0].tolist():
+    for number, frame, person, group in _rows_of_table(source, lines):
         of_frame = frames.setdefault(frame, {})
         line_of.setdefault(frame, number)
         if person in of_frame:
@@ -268,15 +265,6 @@ def _whole(source: Source, line: int, name: str, cell: str) -> int:
         expected = "a whole number" if value is not None else expected_number(cell)
         raise InputError(repr(cell.strip()[:40]), expected, path=source.path, line=line, column=name)
     return int(value)
-
-
-def read_group_rows(path: str | Path) -> dict[str, np.ndarray]:
-    """The columns frame, t, track_id and group of a table of groups; a missing t is NaN."""
-    source = Source.open(path)
-    lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
-    _read_table(source, lines)
-    rows, times = _rows_of_table(source, lines)
-    return {**dict(zip(_NEEDED, rows[:, 1:].T, strict=True)), "t": times}
 
 
 def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:

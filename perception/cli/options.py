@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from graphtrack.tracks.display import counted
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
-    from perception.images.frames import Frame, FrameSource
+    from perception.images.frames import Clock, Frame, FrameSource
 
 _SHOWN = 5
 _FPS = 25.0
@@ -73,9 +73,11 @@ class CameraOptions:
         """Identity of the files' contents: path, size and time."""
         return stamp_of(self.homography), stamp_of(self.calibration)
 
-    def rate(self, frames: FrameSource) -> float:
-        """Frames a second: those that are asked for, or else the video's."""
-        return self.fps or frames.fps or _FPS
+    def clock(self, frames: FrameSource) -> Clock:
+        """Return the times of frames: by the rate that is asked for, or else by the video."""
+        from perception.images.frames import Clock
+
+        return Clock(self.fps) if self.fps is not None else frames.clock(frames.fps or _FPS)
 
     def on_ground(self) -> GroundCamera | None:
         """The camera; None if the options name none."""
@@ -169,12 +171,17 @@ def in_time(count: int, seconds: float) -> str:
     return f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)"
 
 
-def print_skipped(reasons: Sequence[str]) -> None:
-    """Say what was left out: the first few reasons, and how many more there are."""
-    for reason in reasons[:_SHOWN]:
-        emit(f"  skipped: {reason}")
-    if len(reasons) > _SHOWN:
-        emit(f"  skipped: {len(reasons) - _SHOWN} more")
+def skipped(reasons: Iterable[str]) -> list[str]:
+    """What was left out in words: the first few reasons, and how many more there are."""
+    every = [f"skipped: {reason}" for reason in reasons]
+    more = len(every) - _SHOWN
+    return [*every[:_SHOWN], f"skipped: {more} more"] if more > 0 else every
+
+
+def print_skipped(reasons: Iterable[str]) -> None:
+    """Print what was left out."""
+    for line in skipped(reasons):
+        emit(f"  {line}")
 
 
 def print_camera_note(camera: GroundCamera | None) -> None:

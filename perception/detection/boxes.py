@@ -179,21 +179,6 @@ class Detections:
     def __len__(self) -> int:
         return len(self.scores)
 
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        record = {"boxes": self.boxes.tolist(), "scores": self.scores.tolist()}
-        return record if self.points is None else record | {"points": self.points.round(3).tolist()}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Detections:
-        """Invert `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        scores = np.array(values["scores"], float).reshape(-1)
-        boxes = np.array(values["boxes"], float).reshape(len(scores), 4)
-        points = None
-        if "points" in values:
-            points = np.array(values["points"], float).reshape(len(scores), N_POINTS, 3)
-        return cls(boxes, scores, points)
-
 
 class Detector(Protocol):
     """Anything that finds people in an image."""

@@ -39,7 +39,6 @@ from perception.adaptation.models import CameraModels
 from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
-from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 from perception.observe.pipeline import Models, SeenPerson, by_frame, observe_frame
 from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
 
@@ -91,10 +90,6 @@ def _sequence(path: Path, folder: Path) -> LobbySequence:
     return LobbySequence(path.stem, Recording(frames, people, FPS), gaze)
 
 
-def _package() -> PackageModels:
-    return PackageModels(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
-
-
 def _ignore(*values: object) -> None:
     """Report neither progress nor boxes that hold nothing."""
 
@@ -105,7 +100,7 @@ def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int]
 
 def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
     """Errors in each sequence by what the others taught."""
-    package = _package()
+    package = PackageModels.load()
     rows = []
     for one in sequences:
         others = [other.recording for other in sequences if other is not one]
@@ -122,7 +117,7 @@ def _sequence_errors(
     camera, recording = lobby_camera(), sequence.recording
     people = recording.people
     view = LeaningView.of(camera, recording.frames.size())
-    labels = walking_labels(people, None, camera, recording.rate, view=view)
+    labels = walking_labels(people, None, camera, recording.clock, view=view)
     walking = {
         (people[k].frame, people[k].track_id): angle
         for k, angle in zip(labels.box.tolist(), labels.angle.tolist(), strict=True)
@@ -145,7 +140,7 @@ def _sequence_errors(
                 head[key] = float(looking.head_classes.mean_pan(seen.pan[:1])[0])
         said[name] = body, head
         if of_camera is not None:
-            smoothed = _smoothed(everybody, of_camera, recording.rate)
+            smoothed = _smoothed(everybody, of_camera, recording.clock)
     body, head = said["taught"]
     return {
         "judged on": sequence.name,
@@ -215,7 +210,7 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
     part_of = np.zeros(len(people), np.int64)
     part_of[labels.box] = fold
     seconds = len(frames.numbers()) / RATE
-    package = _package()
+    package = PackageModels.load()
     seen: list[SeenPerson] = []
     shares: list[float] = []
     for part in range(PARTS):

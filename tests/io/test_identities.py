@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from format_samples import made_tracks, sample_of
+from format_samples import sample_of
 
 import graphtrack as gt
 from graphtrack import io
@@ -27,11 +28,6 @@ def csv(identity: int, folder: Path, n: int = 3) -> gt.TrackSet:
     text = rows(0, n).to_csv(index=False).replace("\n0,", f"\n{identity},")
     (folder / "a.csv").write_text(text)
     return io.read_identified(folder / "a.csv")
-
-
-def long_csv(identity: int, folder: Path) -> gt.TrackSet:
-    """A file that pyarrow reads."""
-    return csv(identity, folder, 10_000)
 
 
 def parquet(identity: int, folder: Path) -> gt.TrackSet:
@@ -56,7 +52,7 @@ def other(format: str, before: str, after: str) -> Callable[[int, Path], gt.Trac
 
 READERS = {
     "csv": csv,
-    "long csv": long_csv,
+    "long csv": partial(csv, n=10_000),  # pyarrow reads it
     "parquet": parquet,
     "table": table,
     "mot": other("mot", "1,1,", "1,{},"),
@@ -68,12 +64,8 @@ READERS = {
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_the_largest_identity_is_itself(reader: str, tmp_path: Path) -> None:
+def test_the_largest_identity_is_itself_and_larger_ones_are_refused(reader: str, tmp_path: Path) -> None:
     assert LARGEST_ID in {track.track_id for track in READERS[reader](LARGEST_ID, tmp_path)}
-
-
-@pytest.mark.parametrize("reader", READERS)
-def test_larger_ones_are_refused(reader: str, tmp_path: Path) -> None:
     for identity in TOO_LARGE:
         with pytest.raises(InputError, match="id") as caught:
             READERS[reader](identity, tmp_path)
@@ -89,13 +81,3 @@ def test_files_with_the_largest_identities_are_merged_into_one_that_can_be_read(
     assert {track.track_id for track in io.read_identified(tmp_path / "merged.csv")} == {
         t.track_id for t in merged
     }
-
-
-def test_a_file_name_that_is_no_text_still_names_its_tracks(tmp_path: Path) -> None:
-    io.write(made_tracks(), tmp_path / "a.csv")
-    odd = tmp_path / "caf\udce9.csv"
-    rows(1).to_csv(tmp_path / "plain.csv", index=False)
-    (tmp_path / "plain.csv").rename(odd)
-    merged = io.read_identified([tmp_path / "a.csv", odd])
-    io.write(merged, tmp_path / "merged.csv")
-    assert "caf\ufffd" in {track.label for track in io.read_identified(tmp_path / "merged.csv")}

@@ -66,11 +66,11 @@ def test_a_track_keeps_its_inputs_and_nobody_changes_them() -> None:
 def test_what_is_no_input_is_told(inputs: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
         person(**inputs)
-
-
-def test_the_people_of_a_set_agree_on_the_size() -> None:
     with pytest.raises(InputError, match="input 'goal' of one number a frame in track 2, expected 2 numbers"):
         TrackSet((person(goal=GOAL), person(2, goal=np.zeros(3))))
+    for value in ("north", None, [], [[1.0]], [1.0, np.nan], np.inf):
+        with pytest.raises(InputError, match="input goal ="):
+            checked(gt.Observation(t=0.0, inputs={"goal": value}))  # type: ignore[dict-item]
 
 
 BAD = {
@@ -124,9 +124,3 @@ def test_a_stream_has_inputs() -> None:
     assert raised.value.column == "input_goal_0"
     with pytest.raises(InputError, match="one of the two"):
         observation_of(cells(input_goal=2.0, input_goal_0=1.0), 10.0)
-
-
-@pytest.mark.parametrize("value", ["north", None, [], [[1.0]], [1.0, np.nan], np.inf])
-def test_an_observation_with_an_input_that_is_none_is_refused(value: object) -> None:
-    with pytest.raises(InputError, match="input goal ="):
-        checked(gt.Observation(t=0.0, inputs={"goal": value}))  # type: ignore[dict-item]

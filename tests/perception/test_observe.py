@@ -288,14 +288,6 @@ def test_a_video_of_images_of_two_sizes_is_refused_at_the_first(clip: Path, tmp_
     assert len(drawn(tmp_path / "shown")) == 6
 
 
-@pytest.mark.parametrize("name", ["film.mkv", "no/such/folder/film.mp4", "boxes.txt/film"])
-def test_where_no_pictures_can_be_is_told_before_the_work(clip: Path, tmp_path: Path, name: str) -> None:
-    arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
-    done = run(*arguments, "--render", tmp_path / name)
-    assert done.returncode == 2 and done.stderr.count("error:") == 1
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cv2.imwrite(str(tmp_path / "0001.png"), np.full((200, 200, 3), 90, np.uint8))
     decoded = images_read(monkeypatch)

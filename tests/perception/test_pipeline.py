@@ -21,7 +21,7 @@ from perception.observe.pipeline import (
     observe_frame,
 )
 from perception.observe.tables import to_tracks
-from perception.pose.classes import PoseClasses, interpolated, world_likelihood
+from perception.pose.classes import PoseClasses, world_likelihood
 from perception.pose.head_detection import HeadCandidates
 from perception.storage import load_model
 from perception.synthetic import Camera
@@ -46,13 +46,6 @@ def test_angles_go_from_the_image_to_the_world_by_the_ray() -> None:
         expected = camera.world_angle(EIGHT.pan[k], position)[0]
         assert abs(difference(PoseClasses.circle(360).pan[found.argmax()], expected)) < np.deg2rad(1.0)
         assert found.sum() == pytest.approx(1.0)
-
-
-def test_interpolation_meets_the_classes_and_halves_between_them() -> None:
-    values = np.arange(8.0)[None]
-    np.testing.assert_allclose(interpolated(values, EIGHT, EIGHT.pan[None]), values)
-    between = interpolated(values, EIGHT, np.deg2rad([[22.5, -22.5]]))
-    np.testing.assert_allclose(between, [[0.5, 3.5]])
 
 
 def test_tracks_are_on_the_ground_and_those_beyond_the_horizon_are_left_out() -> None:
