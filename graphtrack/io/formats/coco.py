@@ -107,6 +107,10 @@ def _is_whole(value: object, lowest: int, highest: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and lowest <= value <= highest
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _names(whole: Mapping[str, Any]) -> dict[Any, int]:
     """Image id → number at the end of its file name; none where one has no such number, or two the same."""
     images = whole.get("images")
@@ -153,17 +157,15 @@ def _categories(
 
 def _box(source: Source, k: int, given: object) -> FloatArray:
     expected = f"left, top, width and height in pixels within ±{LARGEST_PIXELS:g}, sizes above 0"
-    try:
-        box = np.array(given, dtype=float)
-    except (TypeError, ValueError):
-        box = np.empty(0)
+    numbers = given if isinstance(given, list) and all(map(_is_number, given)) else []
+    box = np.array(numbers, dtype=float)
     if box.shape != (4,) or not (np.abs(box) <= LARGEST_PIXELS).all() or box[2] <= 0.0 or box[3] <= 0.0:
         raise _fail(source, k, repr(given)[:60], expected, "bbox")
     return box
 
 
-def _score(source: Source, k: int, given: object) -> float:
-    if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 <= given <= 1.0:
+def _score(source: Source, k: int, given: Any) -> float:
+    if not _is_number(given) or not 0.0 <= float(given) <= 1.0:
         raise _fail(source, k, repr(given)[:40], "a number from 0 to 1", "score")
     return float(given)
 
