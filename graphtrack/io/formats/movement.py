@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale, from_dates
 from graphtrack.tracks.track import TrackSet
 from graphtrack.tracks.validation import FIELDS, INPUT, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
+
+if TYPE_CHECKING:
+    import xarray
 
 TIME, SPACE, KEYPOINTS, INDIVIDUALS = "time", "space", "keypoints", "individuals"
 
@@ -497,7 +500,7 @@ def from_movement(dataset: Any, **options: Unpack[Reading]) -> TrackSet:
     return TrackSet.from_identified_rows(rows)
 
 
-def to_movement(tracks: TrackSet) -> Any:
+def to_movement(tracks: TrackSet) -> xarray.Dataset:
     """A dataset of the package movement: poses of one keypoint, metres and seconds.
 
     Each attribute of a `Track` is a data variable of its name: ``body`` and ``head`` in radians,
@@ -514,7 +517,7 @@ def to_movement(tracks: TrackSet) -> Any:
     InputError
         If the package xarray is not there.
     """
-    xarray = package("xarray", EXTRA)
+    xr = package("xarray", EXTRA)
     moments, places = _steps(tracks)
     grid = _Grid(tracks, places, len(moments))
     names = {} if tracks.as_read is None else tracks.as_read.names
@@ -561,7 +564,7 @@ def to_movement(tracks: TrackSet) -> Any:
     if any(track.label != names.get(track.track_id, "") for track in tracks):
         coordinates["label"] = (INDIVIDUALS, np.array([track.label for track in tracks], dtype=object))
     coordinates |= {name: values for name, values in _COORDINATES.items() if name in further_dims}
-    return xarray.Dataset(variables, coordinates, attributes)
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _steps(tracks: TrackSet) -> tuple[list[tuple[float, int]], list[NDArray[np.int64]]]:
@@ -642,11 +645,11 @@ def read(source: Source, options: ReadOptions) -> Rows:
     software = software_of(source)
     if software is not None:
         return rows_of_dataset(_by_movement(source, software), options, source.path)
-    xarray = package("xarray", EXTRA)
+    xr = package("xarray", EXTRA)
     engine = "scipy" if source.data.startswith(CLASSIC) else "h5netcdf"
     if engine == "h5netcdf":
         _check_packages()
-    return rows_of_dataset(_loaded(xarray, source, engine), options, source.path)
+    return rows_of_dataset(_loaded(xr, source, engine), options, source.path)
 
 
 def _check_packages() -> None:
@@ -654,14 +657,14 @@ def _check_packages() -> None:
         package(name, EXTRA)
 
 
-def _loaded(xarray: Any, source: Source, engine: str) -> Any:
+def _loaded(xr: Any, source: Source, engine: str) -> Any:
     try:
         if engine == "h5netcdf":
             # Which complains once more, at its end, of a file that cannot be opened.
             with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
                 file.visititems(lambda name, item: list(item.attrs) and None)
                 list(file.attrs.items())
-        with xarray.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
+        with xr.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
             return dataset.load()
     except Exception as error:  # what HDF5 says of files that are none is of many kinds
         said = " ".join(str(error).split()) or type(error).__name__

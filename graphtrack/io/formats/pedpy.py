@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from graphtrack.tracks.schema import is_column, unknown
 from graphtrack.tracks.table import Rows, frame_of, from_columns, rows_of_table
 from graphtrack.tracks.track import TrackSet, to_columns
 from graphtrack.tracks.validation import LARGEST_ID, check_frame_rate
+
+if TYPE_CHECKING:
+    import pedpy
 
 EXTRA = "pedpy"
 _IDENTITY, _POINT = "id", "point"
@@ -49,7 +52,7 @@ def from_pedpy(trajectory: Any) -> TrackSet:
     return TrackSet.from_identified_rows(replace(rows, format="pedpy"))
 
 
-def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> Any:
+def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.TrajectoryData:
     """A ``pedpy.TrajectoryData``: id, frame, x and y in metres, and beside them the native table's columns.
 
     Rows without a position are left out. Times that frames and rate do not say are kept as the column ``t``.
@@ -63,11 +66,11 @@ def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> Any:
     InputError
         If the package pedpy is not there, or the times have no steady rate.
     """
-    pedpy = package("pedpy", EXTRA)
+    module = package("pedpy", EXTRA)
     import pandas as pd
 
     columns, rate = trajectory_columns(tracks, frame_rate=frame_rate)
-    return pedpy.TrajectoryData(data=pd.DataFrame(columns), frame_rate=rate)
+    return module.TrajectoryData(data=pd.DataFrame(columns), frame_rate=rate)
 
 
 def trajectory_columns(
