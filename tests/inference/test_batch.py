@@ -351,7 +351,7 @@ def test_a_track_that_fails_is_named_and_the_others_come_out(preset: str) -> Non
     assert isinstance(failed, Failure) and failed.track_id == 7
     assert "no position" in failed.reason and isinstance(first, Solution)
     assert isinstance(last, Solution) and (first.track.track_id, last.track.track_id) == (1, 3)
-    alone = smooth_track(some_tracks()[3], Model(preset))
+    alone = smooth_track(some_tracks().by_id(3), Model(preset))
     np.testing.assert_array_equal(last.track.position, alone.track.position)
     with pytest.raises(SolveError, match=r"track 7: .*no position"):
         smooth(some_tracks(), preset)

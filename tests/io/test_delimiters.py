@@ -34,7 +34,7 @@ def test_a_native_table_is_diagnosed(mark: str, decimal: str, before: str, name:
     error = refused(path)
     assert NAMES[mark] in error.found and ("decimal commas" in error.found) == (decimal == ",")
     assert str(refused(path, format="csv")) == str(error)
-    track = io.read_identified(path, **named(error))[7]
+    track = io.read_identified(path, **named(error)).by_id(7)
     np.testing.assert_allclose(track.position[:, 0], 1.5 + np.arange(4) / 8)
 
 
@@ -47,7 +47,7 @@ def test_numbers_without_a_header_are_diagnosed(format: str | None, mark: str, t
     error = refused(path, format=format)
     assert NAMES[mark] in error.found
     found = io.read_identified(path, **named(error))
-    np.testing.assert_array_equal(found[1].pixel, expected[1].pixel)
+    np.testing.assert_array_equal(found.by_id(1).pixel, expected.by_id(1).pixel)
 
 
 def test_a_line_before_the_header_and_a_decimal_comma_are_named(tmp_path: Path) -> None:

@@ -47,7 +47,9 @@ def test_frame_rates_of_eth_follow_the_step_of_its_frames_and_of_mot_seqinfo(tmp
         np.testing.assert_allclose(np.diff(track.t), 0.4)
     path = sample_of("mot").write(tmp_path)
     (path.parent / "seqinfo.ini").write_text("[Sequence]\nname=made\nframeRate=14\n")
-    np.testing.assert_allclose(io.read_identified(path)[1].t * 14, io.read_identified(path)[1].frame)
+    np.testing.assert_allclose(
+        io.read_identified(path).by_id(1).t * 14, io.read_identified(path).by_id(1).frame
+    )
 
 
 def test_mot_ignored_rows_and_classes_are_counted(tmp_path: Path) -> None:
@@ -72,7 +74,7 @@ def test_point_pairs_in_centimetres_and_some_of_their_rows(tmp_path: Path) -> No
     pairs = tmp_path / "pairs.txt"
     pairs.write_text("# u v X Y\n9 9 9 9\n0 0 0 0\n100 0 200 0\n100 100 200 -200\n0 100 0 -200 # corner\n")
     tracks = io.read_identified(path, point_pairs=pairs, point_pairs_unit="cm", point_pairs_rows="2-5")
-    np.testing.assert_allclose(tracks[1].position, tracks[1].pixel * [0.02, -0.02], atol=1e-9)
+    np.testing.assert_allclose(tracks.by_id(1).position, tracks.by_id(1).pixel * [0.02, -0.02], atol=1e-9)
     assert any("reprojection error" in note for note in tracks.summary.notes)
 
 
@@ -82,7 +84,7 @@ def test_ucy_is_turned_right_handed(tmp_path: Path) -> None:
     assert tracks.camera is not None and not tracks.camera.is_mirrored
     assert any("right-handed" in note for note in tracks.summary.notes)
     # (x, y) = (−50, 30) is (row, column) = (258, 310); the made-up homography takes that to (7.2, 5.66).
-    np.testing.assert_allclose(tracks[0].position[0], [7.2, -5.66])
+    np.testing.assert_allclose(tracks.by_id(0).position[0], [7.2, -5.66])
     assert all(track.head is None for track in tracks)
     path.write_bytes(sample_of("ucy").content().replace(b" 25 90.0", b" 0 90.0", 1))
     assert io.read_identified(path).summary.refused == {"second control point of a spline in one frame": 1}
@@ -119,13 +121,18 @@ def test_town_centre_boxes_of_the_half_image_are_doubled(tmp_path: Path) -> None
     found = io.read_identified(path)
     forced = {scale: io.read_identified(path, image_scale=scale) for scale in (1.0, 2.0)}
     assert any("doubled" in note for note in found.summary.notes)
-    np.testing.assert_array_equal(found[1].position, forced[2.0][1].position)
-    assert np.abs(found[1].position - forced[1.0][1].position).max() > 0.5 and found.camera is not None
-    np.testing.assert_allclose(found.camera.ground_to_image(found[1].position), found[1].pixel, atol=1e-6)
+    np.testing.assert_array_equal(found.by_id(1).position, forced[2.0].by_id(1).position)
+    assert (
+        np.abs(found.by_id(1).position - forced[1.0].by_id(1).position).max() > 0.5
+        and found.camera is not None
+    )
+    np.testing.assert_allclose(
+        found.camera.ground_to_image(found.by_id(1).position), found.by_id(1).pixel, atol=1e-6
+    )
 
 
 def test_caviar_feet_shoulders_and_gaze(tmp_path: Path) -> None:
-    track = io.read_identified(sample_of("caviar").write(tmp_path), metres_per_pixel=0.01)[0]
+    track = io.read_identified(sample_of("caviar").write(tmp_path), metres_per_pixel=0.01).by_id(0)
     np.testing.assert_allclose(track.pixel[0], [100.0, 139.5])
     # The left shoulder is left of the right one and 2 px higher: the person walks away from the viewer.
     np.testing.assert_allclose(np.rad2deg(track.body), 90.0 - np.rad2deg(np.arctan2(2, 12)), atol=1e-9)
@@ -156,13 +163,13 @@ def test_kitti_brings_a_standing_person_to_one_place_from_a_moving_camera(tmp_pa
         rows.append(f"{f} 4 Pedestrian 0 0 0 1 2 3 4 1.7 0.6 0.8 {x} {y} {z} {rotation}")
     path.write_text("\n".join(rows) + "\n")
     (tmp_path / "oxts/0001.txt").write_text("\n".join(ego) + "\n")
-    track = io.read_identified(path)[4]
+    track = io.read_identified(path).by_id(4)
     np.testing.assert_allclose(track.position, np.tile(place[:2], (FRAMES, 1)), atol=1e-6)
     np.testing.assert_allclose(difference(track.body, heading), 0.0, atol=1e-9)
 
 
 def test_salsa_angles_are_wrapped_and_steps_numbered(tmp_path: Path) -> None:
-    track = io.read_identified(sample_of("salsa").write(tmp_path))[2]
+    track = io.read_identified(sample_of("salsa").write(tmp_path)).by_id(2)
     np.testing.assert_array_equal(track.frame, np.arange(FRAMES))
     np.testing.assert_allclose(track.t, 3.0 * np.arange(FRAMES) + 0.2)
     np.testing.assert_allclose(track.body[0], -5.0 + 2 * np.pi)
@@ -174,7 +181,7 @@ def test_a_camera_of_the_caller_wins(tmp_path: Path) -> None:
     camera = GroundCamera.from_scale(0.25)
     tracks = io.read_identified(path, camera=camera)
     assert tracks.camera is camera
-    np.testing.assert_allclose(tracks[1].position, tracks[1].pixel * [0.25, -0.25])
+    np.testing.assert_allclose(tracks.by_id(1).position, tracks.by_id(1).pixel * [0.25, -0.25])
 
 
 NEGATIVE = "some confidences are negative"

@@ -141,9 +141,9 @@ def test_pixels_become_metres_by_a_homography(tmp_path: Path) -> None:
     homography = np.array([[0.01, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.001, 1.0]])
     tracks = io.read_identified(path, homography=homography)
     assert tracks.summary.refused == {"at or beyond the camera's horizon": 1}
-    np.testing.assert_allclose(tracks[1].position[:2], np.array([[1.0, -2.0], [1.1, -2.0]]) / 1.2)
-    assert np.isnan(tracks[1].position[2]).all()
-    np.testing.assert_array_equal(tracks[1].pixel[:2], [[100, 200], [110, 200]])
+    np.testing.assert_allclose(tracks.by_id(1).position[:2], np.array([[1.0, -2.0], [1.1, -2.0]]) / 1.2)
+    assert np.isnan(tracks.by_id(1).position[2]).all()
+    np.testing.assert_array_equal(tracks.by_id(1).pixel[:2], [[100, 200], [110, 200]])
     assert tracks.camera == GroundCamera.from_homography(homography)
 
 

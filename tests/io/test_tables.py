@@ -259,19 +259,19 @@ def test_degrees_become_metres_and_come_back(tmp_path: Path) -> None:
     options = {"columns": "id=agent,t=timestamp,lat=pos_y,lon=pos_x"}
     tracks = io.read_identified(path, **options)
     # A degree of latitude is 111.2 km there.
-    steps = np.diff(tracks[1].position, axis=0)
+    steps = np.diff(tracks.by_id(1).position, axis=0)
     np.testing.assert_allclose(steps, [[0.0, 1.112]] * 3, atol=2e-3)
     io.write(tracks, out)
     np.testing.assert_allclose(pd.read_csv(out)[["pos_x", "pos_y"]], table[["pos_x", "pos_y"]], atol=1e-10)
     again = io.read_identified(out, **options)
-    np.testing.assert_allclose(again[1].position, tracks[1].position, atol=1e-6)
+    np.testing.assert_allclose(again.by_id(1).position, tracks.by_id(1).position, atol=1e-6)
     # The same places by easting and northing.
     from pyproj import Transformer
 
     east, north = Transformer.from_crs(4326, 25832, always_xy=True).transform(table.pos_x, table.pos_y)
     table.assign(pos_x=east, pos_y=north).to_csv(path, index=False)
     metres = io.read_identified(path, columns=COLUMNS, crs="EPSG:25832")
-    np.testing.assert_allclose(metres[1].position, tracks[1].position, atol=1e-3)
+    np.testing.assert_allclose(metres.by_id(1).position, tracks.by_id(1).position, atol=1e-3)
     np.testing.assert_allclose(metres.to_table(as_read=True)["pos_x"], east, atol=1e-6)
 
 

@@ -64,7 +64,7 @@ def test_positions_orientations_and_spreads_come_back(written):
     tracks, truth = gt.read(written), estimates()
     assert [one.track_id for one in tracks] == [1, 2, 3]
     for one in truth:
-        back = tracks[one.track_id]
+        back = tracks.by_id(one.track_id)
         np.testing.assert_allclose(back.t, one.t, atol=1e-9)
         np.testing.assert_array_equal(back.position, one.position)
         np.testing.assert_allclose(back.body, one.body)
@@ -138,14 +138,14 @@ def test_names_and_dates_are_written_as_they_were_read(tmp_path):
     gt.write(replace(estimates(), as_read=as_read), tmp_path / "people.mcap")
     back = gt.read(tmp_path / "people.mcap")
     assert [one.label for one in back] == ["anna", "ben", "cem"]
-    assert back.as_read.time.origin + round(back[1].t[0] * 1e9) == origin
+    assert back.as_read.time.origin + round(back.by_id(1).t[0] * 1e9) == origin
     gt.write(back, tmp_path / "again.mcap")
     (drawn,) = (told for (_, kind), told in decoded(tmp_path / "again.mcap").items() if kind == MARKERS)
     assert {one.header.frame_id for _, message in drawn for one in message.markers} == {"odom"}
-    np.testing.assert_array_equal(gt.read(tmp_path / "again.mcap")[2].t, back[2].t)
+    np.testing.assert_array_equal(gt.read(tmp_path / "again.mcap").by_id(2).t, back.by_id(2).t)
     gt.write(back, tmp_path / "people.csv")
     table = gt.read(tmp_path / "people.csv")
-    assert table[1].label == "anna" and table[1].t[0] == pytest.approx(origin / 1e9)
+    assert table.by_id(1).label == "anna" and table.by_id(1).t[0] == pytest.approx(origin / 1e9)
 
 
 def test_times_that_ros_cannot_hold_are_refused(tmp_path):
