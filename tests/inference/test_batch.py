@@ -374,7 +374,7 @@ def test_two_workers_find_the_same_bytes_as_one(engine: OfflineEngine) -> None:
 def test_estimates_keep_the_truth_and_drop_the_observations() -> None:
     track = replace(walk(6, seed=1), label="corridor", head_kappa=np.full(6, 3.0))
     estimates = smooth(TrackSet((track,)), "joint")
-    found = estimates[1]
+    found = estimates.by_id(1)
     assert found.label == "corridor"
     np.testing.assert_array_equal(found.t, track.t)
     np.testing.assert_array_equal(found.true_position, track.true_position)

@@ -68,7 +68,7 @@ def table(report, title):
 
 def test_the_replay_holds_what_was_given(report, tracks):
     first, second, third, _ = report.replay["people"]
-    n = len(tracks[1])
+    n = len(tracks.by_id(1))
     assert delta_decode(first["group"], 1.0, n).tolist() == [0.0] * n and third["group"] is None
     assert delta_decode(second["group_p"], SURE_STEP, n) == pytest.approx(0.9)
     # The next one, and the first of the places, which stand behind the people.
