@@ -45,7 +45,7 @@ def test_people_keep_their_names_places_and_times(tmp_path, plugin):
     )
     np.testing.assert_allclose(np.diff(tracks.by_id(1).t), 0.1, atol=1e-9)
     origin = tracks.as_read.time.origin
-    assert origin + round(tracks.by_id(1).t[3] * 1e9) == nanoseconds(TIMES.by_id(3))
+    assert origin + round(tracks.by_id(1).t[3] * 1e9) == nanoseconds(TIMES[3])
     np.testing.assert_array_equal(tracks.by_id(1).score, 0.5)
     assert tracks.summary.rows_read == tracks.summary.rows_used == 40
 

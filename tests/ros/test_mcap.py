@@ -118,7 +118,7 @@ def test_arrows_point_where_people_go_and_look(written):
     assert np.diff(stamps).min() >= 95_000_000
     _, message = markers[0]
     assert message.markers[0].action == 3
-    for name, angle in (("body", truth[1].body[0]), ("head", truth[1].head[0])):
+    for name, angle in (("body", truth.by_id(1).body[0]), ("head", truth.by_id(1).head[0])):
         (one,) = (m for m in message.markers if m.ns == name and m.id == 0)
         turn = one.pose.orientation
         assert 2.0 * np.arctan2(turn.z, turn.w) == pytest.approx(angle)
@@ -126,9 +126,9 @@ def test_arrows_point_where_people_go_and_look(written):
     (ellipse,) = (m for m in message.markers if m.ns == "position" and m.id == 0)
     assert ellipse.scale.x >= ellipse.scale.y > 0.0
     (body,) = (m for m in message.markers if m.ns == "person" and m.id == 0)
-    assert body.pose.position.x == truth[1].position[0, 0] and body.pose.position.z > 0.0
+    assert body.pose.position.x == truth.by_id(1).position[0, 0] and body.pose.position.z > 0.0
     assert [m.text for m in message.markers if m.ns == "label"] == ["person 0", "person 1"]
-    assert way.scale.x == pytest.approx(np.hypot(*truth[1].velocity[0]))
+    assert way.scale.x == pytest.approx(np.hypot(*truth.by_id(1).velocity[0]))
 
 
 def test_names_and_dates_are_written_as_they_were_read(tmp_path):
