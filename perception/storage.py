@@ -168,8 +168,7 @@ def decoded(kind: Any, values: Any) -> Any:
     if NoneType in parts:
         return None if values is None else decoded(parts[0], values)
     if is_dataclass(kind):
-        hints = _hints(kind)
-        return kind(**{name: decoded(hints[name], part) for name, part in dict(values).items()})  # type: ignore[operator]
+        return _restored(kind, values)
     origin = get_origin(kind)
     if origin is np.ndarray:
         data = base64.b64decode(values["data"], validate=True)
@@ -177,6 +176,11 @@ def decoded(kind: Any, values: Any) -> Any:
     if origin in (list, tuple):
         return origin(decoded(parts[0], part) for part in values)
     return kind(values)
+
+
+def _restored(kind: Any, values: Any) -> Any:
+    hints = _hints(kind)
+    return kind(**{name: decoded(hints[name], part) for name, part in dict(values).items()})
 
 
 @lru_cache(maxsize=16)

@@ -109,7 +109,7 @@ def keypoint_figures(
     model: KeypointPose, points: FloatArray, body: FloatArray, head: FloatArray
 ) -> dict[str, float]:
     """Errors and calibration errors of body and head, of the points (n, 9, 3) of people who point at (n,)."""
-    found = {}
+    found: dict[str, float] = {}
     for name, classes, layers, angle in (("body", BODY, model.body, body), ("head", HEAD, model.head, head)):
         log_likelihood = layers.log_likelihoods(points)
         error = np.degrees(np.abs(difference(classes.mean_pan(log_likelihood), angle)))

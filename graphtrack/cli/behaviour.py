@@ -207,6 +207,7 @@ def forecast(
     history: options.Seconds | None = None,
     samples: Annotated[int, typer.Option(metavar="N", min=0, max=1000)] = 0,
     parameters: Path | None = None,
+    walkable: options.Walkable = None,
     seed: options.Seed = 0,
 ) -> None:
     """Predict where each person will be, with the uncertainty, at every time from observations until then.
@@ -226,7 +227,7 @@ def forecast(
     from graphtrack.tracks.table import with_names
 
     options.check_outputs(
-        {"--output": output}, {**reading.inputs(inputs), "--parameters": [parameters] if parameters else []}
+        {"--output": output}, {**reading.inputs(inputs), "--parameters": parameters, "--walkable": walkable}
     )
     check_table_name(output)
     tracks = reading.tracks(inputs)
@@ -239,6 +240,7 @@ def forecast(
         samples=samples,
         parameters=parameters,
         seed=seed,
+        walkable=walkable,
     )
     write_table(with_names(found.columns, tracks.as_read), output)
     if found.too_short:

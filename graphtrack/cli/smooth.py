@@ -94,6 +94,7 @@ def smooth(
     trust: options.TrustNoise = None,
     fill: bool | None = None,
     resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
+    walkable: options.Walkable = None,
     jobs: Annotated[int | None, typer.Option(min=1)] = None,
     report: Path | None = None,
     stream: bool | None = None,
@@ -117,6 +118,7 @@ def smooth(
     cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
     from graphtrack.diagnostics import trusted
+    from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import engine_of
     from graphtrack.inference.result import Failure, Solution
@@ -127,13 +129,14 @@ def smooth(
 
     options.check_outputs(
         {"--output": output, "--report": report},
-        reading.inputs(inputs, model),
+        {**reading.inputs(inputs, model), "--walkable": walkable},
         table=output,
     )
     chosen = Model.named(model)
+    area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
-        unused = {"--report": report, "--fill": fill, "--resample": resample}
+        unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
         given = reading.given().items()
@@ -164,7 +167,7 @@ def smooth(
     make_solver_ready(chosen, solver, tracks.camera, in_lanes)
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance)
+        found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance, walkable=area)
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]

@@ -35,6 +35,7 @@ def track(
     groups: bool = False,
     attention: bool = False,
     places: options.Places = None,
+    walkable: options.Walkable = None,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone.
 
@@ -64,7 +65,11 @@ def track(
 
     options.check_outputs(
         {"--output": output, "--state": state},
-        {**reading.inputs([] if input == "-" else [place_of(input)], model), "--places": places},
+        {
+            **reading.inputs([] if input == "-" else [place_of(input)], model),
+            "--places": places,
+            "--walkable": walkable,
+        },
         table=output,
     )
     chosen = Model.named(model)
@@ -73,6 +78,8 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: to repair tracks is to look ahead")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
+        if walkable is not None:
+            raise InputError("--walkable with -", "a file as the input")
         of_streams = ("fps", "homography", "associate", "columns", "time_unit")
         given_options = {"output": output} | reading.given()
         refused = [name for name, value in given_options.items() if value and name not in of_streams]
@@ -97,13 +104,13 @@ def track(
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
-        _track_detections(rows, output, chosen, engine, kept)
+        _track_detections(rows, output, chosen, engine, kept, walkable)
         return
     tracks = reading.tracks([place_of(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance)
+        everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance, walkable=walkable)
     seconds = time.perf_counter() - start
     found = [one for one in everybody if any(x == x for x in one.position[:, 0].tolist())]
     unseen = sorted({one.track_id for one in everybody} - {one.track_id for one in found})
@@ -123,7 +130,12 @@ def track(
 
 
 def _track_detections(
-    rows: Rows, output: Path, model: Model, engine: OnlineEngine, lag: float | None
+    rows: Rows,
+    output: Path,
+    model: Model,
+    engine: OnlineEngine,
+    lag: float | None,
+    walkable: Path | None,
 ) -> None:
     """Track the detections of a file online, and write what was said at once."""
     from graphtrack.association.tracker import track_rows
@@ -131,7 +143,7 @@ def _track_detections(
     from graphtrack.inference.engines import online_engine
     from graphtrack.smoothing import OnlineTracker
 
-    tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)
+    tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable)
     start = time.perf_counter()
     with progress_bar(len(rows), "detections") as advance:
         tracks = track_rows(rows, tracker, advance)

@@ -38,7 +38,7 @@ from perception.adaptation.learning import (
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
-from perception.images.frames import FrameSource
+from perception.images.frames import Clock, FrameSource
 from perception.observe.pipeline import Models, SeenPerson, by_frame, observe_frame
 from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
 
@@ -158,10 +158,12 @@ def _sequence_errors(
     }
 
 
-def _smoothed(seen: list[SeenPerson], models: CameraModels, rate: float) -> dict[tuple[int, int], float]:
+def _smoothed(
+    seen: list[SeenPerson], models: CameraModels, clock: float | Clock
+) -> dict[tuple[int, int], float]:
     """The body as the graph has it, which knows how people move besides, radians in the image frame."""
     camera = lobby_camera()
-    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, rate).tracks
+    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, clock).tracks
     found: dict[tuple[int, int], float] = {}
     for track in estimated(tracks, camera, "smoother", _ignore, models.graph)[0]:
         if track.body is None:

@@ -133,7 +133,7 @@ def _channels(
 
 
 def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
-    fields = dict(known)
+    fields: dict[str, Any] = dict(known)
     inputs = {name: fields.pop(name) for name in (APPEARANCE,) if name in fields}
     score = fields.pop("score")
     return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)

@@ -47,9 +47,18 @@ class _Packed(NamedTuple):
         balls[used, :3] = 0.5 * (low + high)
         away = np.linalg.norm(solids.centre - balls[solids.group, :3], axis=1)
         balls[used, 3] = np.maximum.reduceat(away + radius, start)
-        names = ("clip", "colour", "texture", "material")
-        inverse, rest = np.linalg.inv(solids.axes), (getattr(solids, name) for name in names)
-        return cls(solids.kind, solids.centre, inverse, radius, *rest, first, balls)
+        return cls(
+            solids.kind,
+            solids.centre,
+            np.asarray(np.linalg.inv(solids.axes), float),
+            radius,
+            solids.clip,
+            solids.colour,
+            solids.texture,
+            solids.material,
+            first,
+            balls,
+        )
 
 
 @njit(cache=True, inline="always")

@@ -12,7 +12,7 @@ from crossing_people import idf1, street
 
 import graphtrack as gt
 from graphtrack.association.likelihood import Scene, missed
-from graphtrack.association.offline import associate_detections, match, repair_detections
+from graphtrack.association.offline import associate_detections, repair_detections
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import SceneParameters
 
@@ -92,18 +92,6 @@ def test_a_gap_is_an_occlusion_rather_than_many_misses() -> None:
     assert gaps[0] == 0.0 and gaps[1] == pytest.approx(np.log(0.1 + 0.01 * np.exp(-0.1 / 2.0)))
     # Once hidden, a further frame costs next to nothing.
     assert gaps[39] - gaps[38] == pytest.approx(-0.05, abs=1e-3)
-
-
-def test_the_best_match_is_that_of_all_that_can_be() -> None:
-    rng = np.random.default_rng(9)
-    from itertools import permutations
-
-    for _ in range(50):
-        gains = rng.normal(0.0, 2.0, (3, 4))
-        found = list(zip(*match(gains), strict=True))
-        assert all(gains[i, j] > 0.0 for i, j in found)
-        sums = [np.maximum(gains[range(3), order], 0.0).sum() for order in permutations(range(4), 3)]
-        assert sum(gains[i, j] for i, j in found) == pytest.approx(max(sums))
 
 
 # Files, tables, commands.

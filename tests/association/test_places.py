@@ -10,7 +10,7 @@ import pytest
 import graphtrack as gt
 from graphtrack.association.likelihood import BODY, STATE, Chains, Scene, link_by, refresh, steer, unlinked
 from graphtrack.association.online import TOLD, OnlineAssociation
-from graphtrack.association.scene import AHEAD, SPREAD, learn_places, seen_from_within
+from graphtrack.association.scene import AHEAD, SPREAD, learn_places, learn_scene, seen_from_within
 
 FRAMES, CROSSING = 400, 20
 
@@ -40,6 +40,14 @@ def test_people_come_where_they_came_and_leave_where_they_left() -> None:
     assert clutter[3] > 2.0 and clutter[:3].max() < 0.2
 
 
+def test_without_gaps_a_scene_keeps_its_prior_of_occlusions() -> None:
+    """One occlusion of 2 s, and a hundredth of two events, count beside what was observed."""
+    chains, identity = street()
+    found = learn_scene(chains, identity, gt.SceneParameters(), np.full(len(identity), np.nan), 0.4)
+    assert found.occlusion_seconds == pytest.approx(2.0)
+    assert found.occlusion_probability == pytest.approx(0.02 / ((identity >= 0).sum() + 2.0))
+
+
 @pytest.mark.parametrize("k", [0, 7, 300])
 def test_own_events_are_left_out_as_if_they_had_not_been(k: int) -> None:
     """Against a loop over the events of all others, blurred without a grid."""
@@ -64,7 +72,7 @@ def test_of_two_in_one_place_the_one_who_goes_out_leaves_rather() -> None:
     chains = unlinked(0.4 * frame, frame.astype(np.int64), np.column_stack([x, 0.0 * x]), nothing)
     link_by(chains, identity.astype(np.int64))
     chains.variance[:] = 0.01
-    refresh(chains, 0, len(x), Scene(*gt.SceneParameters().packed(0.4)))
+    refresh(chains, 0, len(x), Scene(*gt.SceneParameters().packed(0.4)), 0)
     found = learn_places(chains, identity.astype(np.int64))
     here, speed = np.array([[19.5, 0.0]]), np.array([[1.25, 0.0]])
     out, back = (found.leaving_for(here + sign * AHEAD * speed) for sign in (1.0, -1.0))

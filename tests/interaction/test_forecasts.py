@@ -247,7 +247,21 @@ def test_scores_of_forecasts_that_are_exactly_as_sure_as_they_should_be():
     assert found.forecasts == people and found.left_out == 0
     for level, held in found.reliability.items():
         assert held == pytest.approx(level, abs=0.05)
-    assert own.best_ade < own.ade
+    assert own.min_ade < own.ade
+
+
+def test_misses_and_collisions_are_counted():
+    """Two people meet in a forecast, one of them 2.1 m from the truth; a third is alone at another time."""
+    ahead, rows = np.array([0.4, 0.8]), []
+    still = [track(k, np.tile([4.0 * k, 0.0], (6, 1))) for k in range(3)]
+    for k, frame, last in ((0, 1, (2.1, 0.0)), (1, 1, (2.1, 0.1)), (2, 2, (8.0, 0.5))):
+        for h, place in zip(ahead, (still[k].position[0], last), strict=True):
+            rows.append((k, frame, frame * STEP, h, *place, 1e-3, 1e-3, 0.0, 1.0, 2.0))
+    found = judge_forecasts(dict(zip(COLUMNS, np.array(rows).T, strict=True)), gt.TrackSet(tuple(still)))
+    assert found.methods["forecast"].miss_rate == pytest.approx(1 / 3)
+    assert found.methods["forecast"].collision_rate == 1.0
+    assert found.methods["constant velocity"].collision_rate == 0.0
+    assert found.methods["Kalman filter"].miss_rate == 0.0
 
 
 def test_forecasts_whose_outcome_is_not_known_are_left_out():
