@@ -75,7 +75,7 @@ def test_the_command_fills_and_resamples(tmp_path, monkeypatch):
     assert [len(track) for track in rows["filled"]] == [60, 60]
     assert [len(track) for track in rows["left"]] == [49, 60]
     assert [len(track) for track in rows["fast"]] == [119, 119]
-    np.testing.assert_array_equal(rows["filled"][1].observed, there)
+    np.testing.assert_array_equal(rows["filled"].by_id(1).observed, there)
 
 
 def test_options_of_reading_go_with_paths_and_tables(tmp_path):

@@ -64,9 +64,9 @@ def test_pixels_without_a_camera_are_scaled_by_the_median_person(tmp_path: Path)
     path = sample_of("mot").write(tmp_path)
     scaled = io.read_identified(path)
     assert any("NO CAMERA IS KNOWN" in note for note in scaled.summary.notes)
-    np.testing.assert_allclose(scaled[1].position, scaled[1].pixel * [0.017, -0.017])
+    np.testing.assert_allclose(scaled.by_id(1).position, scaled.by_id(1).pixel * [0.017, -0.017])
     forced = io.read_identified(path, metres_per_pixel=0.5)
-    np.testing.assert_allclose(forced[1].position, forced[1].pixel * [0.5, -0.5])
+    np.testing.assert_allclose(forced.by_id(1).position, forced.by_id(1).pixel * [0.5, -0.5])
 
 
 def test_point_pairs_in_centimetres_and_some_of_their_rows(tmp_path: Path) -> None:

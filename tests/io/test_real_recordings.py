@@ -129,6 +129,6 @@ def test_zara_is_mirrored_and_its_control_points_lie_on_the_published_walks(data
     assert any("right-handed" in note for note in zara.summary.notes)
     # OpenTraj's table of the same walks keeps the mirrored ground: the same x, the opposite y.
     for walk in io.read_identified(data_dir / "ucy/zara01/obsmat.txt"):
-        spline = zara[walk.track_id - 1]
+        spline = zara.by_id(walk.track_id - 1)
         x, y = (np.interp(walk.frame, spline.frame, axis) for axis in spline.position.T)
         assert np.median(np.hypot(x - walk.position[:, 0], y + walk.position[:, 1])) < 0.25
