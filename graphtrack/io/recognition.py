@@ -82,6 +82,7 @@ SIGNATURES: Mapping[str, Callable[[bytes], bool]] = MappingProxyType(
     {
         "parquet": lambda head: head.startswith(PARQUET),
         "coco": _is_coco,
+        "trajnet": lambda head: mostly(head, lambda line: line.startswith(('{"scene"', '{"track"'))),
         "ndjson": lambda head: mostly(head, lambda line: line.startswith("{")),
         "movement": lambda head: head.removeprefix(_MARK).startswith((HDF5, *CLASSIC, DEEPLABCUT)),
         "jupedsim": lambda head: head.startswith(SQLITE),

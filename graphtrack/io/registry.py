@@ -24,6 +24,7 @@ from graphtrack.io.formats.pedpy import JUPEDSIM, PEDPY
 from graphtrack.io.formats.ros_reading import BAG
 from graphtrack.io.formats.salsa import SALSA
 from graphtrack.io.formats.towncentre import TOWNCENTRE
+from graphtrack.io.formats.trajnet import TRAJNET
 from graphtrack.io.libraries import GEOPACKAGE, GEOPARQUET
 from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
@@ -85,6 +86,7 @@ FORMATS = (
     GEOPACKAGE,
     GEOPARQUET,
     COCO,
+    TRAJNET,
     NDJSON,
     MOVEMENT,
     JUPEDSIM,

@@ -81,6 +81,7 @@ SAMPLES = (
     Sample("parquet", "made.parquet"),
     Sample("ndjson", "made.ndjson", number=b": 0.25,"),
     Sample("ndjson", "made.jsonl.gz"),
+    Sample("trajnet", "made.trajnet.ndjson", 2 * FRAMES - 2, b'"x": 3.1'),
     Sample("mocap", "clips.csv", number=b",0.1,0.2"),
     Sample("mot", "made.txt", number=b",40,100"),
     Sample("mot", "metres.txt", number=b",40,100"),

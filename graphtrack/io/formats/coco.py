@@ -18,7 +18,7 @@ from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.tracks.table import Rows
-from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXELS
+from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXELS, is_number
 
 PERSON = 1
 """COCO's category of people."""
@@ -107,10 +107,6 @@ def _is_whole(value: object, lowest: int, highest: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and lowest <= value <= highest
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _names(whole: Mapping[str, Any]) -> dict[Any, int]:
     """Image id → number at the end of its file name; none where one has no such number, or two the same."""
     images = whole.get("images")
@@ -157,7 +153,7 @@ def _categories(
 
 def _box(source: Source, k: int, given: object) -> FloatArray:
     expected = f"left, top, width and height in pixels within ±{LARGEST_PIXELS:g}, sizes above 0"
-    numbers = given if isinstance(given, list) and all(map(_is_number, given)) else []
+    numbers = given if isinstance(given, list) and all(map(is_number, given)) else []
     box = np.array(numbers, dtype=float)
     if box.shape != (4,) or not (np.abs(box) <= LARGEST_PIXELS).all() or box[2] <= 0.0 or box[3] <= 0.0:
         raise _fail(source, k, repr(given)[:60], expected, "bbox")
@@ -165,7 +161,7 @@ def _box(source: Source, k: int, given: object) -> FloatArray:
 
 
 def _score(source: Source, k: int, given: Any) -> float:
-    if not _is_number(given) or not 0.0 <= float(given) <= 1.0:
+    if not is_number(given) or not 0.0 <= float(given) <= 1.0:
         raise _fail(source, k, repr(given)[:40], "a number from 0 to 1", "score")
     return float(given)
 
