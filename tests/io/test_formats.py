@@ -19,6 +19,8 @@ from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import rows_of_file
+from graphtrack.io.recognition import SIGNATURES
+from graphtrack.io.registry import FORMATS
 from graphtrack.tracks.table import Rows
 
 
@@ -40,6 +42,10 @@ def test_frame_rates(format: str, fps: float, tmp_path: Path) -> None:
     for tracks, rate in ((io.read_identified(path), fps), (io.read_identified(path, fps=5.0), 5.0)):
         for track in tracks:
             np.testing.assert_allclose(track.t, track.frame / rate)
+
+
+def test_every_format_that_is_read_has_a_signature() -> None:
+    assert {one.name for one in FORMATS if one.is_read} == {*SIGNATURES, "bag"}
 
 
 def test_frame_rates_of_eth_follow_the_step_of_its_frames_and_of_mot_seqinfo(tmp_path: Path) -> None:
