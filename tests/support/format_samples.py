@@ -85,6 +85,7 @@ SAMPLES = (
     Sample("mocap", "clips.csv", number=b",0.1,0.2"),
     Sample("mot", "made.txt", number=b",40,100"),
     Sample("mot", "metres.txt", number=b",40,100"),
+    Sample("coco", "detections.json", options={"fps": 10.0}),
     Sample("eth", "obsmat.txt", number=b" 0.1 0.0"),
     Sample("ucy", "annotation.vsp", number=b" 90.0", beside=("H.txt",)),
     Sample("towncentre", "boxes.csv", number=b",30,90", beside=("calibration.ci",)),

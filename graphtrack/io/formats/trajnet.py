@@ -12,7 +12,7 @@ from graphtrack.errors import InputError
 from graphtrack.io.format import Format, rate_to_write
 from graphtrack.io.formats.ndjson import parse_line
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source, mostly
+from graphtrack.io.source import Source
 from graphtrack.tracks.detections import frames_between
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
@@ -109,9 +109,6 @@ TRAJNET = Format(
     name="trajnet",
     description="TrajNet++: scenes and positions, a JSON object a line",
     suffixes=(".trajnet.ndjson",),
-    looks_like=lambda head, path: mostly(
-        head, lambda line: line.lstrip().startswith(('{"scene"', '{"track"'))
-    ),
     read=read,
     write=write,
 )
