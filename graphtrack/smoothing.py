@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from graphtrack.inference.state import Estimate, as_track
 from graphtrack.inference.warm import make_all_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
 from graphtrack.interaction.walls import model_with_walls, solve_inside, with_observed_walls
+from graphtrack.io.options import FileReading, ReadingBase
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.faces_group import GROUP
@@ -47,8 +48,6 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[int], None]
-Options = dict[str, Any]
-"""Of an `OnlineSmoother`."""
 
 
 def solve(
@@ -134,40 +133,30 @@ def lacks_groups(tracks: TrackSet) -> bool:
     return len(tracks) > 1 and not any(GROUP in track.inputs for track in tracks)
 
 
-@overload
-def smooth(
-    tracks: Track,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-    fill: bool = False,
-    resample: float | None = None,
-    walkable: AreaLike | None = None,
-    **reading: Any,
-) -> Track: ...
+class Solving(TypedDict, total=False):
+    """Keywords of `solve`."""
+
+    engine: OfflineEngine | Literal["auto"]
+    jobs: int | None
+    options: SolverOptions | None
+    progress: Progress | None
+    trust: Trust
+    walkable: AreaLike | None
+
+
+class Smoothing(Solving, FileReading, total=False):
+    """Keywords of `smooth`."""
+
+    fill: bool
+    resample: float | None
 
 
 @overload
+def smooth(tracks: Track, model: Model | str | Path | None = None, **options: Unpack[Smoothing]) -> Track: ...
+@overload
 def smooth(
-    tracks: Scene,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-    fill: bool = False,
-    resample: float | None = None,
-    walkable: AreaLike | None = None,
-    **reading: Any,
+    tracks: Scene, model: Model | str | Path | None = None, **options: Unpack[Smoothing]
 ) -> TrackSet: ...
-
-
 def smooth(
     tracks: Given,
     model: Model | str | Path | None = None,
@@ -180,7 +169,7 @@ def smooth(
     fill: bool = False,
     resample: float | None = None,
     walkable: AreaLike | None = None,
-    **reading: Any,
+    **reading: Unpack[FileReading],
 ) -> TrackSet | Track:
     """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
 
@@ -227,34 +216,36 @@ def smooth(
     return estimates.tracks[0] if isinstance(tracks, Track) else estimates
 
 
+class OnlineOptions(TypedDict, total=False):
+    """Keywords of an `OnlineSmoother`."""
+
+    engine: OnlineEngine
+    lag: float | None
+    camera: GroundCamera | None
+
+
+class OnlineReading(ReadingBase, total=False):
+    """Keywords of reading for `track_online`, whose camera is one of `OnlineOptions`."""
+
+    fps: float | None
+    format: str | None
+
+
+class OnlineTracking(OnlineOptions, OnlineReading, total=False):
+    """Keywords of `track_online`."""
+
+    progress: Progress
+    walkable: AreaLike | None
+
+
 @overload
 def track_online(
-    tracks: Track,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OnlineEngine = "auto",
-    lag: float | None = 2.0,
-    camera: GroundCamera | None = None,
-    progress: Progress = ...,
-    walkable: AreaLike | None = None,
-    **reading: Any,
+    tracks: Track, model: Model | str | Path | None = None, **options: Unpack[OnlineTracking]
 ) -> Track: ...
-
-
 @overload
 def track_online(
-    tracks: Scene,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OnlineEngine = "auto",
-    lag: float | None = 2.0,
-    camera: GroundCamera | None = None,
-    progress: Progress = ...,
-    walkable: AreaLike | None = None,
-    **reading: Any,
+    tracks: Scene, model: Model | str | Path | None = None, **options: Unpack[OnlineTracking]
 ) -> TrackSet: ...
-
-
 def track_online(
     tracks: Given,
     model: Model | str | Path | None = None,
@@ -264,7 +255,7 @@ def track_online(
     camera: GroundCamera | None = None,
     progress: Progress = lambda frames: None,
     walkable: AreaLike | None = None,
-    **reading: Any,
+    **reading: Unpack[OnlineReading],
 ) -> TrackSet | Track:
     """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
 
@@ -286,39 +277,43 @@ def track_online(
         For a file of detections without identities too: who is who is found out from past and future by
         `associate`, and from the past alone by `OnlineTracker`.
     """
+    options: OnlineOptions = {"engine": engine, "lag": lag, "camera": camera}
     if walkable is not None:
-        return _inside(
-            tracks, model, walkable, reading, engine=engine, lag=lag, camera=camera, progress=progress
-        )
+        return _inside(tracks, model, walkable, reading, progress, options)
     if not isinstance(tracks, Track) or reading:
-        scene, chosen = tracks_of(tracks, **{"associate": "never", **reading}), Model.named(model)
-        camera = scene.camera if camera is None else camera
-        options: Options = {"engine": engine, "lag": lag, "camera": camera}
+        scene, chosen = tracks_of(tracks, identified=True, **reading), Model.named(model)
+        options["camera"] = scene.camera if camera is None else camera
         if chosen.has_groups and lacks_groups(scene):
             return _in_step(scene, chosen, options, progress)
         return scene.map(lambda one: _by_itself(one, chosen, options, progress))
-    return _by_itself(tracks, Model.named(model), {"engine": engine, "lag": lag, "camera": camera}, progress)
+    return _by_itself(tracks, Model.named(model), options, progress)
 
 
 def _inside(
-    tracks: Given, model: Model | str | Path | None, walkable: AreaLike, reading: Options, **options: Any
+    tracks: Given,
+    model: Model | str | Path | None,
+    walkable: AreaLike,
+    reading: OnlineReading,
+    progress: Progress,
+    options: OnlineOptions,
 ) -> TrackSet | Track:
     """Track with the walls of a walkable area."""
     area = WalkableArea.of(walkable)
-    scene = tracks_of(tracks, **{"associate": "never", **reading})
+    scene = tracks_of(tracks, identified=True, **reading)
     walled = scene.map(lambda track: with_observed_walls(track, area))
-    found = track_online(walled, model_with_walls(Model.named(model)), **options).map(without_walls)
+    chosen = model_with_walls(Model.named(model))
+    found = track_online(walled, chosen, progress=progress, **options).map(without_walls)
     return found.tracks[0] if isinstance(tracks, Track) else found
 
 
-def _by_itself(track: Track, model: Model, options: Options, progress: Progress) -> Track:
+def _by_itself(track: Track, model: Model, options: OnlineOptions, progress: Progress) -> Track:
     smoother = OnlineSmoother(model, **options)
     found = [smoother.update(observation) for observation in observations(track)]
     progress(len(track))
     return as_track(track, found, model)
 
 
-def _in_step(scene: TrackSet, model: Model, options: Options, progress: Progress) -> TrackSet:
+def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Progress) -> TrackSet:
     """Everybody frame by frame, each told of the conversations of the frames before."""
     conversations = Conversations(model)
     people = [OnlineSmoother(model, **options) for _ in scene]

@@ -242,7 +242,7 @@ def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
 def _angle(track: Track, name: Literal["body", "head"]) -> tuple[FloatArray, FloatArray]:
     unknown = np.full(len(track), np.nan)
     angle, std = getattr(track, name), track.std(name)
-    return unknown if angle is None else angle, unknown if std is None else std
+    return unknown if angle is None else angle, std
 
 
 def _boxes_of(

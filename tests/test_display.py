@@ -37,7 +37,7 @@ def people() -> TrackSet:
 
 @cache
 def solution() -> gt.Solution:
-    (found,) = gt.solve(TrackSet((people()[0][:20],)), "joint")
+    (found,) = gt.solve(TrackSet((people().by_id(0)[:20],)), "joint")
     assert isinstance(found, gt.Solution)
     return found
 
@@ -69,13 +69,16 @@ def estimate(**seen: object) -> gt.Estimate:
 
 
 def labelled() -> TrackSet:
-    return TrackSet(tuple(replace(people()[0][:5], track_id=i, label=NASTY) for i in range(500)))
+    return TrackSet(tuple(replace(people().by_id(0)[:5], track_id=i, label=NASTY) for i in range(500)))
 
 
 SHORT: dict[str, tuple[Callable[[], object], str]] = {
     "tracks": (people, "TrackSet(3 tracks, 600 person-frames, 0.0–19.9 s, body, head; truth)"),
     "no tracks": (lambda: people().with_tracks([]), "TrackSet(0 tracks)"),
-    "track": (lambda: people()[0], "Track(0, 'simulated 0', 200 frames, 0.0–19.9 s, body, head; truth)"),
+    "track": (
+        lambda: people().by_id(0),
+        "Track(0, 'simulated 0', 200 frames, 0.0–19.9 s, body, head; truth)",
+    ),
     "positions": (
         lambda: Track(7, np.arange(1), np.ones(1), np.ones((1, 2))),
         "Track(7, 1 frame, 1.0–1.0 s)",
@@ -115,9 +118,9 @@ THINGS: dict[str, Callable[[], object]] = {
     "estimate": lambda: estimate(position=(2.0, 2.0)),
     "failed": lambda: replace(estimate(), reason=NASTY[:200]),
     "nasty tracks": labelled,
-    "a nasty track": lambda: labelled()[3],
+    "a nasty track": lambda: labelled().by_id(3),
     "a nasty score": nasty_score,
-    "a nasty solution": lambda: replace(solution(), track=labelled()[3]),
+    "a nasty solution": lambda: replace(solution(), track=labelled().by_id(3)),
 }
 
 

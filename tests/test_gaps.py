@@ -75,7 +75,7 @@ def test_the_command_fills_and_resamples(tmp_path, monkeypatch):
     assert [len(track) for track in rows["filled"]] == [60, 60]
     assert [len(track) for track in rows["left"]] == [49, 60]
     assert [len(track) for track in rows["fast"]] == [119, 119]
-    np.testing.assert_array_equal(rows["filled"][1].observed, there)
+    np.testing.assert_array_equal(rows["filled"].by_id(1).observed, there)
 
 
 def test_options_of_reading_go_with_paths_and_tables(tmp_path):
@@ -83,8 +83,8 @@ def test_options_of_reading_go_with_paths_and_tables(tmp_path):
     table = gt.read(tmp_path / "a.csv").to_table().drop(columns="t")
     table.to_csv(tmp_path / "b.csv", index=False)
     for source in (tmp_path / "b.csv", [tmp_path / "b.csv"], table):
-        np.testing.assert_allclose(gt.smooth(source, "position", fps=5)[1].t, 0.2 * np.arange(60))
-        np.testing.assert_allclose(gt.track_online(source, "position", fps=5)[1].t, 0.2 * np.arange(60))
+        np.testing.assert_allclose(gt.smooth(source, "position", fps=5).by_id(1).t, 0.2 * np.arange(60))
+        np.testing.assert_allclose(gt.track_online(source, "position", fps=5).by_id(1).t, 0.2 * np.arange(60))
     for wrong, options in ((walk(), {"fps": 5}), (tmp_path / "b.csv", {"fpz": 5})):
         for call in (gt.smooth, gt.track_online):
             with pytest.raises(InputError, match="fp"):

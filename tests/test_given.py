@@ -14,7 +14,7 @@ from graphtrack.learning import fit
 from graphtrack.tracks.track import Track, TrackSet
 
 PEOPLE = gt.simulate("separate", n_tracks=3, n_steps=12, rng=np.random.default_rng(0))
-PERSON = PEOPLE[1]
+PERSON = PEOPLE.by_id(1)
 TABLE = PEOPLE.to_table()
 COLUMNS = {name: TABLE[name].tolist() for name in TABLE}
 
@@ -113,7 +113,7 @@ def test_dates_and_times_become_seconds_and_a_note_says_so(zone) -> None:
         (pd.to_timedelta(seconds, unit="s"), 0.0),
     ):
         found = TrackSet.from_table(TABLE.assign(t=t))
-        np.testing.assert_allclose(found[2].t, first + np.arange(12) / 10, atol=1e-6)
+        np.testing.assert_allclose(found.by_id(2).t, first + np.arange(12) / 10, atol=1e-6)
         assert any("since 1970" in note for note in found.summary.notes)
     assert "column x: found dates or times" in refused(
         TrackSet.from_table, TABLE.assign(x=pd.to_timedelta(seconds, unit="s"))

@@ -55,7 +55,8 @@ def test_gtsam_is_loaded_where_a_graph_is_built_alone():
     assert modules_after(code) == ["scipy"]
     code = "import graphtrack.evaluation.compare, graphtrack.simulation.sampling, graphtrack as gt\n"
     modules_after(
-        code + "assert all(map(callable, (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read)))"
+        code
+        + "assert all(map(callable, (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read_identified)))"
     )
 
 

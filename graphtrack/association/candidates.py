@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.likelihood import (
+    GATE,
     STATE,
     Chains,
     IntArray,
@@ -69,20 +70,20 @@ def grid_of(chains: Chains, detections: IntArray, base: int) -> Grid:
             offset, g = offset >> 1, g + 1
         group[j] = g
         groups = max(groups, g + 1)
-    spans, shape = np.empty((groups, 6)), np.zeros((groups, 3), np.int64)
+    spans, shape = np.empty((groups, 7)), np.zeros((groups, 4), np.int64)
     high, count = np.full((groups, 2), -np.inf), np.zeros(groups, np.int64)
     spans[:, 0], spans[:, 1], spans[:, 2] = np.inf, -np.inf, 0.0
-    spans[:, 3:5] = np.inf
+    spans[:, 3:5], spans[:, 6] = np.inf, np.inf
     for j in range(n):
         one, g = chains.rows[detections[j]], group[j]
         spans[g, 0], spans[g, 1] = min(spans[g, 0], one.t), max(spans[g, 1], one.t)
-        spans[g, 2] = max(spans[g, 2], one.variance)
+        spans[g, 2], spans[g, 6] = max(spans[g, 2], one.variance), min(spans[g, 6], one.variance)
         spans[g, 3], spans[g, 4] = min(spans[g, 3], one.x), min(spans[g, 4], one.y)
         high[g, 0], high[g, 1] = max(high[g, 0], one.x), max(high[g, 1], one.y)
         count[g] += 1
     cells = 0
     for g in range(groups):
-        shape[g, 2] = cells
+        shape[g, 2], shape[g, 3] = cells, base + (1 << g) // 2
         if count[g]:
             width, height = high[g, 0] - spans[g, 3], high[g, 1] - spans[g, 4]
             # Two detections a cell, and never many more cells than detections.
@@ -114,11 +115,23 @@ def cells_along(low: float, high: float, corner: float, size: float, cells: int)
 
 @compiled
 def near_ones(
-    chains: Chains, state: FloatArray, t: float, others: IntArray, grid: Grid, scene: Scene, found: IntArray
+    chains: Chains,
+    state: FloatArray,
+    t: float,
+    frame: int,
+    others: IntArray,
+    grid: Grid,
+    bounds: FloatArray,
+    scene: Scene,
+    found: IntArray,
 ) -> int:
     """Put into ``found`` the places in ``others`` of detections somebody may be at; return their number.
 
-    ``state`` is of time ``t``; ``grid`` is that of ``others``.
+    Parameters
+    ----------
+    state, t, frame : of somebody, at a time (s) and in a frame
+    others, grid : detections, and their grid
+    bounds : (groups,) of what links to them are worth more than needed, but for position and gap
     """
     count = 0
     for g in range(len(grid.shape)):
@@ -128,6 +141,11 @@ def near_ones(
             continue
         # The variance is a convex function of time.
         far = max(reach(state, soon, spans[2], scene), reach(state, late, spans[2], scene))
+        least = spread_after(soon, state, spans[6], scene) if state[5] >= 0.0 else spans[6]
+        bound = bounds[g] + missed(shape[3] - frame - 1, scene) - math.log(2.0 * math.pi * least)
+        if bound <= 0.0:
+            continue
+        far *= min(math.sqrt(2.0 * bound) / GATE, 1.0)
         ahead_x, ahead_y = state[2] * soon, state[3] * soon
         more_x, more_y = state[2] * (late - soon), state[3] * (late - soon)
         x, y = state[0] + ahead_x, state[1] + ahead_y
@@ -167,15 +185,38 @@ def most_shown(scene: Scene) -> float:
 
 
 @compiled
-def most_dense(earlier: Row, before: FloatArray, later: Row, scene: Scene) -> float:
-    """Bound of the log density of a later detection's position and of its gap; see `move`."""
+def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray, scene: Scene) -> float:
+    """Bound of the log density of a later detection's position and of its gap; see `move`.
+
+    ``skipped``: `missed`, of gaps of 0, 1 … frames
+    """
     dt = later.t - earlier.t
     spread = spread_after(dt, before, later.variance, scene)
     wide = spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0)
     off_x, off_y = later.x - before[0] - dt * before[2], later.y - before[1] - dt * before[3]
     square = 0.5 * (off_x * off_x + off_y * off_y)
+    gap = later.frame - earlier.frame - 1
     density = -math.log(2.0 * math.pi * spread) - square / wide
-    return density + missed(later.frame - earlier.frame - 1, scene)
+    return density + (skipped[gap] if gap < len(skipped) else missed(gap, scene))
+
+
+@allocating
+def gaps_missed(scene: Scene) -> FloatArray:
+    """Return `missed` for gaps of 0, 1 … frames up to the longest."""
+    frames = int(min(scene.longest_gap / scene.frame_seconds, 200.0)) + 1
+    skipped = np.empty(frames)
+    for k in range(frames):
+        skipped[k] = missed(k, scene)
+    return skipped
+
+
+@compiled
+def worth_of_state(tail: Row, state: FloatArray, scene: Scene) -> float:
+    """Bound of what a state at a tail adds to the log likelihood of what follows for somebody new."""
+    determinant = max(state[4] * state[6] - state[5] * state[5], 1e-12)
+    speed = state[2] * state[2] + state[3] * state[3]
+    gained = math.log(tail.variance * scene.speed_variance / determinant)
+    return max(gained, 0.0) + speed / scene.speed_variance + 2.0
 
 
 @compiled
@@ -186,6 +227,20 @@ def most_offered(tail: Row, value: float, most: float, scene: Scene) -> float:
     """
     following = _WORTH_OF_VELOCITY + most if tail.following >= 0 else 0.0
     return min(0.0, value) - scene.log_birth - tail.birth + following + most
+
+
+@allocating
+def most_offered_each(
+    chains: Chains, tails: IntArray, grid: Grid, least: FloatArray, scene: Scene
+) -> FloatArray:
+    """Return the greatest `most_offered` over what is needed (``least``) in each group of a grid."""
+    most, offered = most_shown(scene), np.full(len(grid.shape), -np.inf)
+    for g in range(len(grid.shape)):
+        first = grid.shape[g, 2]
+        for place in range(grid.start[first], grid.start[first + grid.shape[g, 0] * grid.shape[g, 1]]):
+            j = grid.order[place]
+            offered[g] = max(offered[g], most_offered(chains.rows[tails[j]], 0.0, most, scene) - least[j])
+    return offered
 
 
 @allocating
@@ -216,23 +271,27 @@ def gains_of_links(
     """
     edges, n = (np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64)), 0
     state, near = np.empty(STATE), np.empty(len(tails), np.int64)
-    value, most = np.full(len(tails), np.nan), most_shown(scene)
+    value, most, skipped = np.full(len(tails), np.nan), most_shown(scene), gaps_missed(scene)
+    offered = most_offered_each(chains, tails, grid, least, scene)
     for i in range(len(heads)):
         k = heads[i]
         earlier, before = chains.rows[k], chains.state[k]
-        count = near_ones(chains, before, earlier.t, tails, grid, scene, near)
-        if not count:
-            continue
         more = head_worth(chains, k, scene)
+        bounds = offered + more
+        count = near_ones(chains, before, earlier.t, earlier.frame, tails, grid, bounds, scene, near)
         for j in near[:count]:
             m = tails[j]
             if math.isnan(value[j]):
                 value[j] = born(chains, m, scene)
-            bound = more + most_offered(chains.rows[m], value[j], most, scene)
-            if bound + most_dense(earlier, before, chains.rows[m], scene) <= least[j]:
+            later = chains.rows[m]
+            bound = more + most_offered(later, value[j], most, scene)
+            if bound + most_dense(earlier, before, later, skipped, scene) <= least[j]:
                 continue
-            gain = more + follow(chains, before, k, m, scene, state) - max(0.0, value[j])
-            gain += run_on(chains, state, m, scene)
+            gain = more + follow(chains, before, k, m, scene, state)
+            bound = gain - scene.log_birth - later.birth - later.gain + min(0.0, value[j]) + most
+            if later.following >= 0 and bound + worth_of_state(later, state, scene) <= least[j]:
+                continue
+            gain += run_on(chains, state, m, scene) - max(0.0, value[j])
             if gain > least[j]:
                 if n == len(edges[0]):
                     edges = extended(edges)
@@ -262,24 +321,35 @@ def gains_of_detections(
     edges, n = (np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64)), 0
     state, here, back = np.empty(STATE), np.empty(STATE), np.zeros(STATE)
     alone, near = np.empty(len(detections)), np.empty(len(detections), np.int64)
-    most, now = most_shown(scene), chains.rows[detections[0]].t
+    most, skipped = most_shown(scene), gaps_missed(scene)
+    now, frame = chains.rows[detections[0]].t, chains.rows[detections[0]].frame
+    last, new, bounds = -np.inf, -np.inf, np.empty(1)
     for j in range(len(detections)):
         d = detections[j]
-        alone[j] = max(0.0, begin(chains.rows[d], scene, state) + ending(chains, d, scene))
+        value, left = begin(chains.rows[d], scene, state), ending(chains, d, scene)
+        alone[j] = max(0.0, value + left)
+        last = max(last, chains.rows[d].gain + left - alone[j] - least[j])
+        new = max(new, value - alone[j] - least[j])
     for i in range(len(heads)):
         k, m = heads[i], tails[i]
         if k >= 0:
-            count = near_ones(chains, chains.state[k], chains.rows[k].t, detections, grid, scene, near)
+            without = state_after(chains, k, scene)
+            bounds[0] = np.inf if m >= 0 else head_worth(chains, k, scene) + most + last
+            one = chains.rows[k]
+            count = near_ones(
+                chains, chains.state[k], one.t, one.frame, detections, grid, bounds, scene, near
+            )
         else:
             # As far from the tail as somebody new may have walked.
-            later = chains.rows[m]
+            without, later = born(chains, m, scene), chains.rows[m]
             dt = later.t - now
+            bounds[0] = new + most_offered(later, without, most, scene)
+            bounds[0] += missed(later.frame - frame - 1, scene)
             back[0], back[1], back[4] = later.x, later.y, later.variance
             back[4] += dt * dt * scene.speed_variance + scene.density * dt**3 / 3.0
-            count = near_ones(chains, back, math.nextafter(now, -math.inf), detections, grid, scene, near)
-        if not count:
-            continue
-        without = state_after(chains, k, scene) if k >= 0 else born(chains, m, scene)
+            count = near_ones(
+                chains, back, math.nextafter(now, -math.inf), frame - 1, detections, grid, bounds, scene, near
+            )
         for j in near[:count]:
             d = detections[j]
             if k < 0:
@@ -288,13 +358,13 @@ def gains_of_detections(
                 if not is_within(off_x, off_y, chains.rows[m].t - now, here, chains.rows[m].variance, scene):
                     continue
                 bound = gain - alone[j] + most_offered(chains.rows[m], without, most, scene)
-                if bound + most_dense(chains.rows[d], here, chains.rows[m], scene) <= least[j]:
+                if bound + most_dense(chains.rows[d], here, chains.rows[m], skipped, scene) <= least[j]:
                     continue
             else:
                 if m < 0:
                     bound = head_worth(chains, k, scene) + most
                     bound += chains.rows[d].gain + ending(chains, d, scene) - alone[j]
-                    bound += most_dense(chains.rows[k], chains.state[k], chains.rows[d], scene)
+                    bound += most_dense(chains.rows[k], chains.state[k], chains.rows[d], skipped, scene)
                     if bound <= least[j]:
                         continue
                 gain = chains.rows[k].total + follow(chains, chains.state[k], k, d, scene, here)

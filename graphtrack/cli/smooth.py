@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.io.source import table_in
 from graphtrack.tracks.display import counted, duration
@@ -123,7 +123,6 @@ def smooth(
     from graphtrack.inference.engines import engine_of
     from graphtrack.inference.result import Failure, Solution
     from graphtrack.inference.warm import make_solver_ready
-    from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at
@@ -174,7 +173,7 @@ def smooth(
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
     if good:
-        write(estimates if resample is None else at_times(estimates, resample, origin), output)
+        write_tracks(estimates if resample is None else at_times(estimates, resample, origin), output)
     unconverged = [result for result in good if not result.converged]
     emit(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
@@ -60,7 +60,6 @@ def track(
     """
     from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.inference.online import OnlineSmoother
-    from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.smoothing import track_online
 
@@ -117,7 +116,7 @@ def track(
     unseen = sorted({one.track_id for one in everybody} - {one.track_id for one in found})
     estimates = tracks.with_tracks(found)
     if found:
-        write(estimates, output)
+        write_tracks(estimates, output)
         emit(
             f"tracked {len(found)} people, {estimates.n_frames} person-frames in {duration(seconds)} "
             f"({1e3 * seconds / estimates.n_frames:.2f} ms each); "
@@ -142,7 +141,6 @@ def _track_detections(
     from graphtrack.association.tracker import track_rows
     from graphtrack.cli.console import print_summary
     from graphtrack.inference.engines import online_engine
-    from graphtrack.io import write
     from graphtrack.smoothing import OnlineTracker
 
     tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable)
@@ -150,7 +148,7 @@ def _track_detections(
     with progress_bar(len(rows), "detections") as advance:
         tracks = track_rows(rows, tracker, advance)
     seconds = time.perf_counter() - start
-    write(tracks, output)
+    write_tracks(tracks, output)
     print_summary(tracks, str(rows.path))
     emit(
         f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {duration(seconds)} "

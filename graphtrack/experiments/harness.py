@@ -30,7 +30,7 @@ from graphtrack.evaluation.metrics import Interval, bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.inference import Solution
 from graphtrack.inference.engines import OnlineEngine
-from graphtrack.io import read
+from graphtrack.io import read_identified
 from graphtrack.model import Model, Parameters
 from graphtrack.model.terms.intentional_motion import (
     HEAD_RATE,
@@ -200,7 +200,7 @@ def quietly(path: Path) -> TrackSet:
     """The tracks of a file, read once; what its reader has to say is left to ``graphtrack info``."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
-        return read(path)
+        return read_identified(path)
 
 
 def thinned(track: Track, every: int = EVERY) -> Track:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ from graphtrack.packages import package
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
 from graphtrack.tracks.validation import LARGEST_ID
+
+if TYPE_CHECKING:
+    import geopandas
+
 
 OTHER_CLASS = "of another class"
 NOT_FINITE = "with a box that is not finite"
@@ -195,7 +199,7 @@ def _rows(found: Mapping[int, FoundBoxes], format: str, options: ReadOptions) ->
     return with_scores(placed_boxes(rows, options).with_times(options.fps)).without("box", "confidence")
 
 
-def to_geopandas(tracks: TrackSet) -> Any:
+def to_geopandas(tracks: TrackSet) -> geopandas.GeoDataFrame:
     """Return a GeoDataFrame with a point for each person and frame, which writes GeoPackage and GeoParquet.
 
     The other columns are those of ``tracks.to_table(as_read=True)``; ``time`` has the dates (UTC), where the
@@ -207,7 +211,7 @@ def to_geopandas(tracks: TrackSet) -> Any:
     InputError
         If the package geopandas is not there.
     """
-    geopandas = package("geopandas", "geo")
+    module = package("geopandas", "geo")
     table = tracks.to_table(as_read=True)
     x, y, t = (
         np.concatenate([values(track) for track in tracks]) if len(tracks) else np.empty(0)
@@ -219,8 +223,8 @@ def to_geopandas(tracks: TrackSet) -> Any:
     if time is not None and (time.kind != "number" or time.origin != 0):
         table["time"] = (time.origin + np.rint(t * 1e9).astype(np.int64)).astype("M8[ns]")
     first, second = (x, y) if plane is None else plane.back(x, y)
-    points = geopandas.points_from_xy(first, second)
-    return geopandas.GeoDataFrame(table, geometry=points, crs=None if plane is None else plane.crs).loc[known]
+    points = module.points_from_xy(first, second)
+    return module.GeoDataFrame(table, geometry=points, crs=None if plane is None else plane.crs).loc[known]
 
 
 def _unread(source: Source, options: ReadOptions) -> Rows:
@@ -242,7 +246,7 @@ def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
 
 
 GEOPACKAGE, GEOPARQUET = (
-    Format(name, description, (suffix,), lambda head, path: False, _unread, write, is_read=False)
+    Format(name, description, (suffix,), _unread, write, is_read=False)
     for name, description, suffix, write in (
         ("geopackage", "points of a GeoPackage (extra geo)", ".gpkg", _write_geopackage),
         ("geoparquet", "points as GeoParquet (extra geo)", ".geoparquet", _write_geoparquet),

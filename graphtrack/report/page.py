@@ -256,9 +256,9 @@ def _median_radius(pair: Pair) -> float | None:
     return float(np.median(radius)) if radius.size else None
 
 
-def _median_degrees(std: Any) -> float | None:
-    std = None if std is None else std[np.isfinite(std)]
-    return None if std is None or not std.size else float(np.degrees(np.median(std)))
+def _median_degrees(std: FloatArray) -> float | None:
+    known = std[np.isfinite(std)]
+    return float(np.degrees(np.median(known))) if known.size else None
 
 
 def _is_known(values: FloatArray | None) -> bool:

@@ -34,6 +34,7 @@ from graphtrack.inference.online import OnlineSmoother
 from graphtrack.io.atomic import flush_entry
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.model import Model
+from graphtrack.saved import count, damaged
 
 VERSION = 2
 """Version of the format and of the meaning of its lines."""
@@ -56,7 +57,7 @@ class StateInUse(InputError):
         return type(self), (self.path,)
 
 
-def packed(value: Any) -> bytes:
+def line_of(value: Any) -> bytes:
     """A JSON-able value as the text of a line."""
     return encoded(value).encode()
 
@@ -165,7 +166,7 @@ class StateFile:
         InputError
             If that failed, or flushing or replacing has since the last call.
         """
-        text = packed(value)
+        text = line_of(value)
         with self._mutex:
             try:
                 self._raise()
@@ -183,7 +184,7 @@ class StateFile:
             self._since = []
 
     def replace(self, texts: list[bytes]) -> None:
-        """Begin to write a new content, `packed`, of what was known at the `mark`."""
+        """Begin to write a new content, lines of `line_of`, of what was known at the `mark`."""
         self._idle.clear()
         self._jobs.put(texts)
 
@@ -485,7 +486,7 @@ class Saving:
                 if track_id in self._packed:
                     raise ValueError(f"two states of {track_id!r}")
                 people.members[track_id] = restore(track_id, state)
-                self._packed[track_id] = packed(entry)
+                self._packed[track_id] = line_of(entry)
             for entry in entries[first_row:]:
                 rows = _rows_of(entry, people.rows, people.line)
                 if not rows:  # all rows so far were answered
@@ -535,8 +536,7 @@ class Saving:
         except InputError as error:
             raise InputError(error.found, error.expected, path=self._file.path) from error
         except Exception as error:  # what a value of a wrong type leads to cannot be listed
-            found = f"a damaged state ({error!r})"
-            raise InputError(found, "what 'graphtrack track -' wrote", path=self._file.path) from error
+            raise damaged(error, "what 'graphtrack track -' wrote", self._file.path) from error
 
     def _begin(self) -> None:
         people = self._people
@@ -544,7 +544,7 @@ class Saving:
         self._left = {track_id: None for track_id in people.members if track_id in due}
         self._changed.clear()
         self._members = list(people.members)
-        self._header = packed(
+        self._header = line_of(
             {
                 "settings": self._settings,
                 "rows": people.rows,
@@ -557,7 +557,7 @@ class Saving:
     def _pack(self, track_id: Any) -> None:
         assert self._left is not None
         state = self._left.pop(track_id) or self._people.members[track_id].state
-        self._packed[track_id] = packed({"track_id": track_id, "state": state()})
+        self._packed[track_id] = line_of({"track_id": track_id, "state": state()})
 
     def _hand_over(self) -> None:
         self._left = None
@@ -574,15 +574,11 @@ class Saving:
         self._changed.add(track_id)
 
 
-def _is_count(value: Any) -> bool:
-    return type(value) is int and value >= 0
-
-
 def _header_of(entries: list[Any]) -> dict[str, Any]:
     """The first value of a state file; ValueError if it has another form or the states are fewer."""
     header: dict[str, Any] = entries[0]
-    counts = [header[name] for name in ("rows", "line", "people")]
-    if not all(map(_is_count, counts)) or counts[1] < counts[0] or not isinstance(header["settings"], dict):
+    counts = [count(header[name]) for name in ("rows", "line", "people")]
+    if counts[1] < counts[0] or not isinstance(header["settings"], dict):
         raise ValueError(f"a header with rows, line, people = {counts}")
     if counts[2] > len(entries) - 1:
         raise ValueError(f"{counts[2]} states of people in {len(entries) - 1} lines")
@@ -611,7 +607,7 @@ def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
         return []
     found = []
     for number, text in entry if isinstance(entry[0], list) else [entry]:
-        if not _is_count(number) or number <= line or not isinstance(text, str):
+        if count(number) <= line or not isinstance(text, str):
             raise ValueError(f"a row {str(number)[:60]} after row {line}")
         found.append((number, text.encode("utf-8", "surrogateescape")))
         line = number

@@ -18,7 +18,13 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, print_table, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.options import CameraOptions, VideoOrFolder, check_places, print_skipped
+from perception.cli.options import (
+    CameraOptions,
+    VideoOrFolder,
+    check_places,
+    print_skipped,
+    read_given_boxes,
+)
 from perception.cli.searching import PeopleSearch, search_journals
 
 if TYPE_CHECKING:
@@ -49,7 +55,7 @@ def calibrate(
 
     Parameters
     ----------
-    boxes : MOT text or CAVIAR XML with people's boxes, with identities or without.
+    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, with identities or without.
     output : Calibration to write (.ci).
     """
     from perception.detection.boxes import read_boxes
@@ -163,15 +169,14 @@ def adapt(
     ----------
     sources : Videos or folders of images, all of one camera.
     output : Model file to write (.npz).
-    boxes : MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for each
-        recording in their order; without it people are detected.
+    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for
+        each recording in their order; without it people are detected.
     write_model : Write the graph's model file (.toml) that goes with these models, for `graphtrack smooth
         --model`.
     """
     from graphtrack.model import Model
     from perception.adaptation.labels import check_camera
     from perception.adaptation.learning import PackageModels, Recording, adapted
-    from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
 
     if output.suffix != ".npz":
@@ -206,7 +211,7 @@ def adapt(
                 search = PeopleSearch(frames, on_ground, clock, place, camera.stamps)
                 people, _ = searches.enter_context(search.people(refuse))
             else:
-                people = read_boxes(of_recording, refuse)
+                people = read_given_boxes(of_recording, frames, None, refuse)
             recordings.append(Recording(frames, people, clock))
         found = adapted(recordings, on_ground, PackageModels.load(), rng, progress_bar, refuse)
         found.models.save(output)

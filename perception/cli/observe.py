@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit
+from graphtrack.cli.console import emit, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.adapt import check_adapt, stamp_of_camera, teach
 from perception.cli.options import (
     Boxes,
     CameraOptions,
+    FirstFrame,
     Render,
     VideoOrFolder,
     check_places,
@@ -27,6 +28,7 @@ from perception.cli.options import (
     print_camera_note,
     print_skipped,
     print_written,
+    read_given_boxes,
     stamp_of,
 )
 from perception.cli.searching import (
@@ -114,6 +116,7 @@ def observe(
     network: NetworkOptions,
     model: ModelOptions,
     boxes: Boxes = None,
+    boxes_first_frame: FirstFrame = None,
     write_boxes_to: Annotated[Path | None, typer.Option("--write-boxes")] = None,
     render: Render = None,
     causal: Annotated[bool | None, typer.Option("--causal/--whole-track")] = None,
@@ -130,14 +133,13 @@ def observe(
     ----------
     output : File to write: .csv, .csv.gz, .parquet or .ndjson; - for NDJSON rows on standard output, frame by
         frame.
-    write_boxes_to : Write the detected boxes here, as MOT text.
+    write_boxes_to : Write the detected boxes here, as MOT text, whose frames count from 1.
     causal : Choose heads from what came before alone, or along whole tracks, and find people by each frame
         alone, or by what all frames teach; the former with -o -, else the latter.
     appearance : Write what people look like (appearance_0 ...), by which they are told apart; on for boxes
         without identities, else off.
     """
     from graphtrack.io.read_write import check_table_name
-    from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
     from perception.observe.live import LiveObserver
 
@@ -166,7 +168,9 @@ def observe(
     frames = FrameSource.open(source)
     refused: dict[str, None] = {}  # what cannot be decoded may be told twice
     networks = network.load(frames)
-    given = None if boxes is None else read_boxes(boxes, refused.setdefault)
+    if boxes is None and boxes_first_frame is not None:
+        raise InputError("--boxes-first-frame without --boxes", "both, or neither")
+    given = None if boxes is None else read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
     identified = given is not None and (not given or given[0].identified)
     if not (identified or streamed):
         check_table_name(output)
@@ -215,7 +219,6 @@ def _observe_file(
     refused: dict[str, None],
 ) -> None:
     """Find people, look at them, and write the table; what is known so far stays beside the output."""
-    from graphtrack.io import write
     from graphtrack.io.read_write import write_table
     from perception.detection.boxes import Detections, write_boxes
     from perception.images.pixels import is_video
@@ -240,7 +243,7 @@ def _observe_file(
             searched |= frozenset(points)
         assert people is not None
         if write_boxes_to is not None:
-            write_boxes(people, write_boxes_to)
+            write_boxes(people, write_boxes_to, first=frames.first)
         own: list[object] = [stamp_of(path) for path in (*chosen.parts, chosen.camera_models)]
         if chosen.adapt and camera is not None:
             unfinished.enter_context(while_unfinished(taught_place))
@@ -267,7 +270,7 @@ def _observe_file(
             _render(frames, observed, journal, render, clock.rate)
         if observed is not None and identified:
             tracks = observed.tracks
-            write(tracks, output)
+            write_tracks(tracks, output)
             left_out = tracks.summary.refused
             said = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
     print_skipped(refused)

@@ -17,6 +17,7 @@ from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
+    from perception.detection.boxes import PersonBox
     from perception.images.frames import Clock, Frame, FrameSource
 
 _SHOWN = 5
@@ -28,10 +29,18 @@ VideoOrFolder = Annotated[
 Boxes = Annotated[
     Path | None,
     typer.Option(
-        help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
-        "people are detected.",
+        help="People's boxes as MOT text, COCO JSON or CAVIAR XML, or a detector's, whose ids are -1; "
+        "without it people are detected.",
         exists=True,
         dir_okay=False,
+    ),
+]
+FirstFrame = Annotated[
+    int | None,
+    typer.Option(
+        "--boxes-first-frame",
+        help="Number that --boxes gives the recording's first frame: by default 1 in MOT text (0 where it "
+        "has a frame 0), and in other formats that of the recording.",
     ),
 ]
 Render = Annotated[
@@ -82,6 +91,20 @@ class CameraOptions:
         if self.homography is None:
             return None
         return GroundCamera.from_homography(read_homography(self.homography))
+
+
+def read_given_boxes(
+    boxes: Path, frames: FrameSource, named: int | None, refuse: Callable[[str], object]
+) -> list[PersonBox]:
+    """Boxes of a file with the frames of a recording; a note is printed on how they belong together.
+
+    ``named``: number that the file gives the recording's first frame; None: see `read_boxes`
+    """
+    from perception.detection.boxes import read_boxes
+
+    return read_boxes(
+        boxes, refuse, first=frames.first, named=named, note=lambda line: emit(f"  note: {line}")
+    )
 
 
 def stamp_of(path: Path | None) -> object:

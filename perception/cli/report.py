@@ -15,7 +15,15 @@ from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.adapt import PersonHeight, described, stamp_of_camera, teach
 from perception.cli.observe import ModelOptions
-from perception.cli.options import Boxes, CameraOptions, VideoOrFolder, decoded_frames, skipped
+from perception.cli.options import (
+    Boxes,
+    CameraOptions,
+    FirstFrame,
+    VideoOrFolder,
+    decoded_frames,
+    read_given_boxes,
+    skipped,
+)
 from perception.cli.searching import PeopleSearch, look_at_people
 
 if TYPE_CHECKING:
@@ -34,6 +42,7 @@ def report(
     camera: CameraOptions,
     showing: options.Showing,
     boxes: Boxes = None,
+    boxes_first_frame: FirstFrame = None,
     adapt: Annotated[bool, typer.Option("--adapt/--no-adapt")] = True,
     method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: PersonHeight = 1.7,
@@ -56,7 +65,6 @@ def report(
     """
     from graphtrack.io.atomic import check_distinct
     from perception.adaptation.labels import check_camera
-    from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
     from perception.report import FILES, STAGES, ReportFolder, check_folder
 
@@ -76,12 +84,17 @@ def report(
     known = camera.on_ground()
     if known is not None:
         check_camera(known, frames.size())
-    given = None if boxes is None else read_boxes(boxes)
+    if boxes is None and boxes_first_frame is not None:
+        raise InputError("--boxes-first-frame without --boxes", "both, or neither")
+    refused: dict[str, None] = {}
+    given = None
+    if boxes is not None:
+        given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
     folder = ReportFolder(output, _STAGES, lambda words: emit(words))
     folder.open()
     run = _Run(folder, frames, camera.clock(frames), known, person_height, seed)
     run.assumed.append(_of_rate(frames, run.clock, camera.fps))
-    run.find_people(boxes, given)
+    run.find_people(boxes, given, list(refused))
     run.find_ground(camera.calibration or camera.homography)
     run.teach(adapt)
     run.observe()
@@ -118,8 +131,8 @@ class _Run:
     to_scale: bool = False
     assumed: list[str] = field(default_factory=list)
 
-    def find_people(self, boxes: Path | None, given: list[PersonBox] | None) -> None:
-        """Stage 1: boxes, of a file or detected."""
+    def find_people(self, boxes: Path | None, given: list[PersonBox] | None, left_out: list[str]) -> None:
+        """Stage 1: boxes, detected or ``given`` by a file, of which some rows were ``left_out``."""
         from perception.detection.boxes import read_boxes, write_boxes
 
         detected = self.folder.file("boxes")
@@ -127,9 +140,8 @@ class _Run:
         def work(key: str) -> list[str]:
             refused: dict[str, None] = {}
             if given is not None:
-                read_boxes(boxes or detected, refused.setdefault)
                 detected.unlink(missing_ok=True)
-                return [f"{len(given)} boxes of {boxes}", *skipped(refused)]
+                return [f"{len(given)} boxes of {boxes}", *skipped(dict.fromkeys(left_out))]
             search = PeopleSearch(
                 self.frames, self.known, self.clock, detected, (stamp_of_camera(self.known),)
             )
@@ -137,7 +149,7 @@ class _Run:
                 if not found:
                     nobody = "a recording in which nobody is found"
                     raise InputError(nobody, "people, or their boxes (--boxes)")
-                write_boxes(found, detected)
+                write_boxes(found, detected, first=self.frames.first)
             return [f"{len(found)} boxes of people who were detected", *skipped(refused)]
 
         asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given
@@ -310,6 +322,6 @@ class _Run:
             emit(f"wrote {showing.save}; to see it: rerun {showing.save}")
 
     def _read(self, name: str) -> TrackSet:
-        from graphtrack.io import read
+        from graphtrack.io import read_identified
 
-        return read(self.folder.file(name))
+        return read_identified(self.folder.file(name))

@@ -20,7 +20,7 @@ from graphtrack.evaluation.identities import score
 from graphtrack.experiments.harness import Cell, Progress, Table, quietly
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io import read
+from graphtrack.io import read_identified
 from graphtrack.io.cameras import read_calibration
 from graphtrack.io.formats.caviar import FPS, lobby_camera
 from graphtrack.smoothing import smooth
@@ -236,7 +236,7 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
 def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
     """Position, body and head of those who walk, and identities, by every method of `perception report`."""
     tracks, camera, share = observed_by_others(folder, seed, progress)
-    truth = read(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
+    truth = read_identified(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
     reference = _travel(truth)
     rows = []
     for method in methods:
@@ -297,7 +297,7 @@ def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
                 error = float(np.abs(difference(angle[k], ways[j])))
                 errors[name].append(error)
                 std = track.std(name)
-                if std is not None and np.isfinite(std[k]):
+                if np.isfinite(std[k]):
                     inside[name].append(error <= _BAND * std[k])
     row: dict[str, Cell] = {"rows": len(away), "position (m)": float(np.median(away))}
     for name, values in errors.items():

@@ -143,14 +143,14 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     for track in causal.tracks:
         if len(track) < LEAST_FRAMES:
             continue
-        key, truth = track.track_id, clip.truth[track.track_id]
+        key, truth = track.track_id, clip.truth.by_id(track.track_id)
         heads = causal.heads[key]
         of_track = sorted((item for item in seen if item.track_id == key), key=lambda item: item.frame)
         items = [item for item in of_track if is_on_ground(item, clip.camera)]
         found.append(
             ObservedPerson(
                 track,
-                whole[key],
+                whole.by_id(key),
                 Track(key, **channels_of(items, heads, classes, clip.camera, clip.fps, in_image=True)),
                 truth[np.searchsorted(truth.frame, track.frame)],
                 clip.camera,

@@ -266,6 +266,11 @@ class FrameSource:
                 return frame.image.shape[1], frame.image.shape[0]
         raise InputError("no frame that can be decoded", "a video or a folder of images", path=self.path)
 
+    @property
+    def first(self) -> int:
+        """The number of the first frame: 0 of a video, or the lowest of numbered images."""
+        return _images(self.path)[0][0] if self.path.is_dir() else 0
+
     def numbers(self) -> list[int]:
         """The numbers of the frames that it has; a video, which may say anything, is gone through."""
         if self.path.is_dir():

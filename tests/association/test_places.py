@@ -8,9 +8,20 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.association.likelihood import BODY, STATE, Chains, Scene, link_by, refresh, steer, unlinked
+from graphtrack.association.likelihood import (
+    BODY,
+    STATE,
+    Chains,
+    Scene,
+    link_by,
+    observed_angles,
+    refresh,
+    steer,
+    unlinked,
+)
 from graphtrack.association.online import TOLD, OnlineAssociation
 from graphtrack.association.scene import AHEAD, SPREAD, learn_places, learn_scene, seen_from_within
+from graphtrack.geometry.angles import class_centres
 
 FRAMES, CROSSING = 400, 20
 
@@ -101,6 +112,12 @@ def test_somebody_goes_on_being_there_as_often_as_where_it_is_played() -> None:
         if abs(there - TOLD) > 0.02:
             assert told[-1] == (there > TOLD)
     assert told[3] and not told[-1]
+
+
+def test_observed_angles_are_the_given_ones_and_else_the_mean_of_class_likelihoods() -> None:
+    classes, body = np.eye(8)[[2, 2]], np.array([0.1, np.nan])
+    found = observed_angles({"body": body, "body_likelihood": classes}, 2)
+    np.testing.assert_allclose(found, [[0.1, np.nan], [class_centres(8)[2], np.nan]], atol=1e-12)
 
 
 VARIANCE = 0.5

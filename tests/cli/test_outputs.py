@@ -131,4 +131,6 @@ def test_a_data_set_is_not_written_into_by_a_program_either(tmp_path: Path) -> N
     (folder / "one.parquet").unlink()
     with pytest.raises(InputError, match="the data set"):
         smooth_dataset(folder, tmp_path / "linked.parquet", "position")
-    np.testing.assert_array_equal(gt.read(tmp_path / "linked.parquet")[1].position, people[1].position)
+    np.testing.assert_array_equal(
+        gt.read(tmp_path / "linked.parquet").by_id(1).position, people.by_id(1).position
+    )

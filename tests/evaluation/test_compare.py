@@ -152,7 +152,10 @@ def test_inside_windows_only_the_withheld_frames_count() -> None:
     for record in found.per_track:
         if record.method == "rts":
             window = hidden.windows[record.track_id]
-            estimate, truth = rts.estimate(hidden.tracks[record.track_id], None), people[record.track_id]
+            estimate, truth = (
+                rts.estimate(hidden.tracks.by_id(record.track_id), None),
+                people.by_id(record.track_id),
+            )
             squares = np.sum((estimate.position - truth.true_position)[window] ** 2, axis=1)
             assert record.metrics["position RMSE"] == pytest.approx(np.sqrt(squares.mean()))
     assert value(found, "kf", "position RMSE") > value(found, "rts", "position RMSE")

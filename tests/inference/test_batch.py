@@ -351,7 +351,7 @@ def test_a_track_that_fails_is_named_and_the_others_come_out(preset: str) -> Non
     assert isinstance(failed, Failure) and failed.track_id == 7
     assert "no position" in failed.reason and isinstance(first, Solution)
     assert isinstance(last, Solution) and (first.track.track_id, last.track.track_id) == (1, 3)
-    alone = smooth_track(some_tracks()[3], Model(preset))
+    alone = smooth_track(some_tracks().by_id(3), Model(preset))
     np.testing.assert_array_equal(last.track.position, alone.track.position)
     with pytest.raises(SolveError, match=r"track 7: .*no position"):
         smooth(some_tracks(), preset)
@@ -374,7 +374,7 @@ def test_two_workers_find_the_same_bytes_as_one(engine: OfflineEngine) -> None:
 def test_estimates_keep_the_truth_and_drop_the_observations() -> None:
     track = replace(walk(6, seed=1), label="corridor", head_kappa=np.full(6, 3.0))
     estimates = smooth(TrackSet((track,)), "joint")
-    found = estimates[1]
+    found = estimates.by_id(1)
     assert found.label == "corridor"
     np.testing.assert_array_equal(found.t, track.t)
     np.testing.assert_array_equal(found.true_position, track.true_position)

@@ -57,6 +57,13 @@ def test_a_head_that_looks_aside_does_not_turn_the_body() -> None:
     assert (full < 0.8 * joint).all()
 
 
+@pytest.mark.parametrize(("degrees", "low", "high"), [(0.0, 0.5, 1.0), (120.0, 0.0, 0.1)])
+def test_heads_alone_tell_of_the_mode_of_the_body(degrees: float, low: float, high: float) -> None:
+    tracks = people(np.radians(degrees), 4, seed=9)
+    unseen = tracks.map(lambda track: replace(track, body=None, body_kappa=None))
+    assert low <= np.mean([one.aligned_p.mean() for one in smoothed(unseen, "full")]) <= high
+
+
 def test_a_change_of_mode_is_followed() -> None:
     first, second = people(0.0, 6, seed=5), people(np.radians(150.0), 6, seed=6)
     for one, other in zip(first, second, strict=True):

@@ -19,7 +19,7 @@ from graphtrack.inference import SolverOptions, smooth_track
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import workspace
 from graphtrack.inference.chain.window_kernels import condense
-from graphtrack.io import read
+from graphtrack.io import read_identified
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
@@ -97,7 +97,7 @@ def test_the_head_tells_of_a_turn_that_is_not_seen(data_dir: Path) -> None:
 
     Every method has the parameters that were best on the even clips.
     """
-    clips = read(data_dir / "mocap" / "tracks_30hz.csv.gz").select("*walk*turn*")
+    clips = read_identified(data_dir / "mocap" / "tracks_30hz.csv.gz").select("*walk*turn*")
     noisy = add_noise(clips, position_std=0.05, head_kappa=4.0, rng=np.random.default_rng(0))
     hidden = occlude(noisy, 1.0)
     odd = list(hidden.tracks)[1::2]

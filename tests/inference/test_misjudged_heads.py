@@ -55,7 +55,9 @@ def test_angles_have_no_such_doubts() -> None:
     for a, b in zip(smooth(tracks, sure), smooth(tracks, default), strict=True):
         np.testing.assert_array_equal(a.head, b.head)
         np.testing.assert_array_equal(a.covariance, b.covariance)
-    np.testing.assert_array_equal(track_online(tracks[0], sure).head, track_online(tracks[0], default).head)
+    np.testing.assert_array_equal(
+        track_online(tracks.by_id(0), sure).head, track_online(tracks.by_id(0), default).head
+    )
 
 
 def swinging(seed: int) -> tuple[Track, np.ndarray]:

@@ -19,6 +19,8 @@ from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import rows_of_file
+from graphtrack.io.recognition import SIGNATURES
+from graphtrack.io.registry import FORMATS
 from graphtrack.tracks.table import Rows
 
 
@@ -29,7 +31,7 @@ def test_each_format_is_recognised_whatever_its_name(sample: Sample, tmp_path: P
     options = dict(sample.options)
     if sample.format == "kitti":
         options |= {"oxts": tmp_path / "oxts/0001.txt", "ego_calibration": tmp_path / "calib/0001.txt"}
-    assert io.read(renamed, **options).summary.format == sample.format
+    assert io.read_identified(renamed, **options).summary.format == sample.format
 
 
 @pytest.mark.parametrize(
@@ -37,55 +39,61 @@ def test_each_format_is_recognised_whatever_its_name(sample: Sample, tmp_path: P
 )
 def test_frame_rates(format: str, fps: float, tmp_path: Path) -> None:
     path = sample_of(format).write(tmp_path)
-    for tracks, rate in ((io.read(path), fps), (io.read(path, fps=5.0), 5.0)):
+    for tracks, rate in ((io.read_identified(path), fps), (io.read_identified(path, fps=5.0), 5.0)):
         for track in tracks:
             np.testing.assert_allclose(track.t, track.frame / rate)
 
 
+def test_every_format_that_is_read_has_a_signature() -> None:
+    assert {one.name for one in FORMATS if one.is_read} == {*SIGNATURES, "bag"}
+
+
 def test_frame_rates_of_eth_follow_the_step_of_its_frames_and_of_mot_seqinfo(tmp_path: Path) -> None:
-    for track in io.read(sample_of("eth").write(tmp_path)):
+    for track in io.read_identified(sample_of("eth").write(tmp_path)):
         np.testing.assert_allclose(np.diff(track.t), 0.4)
     path = sample_of("mot").write(tmp_path)
     (path.parent / "seqinfo.ini").write_text("[Sequence]\nname=made\nframeRate=14\n")
-    np.testing.assert_allclose(io.read(path)[1].t * 14, io.read(path)[1].frame)
+    np.testing.assert_allclose(
+        io.read_identified(path).by_id(1).t * 14, io.read_identified(path).by_id(1).frame
+    )
 
 
 def test_mot_ignored_rows_and_classes_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "gt.txt"
     path.write_text("1,1,10,20,30,40,1,1,0.9\n1,2,10,20,30,40,0,1,0.9\n1,3,10,20,30,40,1,3,1\n")
-    tracks = io.read(path)
+    tracks = io.read_identified(path)
     assert tracks.summary.refused == {"marked to be ignored": 1, "of class Car": 1}
-    assert [track.track_id for track in io.read(path, classes=("Pedestrian", "Car"))] == [1, 3]
+    assert [track.track_id for track in io.read_identified(path, classes=("Pedestrian", "Car"))] == [1, 3]
 
 
 def test_pixels_without_a_camera_are_scaled_by_the_median_person(tmp_path: Path) -> None:
     path = sample_of("mot").write(tmp_path)
-    scaled = io.read(path)
+    scaled = io.read_identified(path)
     assert any("NO CAMERA IS KNOWN" in note for note in scaled.summary.notes)
-    np.testing.assert_allclose(scaled[1].position, scaled[1].pixel * [0.017, -0.017])
-    forced = io.read(path, metres_per_pixel=0.5)
-    np.testing.assert_allclose(forced[1].position, forced[1].pixel * [0.5, -0.5])
+    np.testing.assert_allclose(scaled.by_id(1).position, scaled.by_id(1).pixel * [0.017, -0.017])
+    forced = io.read_identified(path, metres_per_pixel=0.5)
+    np.testing.assert_allclose(forced.by_id(1).position, forced.by_id(1).pixel * [0.5, -0.5])
 
 
 def test_point_pairs_in_centimetres_and_some_of_their_rows(tmp_path: Path) -> None:
     path = sample_of("mot").write(tmp_path)
     pairs = tmp_path / "pairs.txt"
     pairs.write_text("# u v X Y\n9 9 9 9\n0 0 0 0\n100 0 200 0\n100 100 200 -200\n0 100 0 -200 # corner\n")
-    tracks = io.read(path, point_pairs=pairs, point_pairs_unit="cm", point_pairs_rows="2-5")
-    np.testing.assert_allclose(tracks[1].position, tracks[1].pixel * [0.02, -0.02], atol=1e-9)
+    tracks = io.read_identified(path, point_pairs=pairs, point_pairs_unit="cm", point_pairs_rows="2-5")
+    np.testing.assert_allclose(tracks.by_id(1).position, tracks.by_id(1).pixel * [0.02, -0.02], atol=1e-9)
     assert any("reprojection error" in note for note in tracks.summary.notes)
 
 
 def test_ucy_is_turned_right_handed(tmp_path: Path) -> None:
     path = sample_of("ucy").write(tmp_path)
-    tracks = io.read(path)
+    tracks = io.read_identified(path)
     assert tracks.camera is not None and not tracks.camera.is_mirrored
     assert any("right-handed" in note for note in tracks.summary.notes)
     # (x, y) = (−50, 30) is (row, column) = (258, 310); the made-up homography takes that to (7.2, 5.66).
-    np.testing.assert_allclose(tracks[0].position[0], [7.2, -5.66])
+    np.testing.assert_allclose(tracks.by_id(0).position[0], [7.2, -5.66])
     assert all(track.head is None for track in tracks)
     path.write_bytes(sample_of("ucy").content().replace(b" 25 90.0", b" 0 90.0", 1))
-    assert io.read(path).summary.refused == {"second control point of a spline in one frame": 1}
+    assert io.read_identified(path).summary.refused == {"second control point of a spline in one frame": 1}
 
 
 OBSTACLES = """\
@@ -101,31 +109,36 @@ OBSTACLES = """\
 
 def test_ucy_obstacles_after_the_splines_are_read_past(tmp_path: Path) -> None:
     path = sample_of("ucy").write(tmp_path)
-    plain = io.read(path)
+    plain = io.read_identified(path)
     path.write_bytes(sample_of("ucy").content() + OBSTACLES.replace("\n", "\r\n").encode())
-    tracks = io.read(path)
+    tracks = io.read_identified(path)
     assert "obstacles not read" in tracks.summary.notes
     assert tracks.summary.rows_read == plain.summary.rows_read
     for one, other in zip(plain, tracks, strict=True):
         np.testing.assert_array_equal(one.position, other.position)
     path.write_bytes(sample_of("ucy").content() + b"7 - number of people\n")
     with pytest.raises(InputError) as caught:
-        io.read(path)
+        io.read_identified(path)
     assert caught.value.line == sample_of("ucy").content().count(b"\n") + 1
 
 
 def test_town_centre_boxes_of_the_half_image_are_doubled(tmp_path: Path) -> None:
     path = sample_of("towncentre").write(tmp_path)
-    found = io.read(path)
-    forced = {scale: io.read(path, image_scale=scale) for scale in (1.0, 2.0)}
+    found = io.read_identified(path)
+    forced = {scale: io.read_identified(path, image_scale=scale) for scale in (1.0, 2.0)}
     assert any("doubled" in note for note in found.summary.notes)
-    np.testing.assert_array_equal(found[1].position, forced[2.0][1].position)
-    assert np.abs(found[1].position - forced[1.0][1].position).max() > 0.5 and found.camera is not None
-    np.testing.assert_allclose(found.camera.ground_to_image(found[1].position), found[1].pixel, atol=1e-6)
+    np.testing.assert_array_equal(found.by_id(1).position, forced[2.0].by_id(1).position)
+    assert (
+        np.abs(found.by_id(1).position - forced[1.0].by_id(1).position).max() > 0.5
+        and found.camera is not None
+    )
+    np.testing.assert_allclose(
+        found.camera.ground_to_image(found.by_id(1).position), found.by_id(1).pixel, atol=1e-6
+    )
 
 
 def test_caviar_feet_shoulders_and_gaze(tmp_path: Path) -> None:
-    track = io.read(sample_of("caviar").write(tmp_path), metres_per_pixel=0.01)[0]
+    track = io.read_identified(sample_of("caviar").write(tmp_path), metres_per_pixel=0.01).by_id(0)
     np.testing.assert_allclose(track.pixel[0], [100.0, 139.5])
     # The left shoulder is left of the right one and 2 px higher: the person walks away from the viewer.
     np.testing.assert_allclose(np.rad2deg(track.body), 90.0 - np.rad2deg(np.arctan2(2, 12)), atol=1e-9)
@@ -156,13 +169,13 @@ def test_kitti_brings_a_standing_person_to_one_place_from_a_moving_camera(tmp_pa
         rows.append(f"{f} 4 Pedestrian 0 0 0 1 2 3 4 1.7 0.6 0.8 {x} {y} {z} {rotation}")
     path.write_text("\n".join(rows) + "\n")
     (tmp_path / "oxts/0001.txt").write_text("\n".join(ego) + "\n")
-    track = io.read(path)[4]
+    track = io.read_identified(path).by_id(4)
     np.testing.assert_allclose(track.position, np.tile(place[:2], (FRAMES, 1)), atol=1e-6)
     np.testing.assert_allclose(difference(track.body, heading), 0.0, atol=1e-9)
 
 
 def test_salsa_angles_are_wrapped_and_steps_numbered(tmp_path: Path) -> None:
-    track = io.read(sample_of("salsa").write(tmp_path))[2]
+    track = io.read_identified(sample_of("salsa").write(tmp_path)).by_id(2)
     np.testing.assert_array_equal(track.frame, np.arange(FRAMES))
     np.testing.assert_allclose(track.t, 3.0 * np.arange(FRAMES) + 0.2)
     np.testing.assert_allclose(track.body[0], -5.0 + 2 * np.pi)
@@ -172,9 +185,9 @@ def test_salsa_angles_are_wrapped_and_steps_numbered(tmp_path: Path) -> None:
 def test_a_camera_of_the_caller_wins(tmp_path: Path) -> None:
     path = sample_of("towncentre").write(tmp_path)
     camera = GroundCamera.from_scale(0.25)
-    tracks = io.read(path, camera=camera)
+    tracks = io.read_identified(path, camera=camera)
     assert tracks.camera is camera
-    np.testing.assert_allclose(tracks[1].position, tracks[1].pixel * [0.25, -0.25])
+    np.testing.assert_allclose(tracks.by_id(1).position, tracks.by_id(1).pixel * [0.25, -0.25])
 
 
 NEGATIVE = "some confidences are negative"

@@ -27,12 +27,12 @@ def rows(identity: int, n: int = 3) -> pd.DataFrame:
 def csv(identity: int, folder: Path, n: int = 3) -> gt.TrackSet:
     text = rows(0, n).to_csv(index=False).replace("\n0,", f"\n{identity},")
     (folder / "a.csv").write_text(text)
-    return io.read(folder / "a.csv")
+    return io.read_identified(folder / "a.csv")
 
 
 def parquet(identity: int, folder: Path) -> gt.TrackSet:
     rows(identity).to_parquet(folder / "a.parquet")
-    return io.read(folder / "a.parquet")
+    return io.read_identified(folder / "a.parquet")
 
 
 def table(identity: int, folder: Path) -> gt.TrackSet:
@@ -45,7 +45,7 @@ def other(format: str, before: str, after: str) -> Callable[[int, Path], gt.Trac
     def read(identity: int, folder: Path) -> gt.TrackSet:
         path = sample_of(format).write(folder)
         path.write_text(path.read_text().replace(before, after.format(identity), 1))
-        return io.read(path)
+        return io.read_identified(path)
 
     return read
 
@@ -75,7 +75,9 @@ def test_the_largest_identity_is_itself_and_larger_ones_are_refused(reader: str,
 def test_files_with_the_largest_identities_are_merged_into_one_that_can_be_read(tmp_path: Path) -> None:
     for name in ("a.csv", "b.csv"):
         pd.concat([rows(0), rows(LARGEST_ID)]).to_csv(tmp_path / name, index=False)
-    merged = io.read([tmp_path / "a.csv", tmp_path / "b.csv"])
+    merged = io.read_identified([tmp_path / "a.csv", tmp_path / "b.csv"])
     assert len({track.track_id for track in merged}) == 4
     io.write(merged, tmp_path / "merged.csv")
-    assert {track.track_id for track in io.read(tmp_path / "merged.csv")} == {t.track_id for t in merged}
+    assert {track.track_id for track in io.read_identified(tmp_path / "merged.csv")} == {
+        t.track_id for t in merged
+    }

@@ -24,7 +24,7 @@ def line_with(data: bytes, fragment: bytes) -> int:
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
 def test_the_undamaged_file_is_read_and_every_row_counted(sample: Sample, tmp_path: Path) -> None:
-    tracks = io.read(sample.write(tmp_path), **sample.options)
+    tracks = io.read_identified(sample.write(tmp_path), **sample.options)
     assert tracks.summary.format == sample.format and tracks.summary.rows_read == sample.rows
     assert tracks.summary.rows_used == tracks.n_frames and len(tracks) == 2
 
@@ -63,7 +63,9 @@ def test_what_is_no_finite_number(sample: Sample, tmp_path: Path) -> None:
         assert repr(text) in error.found
 
 
-@pytest.mark.parametrize("sample", [s for s in DELIMITED if s.format != "ndjson"], ids=name_of)
+@pytest.mark.parametrize(
+    "sample", [s for s in DELIMITED if s.format not in ("ndjson", "trajnet")], ids=name_of
+)
 def test_rows_of_another_width(sample: Sample, tmp_path: Path) -> None:
     path = sample.write(tmp_path)
     lines = path.read_bytes().split(b"\n")
@@ -91,20 +93,20 @@ def test_the_same_row_twice(sample: Sample, tmp_path: Path) -> None:
 def test_encodings_and_gzip(sample: Sample, tmp_path: Path) -> None:
     path = sample.write(tmp_path)
     data = path.read_bytes()
-    plain = io.read(path, **sample.options)
+    plain = io.read_identified(path, **sample.options)
     path.write_bytes(b"\xef\xbb\xbf" + data)
-    assert io.read(path, **sample.options).n_frames == plain.n_frames
+    assert io.read_identified(path, **sample.options).n_frames == plain.n_frames
     path.write_bytes(data.replace(b"\n", b"\r\n"))
-    assert io.read(path, **sample.options).n_frames == plain.n_frames
+    assert io.read_identified(path, **sample.options).n_frames == plain.n_frames
     packed = gzip.compress(data)
     path.write_bytes(packed)
-    assert io.read(path, **sample.options).n_frames == plain.n_frames
+    assert io.read_identified(path, **sample.options).n_frames == plain.n_frames
     for damaged in (packed[: len(packed) // 2], packed[:-6] + bytes([packed[-6] ^ 1]) + packed[-5:]):
         path.write_bytes(damaged)
         assert "gzip" in refused(path).found
     if sample.format != "caviar":  # XML says its encoding itself, and UTF-16 is one of them
         path.write_bytes(data.decode().encode("utf-16"))
-        assert io.read(path, **sample.options).n_frames == plain.n_frames
+        assert io.read_identified(path, **sample.options).n_frames == plain.n_frames
         path.write_bytes(data.decode().encode("utf-16-be"))
         error = refused(path, format=sample.format)
         assert error.found == "UTF-16 text" and "--encoding" in error.expected
@@ -151,12 +153,12 @@ def test_boxes_without_a_size(sample: Sample, size: str, tmp_path: Path) -> None
 def test_frames_out_of_order_are_sorted_with_a_warning(format: str, tmp_path: Path) -> None:
     sample = sample_of(format)
     path = sample.write(tmp_path)
-    in_order = io.read(path)
+    in_order = io.read_identified(path)
     lines = path.read_bytes().rstrip().split(b"\n")
     header = 1 if format == "csv" else 0
     path.write_bytes(b"\n".join([*lines[:header], *reversed(lines[header:])]) + b"\n")
     with pytest.warns(InputWarning, match="out of order"):
-        backwards = io.read(path)
+        backwards = io.read_identified(path)
     assert any("out of order" in note for note in backwards.summary.notes)
     for a, b in zip(in_order, backwards, strict=True):
         np.testing.assert_array_equal(a.frame, b.frame)
@@ -272,4 +274,4 @@ def test_options_that_do_not_exist_or_make_no_sense(tmp_path: Path) -> None:
     assert "inch" in refused(path, point_pairs=path, point_pairs_unit="inch").found
     assert "nonsense" in refused(path, format="nonsense").found
     with pytest.raises(InputError):
-        io.read([])
+        io.read_identified([])

@@ -90,7 +90,7 @@ def test_a_table_says_where_its_inputs_are_wrong(case: str, tmp_path: Path) -> N
     path = tmp_path / "people.csv"
     path.write_text(f"track_id,frame,t,x,y,{names}\n1,0,0,0,0,{cells}\n")
     with pytest.raises(InputError, match=said):
-        io.read(path)
+        io.read_identified(path)
 
 
 def test_appearance_is_an_input_whose_columns_have_no_prefix(tmp_path: Path) -> None:
@@ -99,10 +99,10 @@ def test_appearance_is_an_input_whose_columns_have_no_prefix(tmp_path: Path) -> 
     assert names[-3:] == ["appearance_0", "appearance_1", "input_zone"]
     path, out = tmp_path / "people.parquet", tmp_path / "out.parquet"
     io.write(TrackSet((person(appearance=looks),)), path)
-    np.testing.assert_array_equal(io.read(path)[1].inputs["appearance"], looks)
+    np.testing.assert_array_equal(io.read_identified(path).by_id(1).inputs["appearance"], looks)
     assert {"appearance_0", "appearance_1"} < set(open_dataset(path).columns)
     smooth_dataset(path, out, "position")
-    assert not any("appearance" in name for name in io.read(out).to_table().columns)
+    assert not any("appearance" in name for name in io.read_identified(out).to_table().columns)
     # One way of writing it: else two columns would be one number.
     assert numeric("input_appearance_0") is None
 

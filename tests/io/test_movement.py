@@ -30,7 +30,7 @@ and 0.1 rad a frame, and look ahead. In frame 5 anna's right shoulder is missing
 def estimates() -> TrackSet:
     """Two people who are not there in the same frames, with all that an engine says of them."""
     rng, made = np.random.default_rng(0), made_tracks()
-    people = gt.smooth(made.with_tracks([made[3][:4], made[8][2:]]), "full")
+    people = gt.smooth(made.with_tracks([made.by_id(3)[:4], made.by_id(8)[2:]]), "full")
     return people.map(
         lambda one: replace(one, pixel=rng.uniform(0.0, 99.0, (4, 2)), inputs={"near": rng.uniform(size=4)})
     )
@@ -49,7 +49,7 @@ def test_what_is_written_is_a_dataset_of_poses_with_deviations() -> None:
     assert set(dataset["position"].dims) == {"time", "space", "keypoints", "individuals"}
     assert dataset.attrs["ds_type"] == "poses" and dataset.attrs["fps"] == 10.0
     one = dataset.sel(individuals="8").dropna("time", subset=["body"])
-    track = estimates()[8]
+    track = estimates().by_id(8)
     np.testing.assert_array_equal(one["time"], track.t)
     np.testing.assert_array_equal(one["position"].sel(keypoints="centroid"), track.position)
     for name in ("x", "vy", "body", "head"):
@@ -74,7 +74,7 @@ def circle(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_poses_that_movement_wrote_are_positions_bodies_and_heads() -> None:
     tracks = gt.read(POSES, metres_per_pixel=0.01)
     assert [track.label for track in tracks] == ["anna", "bob"]
-    anna = tracks[1]
+    anna = tracks.by_id(1)
     np.testing.assert_allclose(anna.t, 0.1 * np.arange(12))
     position, heading = circle(anna.frame)
     assert anna.body is not None and anna.head is not None

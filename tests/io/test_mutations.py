@@ -97,7 +97,7 @@ def outcome(path: Path, options: dict[str, object], seed: int) -> str:
         warnings.simplefilter("ignore", InputWarning)
         start = time.perf_counter()
         try:
-            tracks = io.read(path, **options)
+            tracks = io.read_identified(path, **options)
         except GraphtrackError as error:
             result = str(error)
         except Exception as error:

@@ -54,9 +54,9 @@ def test_null_and_no_key_are_empty_cells_and_unknown_keys_a_note(tmp_path):
     assert type(written[0]["track_id"]) is type(written[0]["frame"]) is int
     rows = [ROW | {"body_deg": 90, "mood": [1, {"a": None}]}, ROW | {"frame": 1, "t": 1, "body_deg": None}]
     rows += [{"track_id": 1, "frame": 2, "t": 2}]
-    tracks = io.read(write(tmp_path / "a.jsonl", rows))
-    np.testing.assert_array_equal(tracks[1].body, [np.pi / 2, np.nan, np.nan])
-    np.testing.assert_array_equal(tracks[1].position, [[1, 2], [1, 2], [np.nan, np.nan]])
+    tracks = io.read_identified(write(tmp_path / "a.jsonl", rows))
+    np.testing.assert_array_equal(tracks.by_id(1).body, [np.pi / 2, np.nan, np.nan])
+    np.testing.assert_array_equal(tracks.by_id(1).position, [[1, 2], [1, 2], [np.nan, np.nan]])
     assert tracks.summary.notes == ("ignored columns mood",)
 
 
@@ -96,10 +96,10 @@ def answers():
 
 
 def test_the_answers_of_a_stream_are_read(tmp_path):
-    tracks = io.read(write(tmp_path / "a.ndjson", answers()))
-    np.testing.assert_array_equal(tracks[1].frame, [0, 1, 3, 4])
-    np.testing.assert_array_equal(tracks[1].position[:, 0], [np.nan, 1, 5, 1])
-    assert tracks[1].velocity is not None and tracks[1].body is None
+    tracks = io.read_identified(write(tmp_path / "a.ndjson", answers()))
+    np.testing.assert_array_equal(tracks.by_id(1).frame, [0, 1, 3, 4])
+    np.testing.assert_array_equal(tracks.by_id(1).position[:, 0], [np.nan, 1, 5, 1])
+    assert tracks.by_id(1).velocity is not None and tracks.by_id(1).body is None
     summary = tracks.summary
     assert (summary.rows_read, summary.rows_used, sum(summary.refused.values())) == (9, 4, 5)
     assert not summary.notes

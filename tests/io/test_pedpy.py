@@ -36,7 +36,7 @@ def test_trajectories_come_back() -> None:
         {"id": [1, 1, 4], "frame": [10, 11, 10], "x": [0.0, 1.0, 5.0], "y": 2.0, "point": None}
     )
     found = gt.from_pedpy(SimpleNamespace(data=data, frame_rate=5))
-    np.testing.assert_array_equal(found[1].t, [2.0, 2.2])
+    np.testing.assert_array_equal(found.by_id(1).t, [2.0, 2.2])
     speed = pedpy.compute_individual_speed(traj_data=trajectory, frame_step=1)
     np.testing.assert_allclose(speed["speed"].median(), np.hypot(1.0, 3.0), rtol=0.01)
 
@@ -76,8 +76,8 @@ def test_text_files_of_all_headers(
     path.write_text(header + "1 0 10 20.5 170\n1 1 11 21 170\n2\t0\t-3\t4\t160\n")
     tracks = gt.read(path, **options)
     assert tracks.summary.format == "pedpy" and [track.track_id for track in tracks] == [1, 2]
-    np.testing.assert_allclose(tracks[1].position, metre * np.array([[10, 20.5], [11, 21]]))
-    np.testing.assert_allclose(tracks[1].t, [0.0, 1.0 / rate])
+    np.testing.assert_allclose(tracks.by_id(1).position, metre * np.array([[10, 20.5], [11, 21]]))
+    np.testing.assert_allclose(tracks.by_id(1).t, [0.0, 1.0 / rate])
     pedpy = pytest.importorskip("pedpy", reason="the extra pedpy has it")
     given = {"default_frame_rate": options.get("fps"), "default_unit": None}
     if "units" in options:

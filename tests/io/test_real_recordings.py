@@ -60,7 +60,7 @@ def heading_errors(tracks: TrackSet, channel: str, seconds: float, slowest: floa
     ],
 )
 def test_counts(name: str, rows: int, used: int, people: int, data_dir: Path) -> None:
-    tracks = io.read(data_dir / name)
+    tracks = io.read_identified(data_dir / name)
     assert tracks.summary.rows_read == rows and tracks.summary.rows_used == used == tracks.n_frames
     assert len(tracks) == people and not any("faster than" in note for note in tracks.summary.notes)
 
@@ -81,7 +81,7 @@ def test_counts(name: str, rows: int, used: int, people: int, data_dir: Path) ->
 )
 def test_people_walk_at_a_walking_pace(name: str, slowest: float, fastest: float, data_dir: Path) -> None:
     seconds = 3.0 if "salsa" in name else 1.0
-    assert slowest < np.nanmedian(speeds(io.read(data_dir / name), seconds)) < fastest
+    assert slowest < np.nanmedian(speeds(io.read_identified(data_dir / name), seconds)) < fastest
 
 
 @pytest.mark.parametrize(
@@ -96,14 +96,16 @@ def test_people_walk_at_a_walking_pace(name: str, slowest: float, fastest: float
 def test_people_face_where_they_walk(
     name: str, seconds: float, slowest: float, degrees: float, data_dir: Path
 ) -> None:
-    tracks = io.read(data_dir / name)
+    tracks = io.read_identified(data_dir / name)
     error = heading_errors(tracks.select("*_walk_*") if "mocap" in name else tracks, "body", seconds, slowest)
     assert len(error) > 40 and np.rad2deg(np.median(np.abs(error))) < degrees
 
 
 def test_the_corridor_through_its_point_pairs(data_dir: Path) -> None:
     folder = data_dir / "caviar/corridor"
-    tracks = io.read(folder / "fols1gt.xml", point_pairs=folder / "homography_points.txt", **CORRIDOR)
+    tracks = io.read_identified(
+        folder / "fols1gt.xml", point_pairs=folder / "homography_points.txt", **CORRIDOR
+    )
     moving = speeds(tracks, 1.0)
     assert 0.7 < np.median(moving[moving > 0.3]) < 1.6
     corners = tracks.camera.image_to_ground([[60.0, 153.0], [367.0, 200.0]])
@@ -123,10 +125,10 @@ def test_heads_are_seen_above_the_feet_by_the_camera_of_the_lobby(data_dir: Path
 
 
 def test_zara_is_mirrored_and_its_control_points_lie_on_the_published_walks(data_dir: Path) -> None:
-    zara = io.read(data_dir / "ucy/zara01/annotation.vsp")
+    zara = io.read_identified(data_dir / "ucy/zara01/annotation.vsp")
     assert any("right-handed" in note for note in zara.summary.notes)
     # OpenTraj's table of the same walks keeps the mirrored ground: the same x, the opposite y.
-    for walk in io.read(data_dir / "ucy/zara01/obsmat.txt"):
-        spline = zara[walk.track_id - 1]
+    for walk in io.read_identified(data_dir / "ucy/zara01/obsmat.txt"):
+        spline = zara.by_id(walk.track_id - 1)
         x, y = (np.interp(walk.frame, spline.frame, axis) for axis in spline.position.T)
         assert np.median(np.hypot(x - walk.position[:, 0], y + walk.position[:, 1])) < 0.25

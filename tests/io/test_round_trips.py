@@ -100,7 +100,7 @@ def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"tracks{suffix}"
         io.write(written, path)
-        read = io.read(path)
+        read = io.read_identified(path)
         assert_same(written, read)
         assert_same(written, TrackSet.from_table(written.to_table()))
         assert read.summary.rows_read == read.summary.rows_used == written.n_frames
@@ -139,11 +139,11 @@ def test_pixels_become_metres_by_a_homography(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("track_id,frame,t,u,v\n1,0,0,100,200\n1,1,1,110,200\n1,2,2,110,-2000\n1,3,3,,\n")
     homography = np.array([[0.01, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.001, 1.0]])
-    tracks = io.read(path, homography=homography)
+    tracks = io.read_identified(path, homography=homography)
     assert tracks.summary.refused == {"at or beyond the camera's horizon": 1}
-    np.testing.assert_allclose(tracks[1].position[:2], np.array([[1.0, -2.0], [1.1, -2.0]]) / 1.2)
-    assert np.isnan(tracks[1].position[2]).all()
-    np.testing.assert_array_equal(tracks[1].pixel[:2], [[100, 200], [110, 200]])
+    np.testing.assert_allclose(tracks.by_id(1).position[:2], np.array([[1.0, -2.0], [1.1, -2.0]]) / 1.2)
+    assert np.isnan(tracks.by_id(1).position[2]).all()
+    np.testing.assert_array_equal(tracks.by_id(1).pixel[:2], [[100, 200], [110, 200]])
     assert tracks.camera == GroundCamera.from_homography(homography)
 
 
@@ -151,7 +151,7 @@ def test_several_files_are_merged_under_ids_of_their_own(tmp_path: Path) -> None
     plain = made_tracks().map(lambda track: replace(track, label=""))
     for name in ("first", "second"):
         io.write(plain, tmp_path / f"{name}.csv.gz")
-    merged = io.read([tmp_path / "first.csv.gz", tmp_path / "second.csv.gz"])
+    merged = io.read_identified([tmp_path / "first.csv.gz", tmp_path / "second.csv.gz"])
     assert [track.label for track in merged] == ["first", "first", "second", "second"]
     assert len({track.track_id for track in merged}) == 4
     assert merged.summary.rows_used == 2 * plain.n_frames
@@ -164,7 +164,7 @@ def test_mot_text_gives_back_positions(with_camera: bool, tmp_path: Path) -> Non
     path = tmp_path / "made.txt"
     written = replace(made_tracks(), camera=camera if with_camera else None)
     io.write(written, path)
-    read = io.read(path)
+    read = io.read_identified(path)
     for one, other in zip(written, read, strict=True):
         seen = np.isfinite(one.position).all(axis=1)
         np.testing.assert_array_equal(other.frame, one.frame[seen])

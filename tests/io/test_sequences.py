@@ -34,7 +34,7 @@ def sequence(tmp_path: Path) -> Path:
 def test_a_sequence_is_its_tracks_at_its_own_rate(sequence: Path) -> None:
     tracks = gt.read(sequence)
     assert [track.track_id for track in tracks] == [1, 2]
-    np.testing.assert_allclose(tracks[1].t * 14.0, tracks[1].frame)
+    np.testing.assert_allclose(tracks.by_id(1).t * 14.0, tracks.by_id(1).frame)
     assert "frame rate 14 Hz and images of 640 × 480 from seqinfo.ini" in tracks.summary.notes
     assert "read gt/gt.txt of the sequence" in tracks.summary.notes
 
@@ -68,13 +68,13 @@ def test_a_file_by_its_url(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
     with fsspec.open(url, "wb") as stream:
         walks.to_csv(stream, index=False) if name.endswith("csv") else walks.to_parquet(stream)
     columns = "id=who,t=seconds,x=east,y=north"
-    tracks = io.read(url, columns=columns)
+    tracks = io.read_identified(url, columns=columns)
     assert [track.label for track in tracks] == ["anna", "bob", "eve"]
     assert "each file once" in str(refused([url, url], columns=columns))
     done = command.run("info", url, "--columns", columns, program="graphtrack")
     assert done.returncode == 0 and url in done.stderr and "anna" in done.stdout
     walks.to_csv("walks.csv", index=False)
-    assert len(io.read(f"file://{tmp_path}/walks.csv", columns=columns)) == 3
+    assert len(io.read_identified(f"file://{tmp_path}/walks.csv", columns=columns)) == 3
     for wrong in ("memory://bucket/none.csv", "nosuch://bucket/walks.csv", f"file://{tmp_path}/none.csv"):
         assert wrong in str(refused(wrong))
         done = command.run("info", wrong, program="graphtrack")

@@ -154,7 +154,7 @@ def test_every_variant_is_read_by_the_line_that_is_suggested(
     path = here / "some walks.csv"
     path.write_bytes(variant())
     try:
-        as_it_stands: TrackSet | None = io.read(path)
+        as_it_stands: TrackSet | None = io.read_identified(path)
     except InputError as error:
         as_it_stands = None
         assert "--" in str(error), error
@@ -186,7 +186,7 @@ def test_what_cannot_be_read_is_told_with_what_is_missing(here: Path) -> None:
         )
     with sqlite3.connect(here / "people.gpkg") as connection:
         connection.execute("create table gpkg_contents (x)")
-    for look in (io.read, suggest):
+    for look in (io.read_identified, suggest):
         with pytest.raises(InputError, match="GeoPackage"):
             look(here / "people.gpkg")
     done = command.run("info", "table.csv", "--suggest", "--fps", 5, program="graphtrack")

@@ -18,7 +18,7 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.read_write import rows_of_file, tracks_of
+from graphtrack.io.read_write import rows_of_file, tracks_given
 from graphtrack.tracks.time import from_dates, from_numbers, from_text
 
 STEPS = np.arange(4)
@@ -65,19 +65,19 @@ def test_a_table_is_read_as_said_and_written_as_read(times, name: str, tmp_path:
     given, options = times
     table, path = frame(given), tmp_path / name
     if name == "in memory":
-        tracks = io.read(table, columns=COLUMNS, **options)
+        tracks = io.read_identified(table, columns=COLUMNS, **options)
     else:
         write = {"csv": table.to_csv, "parquet": table.to_parquet}.get(name[6:])
         if write is None:
             table.to_json(path, orient="records", lines=True, double_precision=15)
         else:
             write(path, index=False)
-        tracks = io.read(path, columns=SPEC, **options)
+        tracks = io.read_identified(path, columns=SPEC, **options)
     check(tracks)
     for ending in (".csv", ".parquet", ".ndjson"):
         out = tmp_path / f"out{ending}"
         io.write(tracks, out)
-        check(io.read(out, columns=COLUMNS, **options))
+        check(io.read_identified(out, columns=COLUMNS, **options))
     back = tracks.to_table(as_read=True)
     assert list(back["agent"]) == list(table["agent"]) and "label" not in back
     if isinstance(given, list) or given.dtype.kind == "i":
@@ -94,17 +94,17 @@ def test_frames_of_pandas_and_polars_keep_their_dates() -> None:
         times = pd.date_range("2025-10-26 01:59:59.8", periods=4, freq="100ms", tz=zone)
         table = frame(times)
         for one in (table, polars.from_pandas(table), {name: table[name] for name in table}):
-            tracks = io.read(one, columns=COLUMNS)
+            tracks = io.read_identified(one, columns=COLUMNS)
             check(tracks)
             assert list(tracks.to_table(as_read=True)["timestamp"]) == list(table["timestamp"])
     native = {"agent": "label", "timestamp": "t", "pos_x": "x", "pos_y": "y"}
     table = frame().rename(columns=native).assign(track_id=[1] * 4 + [2] * 4, frame=[*STEPS, *STEPS])
-    check(tracks_of(polars.from_pandas(table)))
+    check(tracks_given(polars.from_pandas(table)))
 
 
 @pytest.mark.parametrize(("units", "metre"), [("cm", 0.01), ("mm", 0.001), ("ft", 0.3048), ("m", 1.0)])
 def test_units_of_length(units: str, metre: float, tmp_path: Path) -> None:
-    tracks = io.read(frame(scale=1.0 / metre), columns=COLUMNS, units=units)
+    tracks = io.read_identified(frame(scale=1.0 / metre), columns=COLUMNS, units=units)
     check(tracks)
     moving = tracks.map(lambda track: replace(track, velocity=track.position))
     native, back = moving.to_table(), moving.to_table(as_read=True)
@@ -145,7 +145,7 @@ def test_identities_come_back_as_they_were(case, tmp_path: Path) -> None:
     said, back = case
     path = tmp_path / "table.csv"
     path.write_text("who,t,x,y\n" + "".join(f"{who},{k},{k},0\n" for who in said for k in STEPS))
-    tracks = io.read(path, columns="id=who")
+    tracks = io.read_identified(path, columns="id=who")
     assert list(tracks.to_table(as_read=True)["who"][::4]) == back and len(tracks.select(said[0])) == 1
 
 
@@ -153,7 +153,7 @@ def test_files_of_one_scene_count_from_the_same_and_keep_their_people(tmp_path: 
     days = [[f"2025-11-{day}T10:00:0{k}Z" for k in STEPS] for day in (23, 24)]
     for k, day in enumerate(days):
         frame(day).to_csv(tmp_path / f"{k}.csv", index=False)
-    tracks = io.read([tmp_path / "0.csv", tmp_path / "1.csv"], columns=COLUMNS)
+    tracks = io.read_identified([tmp_path / "0.csv", tmp_path / "1.csv"], columns=COLUMNS)
     back = tracks.to_table(as_read=True)
     assert list(back["agent"].unique()) == ["anna", "bob", "anna (2)", "bob (2)"]
     assert list(back["timestamp"].unique()) == [*days[0], *days[1]]
@@ -169,15 +169,15 @@ def test_columns_for_each_person_and_columns_that_are_counted(tmp_path: Path) ->
         wide[f"{who}_x"], wide[f"{who}_y"] = x, -0.25
     wide.loc[1, ["bob_x", "bob_y"]] = np.nan
     wide.to_csv(path, index=False)
-    tracks = io.read(path, columns="t=time,x=*_x,y=*_y")
+    tracks = io.read_identified(path, columns="t=time,x=*_x,y=*_y")
     assert [len(track) for track in tracks] == [4, 3] and [track.label for track in tracks] == list(X)
     io.write(tracks, tmp_path / "long.csv")
-    assert [track.label for track in io.read(tmp_path / "long.csv", columns="t=time")] == list(X)
+    assert [track.label for track in io.read_identified(tmp_path / "long.csv", columns="t=time")] == list(X)
     assert "match" in refused(path, columns="t=time,x=x_*,y=y_*").expected
     wide.drop(columns="bob_y").to_csv(path, index=False)
     assert refused(path, columns="t=time,x=*_x,y=*_y").column == "bob_y"
     frame().to_csv(path, index=False, header=False, sep=" ")
-    check(io.read(path, columns="id=1,t=2,x=3,y=4", delimiter="space"))
+    check(io.read_identified(path, columns="id=1,t=2,x=3,y=4", delimiter="space"))
 
 
 def test_detections_have_times_and_no_identities(tmp_path: Path) -> None:
@@ -257,21 +257,21 @@ def test_degrees_become_metres_and_come_back(tmp_path: Path) -> None:
     table = frame().assign(pos_y=48.137 + np.r_[STEPS, STEPS] * 1e-5, pos_x=11.575)
     table.to_csv(path, index=False)
     options = {"columns": "id=agent,t=timestamp,lat=pos_y,lon=pos_x"}
-    tracks = io.read(path, **options)
+    tracks = io.read_identified(path, **options)
     # A degree of latitude is 111.2 km there.
-    steps = np.diff(tracks[1].position, axis=0)
+    steps = np.diff(tracks.by_id(1).position, axis=0)
     np.testing.assert_allclose(steps, [[0.0, 1.112]] * 3, atol=2e-3)
     io.write(tracks, out)
     np.testing.assert_allclose(pd.read_csv(out)[["pos_x", "pos_y"]], table[["pos_x", "pos_y"]], atol=1e-10)
-    again = io.read(out, **options)
-    np.testing.assert_allclose(again[1].position, tracks[1].position, atol=1e-6)
+    again = io.read_identified(out, **options)
+    np.testing.assert_allclose(again.by_id(1).position, tracks.by_id(1).position, atol=1e-6)
     # The same places by easting and northing.
     from pyproj import Transformer
 
     east, north = Transformer.from_crs(4326, 25832, always_xy=True).transform(table.pos_x, table.pos_y)
     table.assign(pos_x=east, pos_y=north).to_csv(path, index=False)
-    metres = io.read(path, columns=COLUMNS, crs="EPSG:25832")
-    np.testing.assert_allclose(metres[1].position, tracks[1].position, atol=1e-3)
+    metres = io.read_identified(path, columns=COLUMNS, crs="EPSG:25832")
+    np.testing.assert_allclose(metres.by_id(1).position, tracks.by_id(1).position, atol=1e-3)
     np.testing.assert_allclose(metres.to_table(as_read=True)["pos_x"], east, atol=1e-6)
 
 

@@ -147,7 +147,7 @@ def test_observe_uses_what_the_camera_has_learned(
     arguments = write_street(others, tmp_path / "street")
     done = run("observe", *arguments, "--models", adapted[0], "-o", tmp_path / "o.csv")
     assert done.returncode == 0, done.stderr
-    tracks = io.read(tmp_path / "o.csv")
+    tracks = io.read_identified(tmp_path / "o.csv")
     assert len(tracks) == 8
     body = np.concatenate([track.body_likelihood for track in tracks if track.body_likelihood is not None])
     models = CameraModels.load(adapted[0])

@@ -188,11 +188,13 @@ def test_times_of_a_variable_frame_rate_are_those_of_the_container(tmp_path: Pat
     boxes.write_text("".join(f"{k},1,20,5,16,40,1,-1,-1,-1\n" for k in range(len(UNEVEN))))
     done = run("observe", video, "--boxes", boxes, "-o", tmp_path / "o.csv")
     assert done.returncode == 0 and "times by the video's time stamps" in done.stderr
-    (track,) = io.read(tmp_path / "o.csv")
+    (track,) = io.read_identified(tmp_path / "o.csv")
     np.testing.assert_allclose(track.t, np.array(UNEVEN) / 1000.0, atol=1e-6)
     done = run("observe", video, "--boxes", boxes, "--fps", 10, "-o", tmp_path / "o.csv")
     assert "time stamps" not in done.stderr
-    np.testing.assert_allclose(io.read(tmp_path / "o.csv").tracks[0].t, np.arange(len(UNEVEN)) / 10.0)
+    np.testing.assert_allclose(
+        io.read_identified(tmp_path / "o.csv").tracks[0].t, np.arange(len(UNEVEN)) / 10.0
+    )
 
 
 def test_times_are_by_the_nominal_rate_where_that_holds_or_nothing_else_is_known(

@@ -42,7 +42,7 @@ def follow(room: Path, output: Path, *arguments: object) -> Done:
 
 def away(boxes: BoxCamera, room: Path) -> np.ndarray:
     """Metres between the places of a room's exact boxes and the truth."""
-    (truth,) = io.read(room / "truth.csv")
+    (truth,) = io.read_identified(room / "truth.csv")
     at = dict(zip(truth.frame.tolist(), truth.position, strict=True))
     found = [(boxes.position(item.box), at[item.frame]) for item in read_boxes(room / "boxes.txt")]
     return np.array([np.linalg.norm(place - true) for place, true in found])
@@ -87,7 +87,10 @@ def test_sigma_pi_gives_places_near_the_truth(rooms: dict[str, Path], tmp_path: 
     for target, options, least in (("person", (), 25), ("robot", ("--middle-at", 0.5), 10)):
         done = follow(rooms[target], tmp_path / "o.csv", *options)
         assert done.returncode == 0 and "no camera" not in done.stderr, done.stderr
-        (truth,), (track,) = io.read(rooms[target] / "truth.csv"), io.read(tmp_path / "o.csv")
+        (truth,), (track,) = (
+            io.read_identified(rooms[target] / "truth.csv"),
+            io.read_identified(tmp_path / "o.csv"),
+        )
         at = dict(zip(truth.frame.tolist(), truth.position, strict=True))
         seen = [k for k, p in enumerate(track.position) if np.isfinite(p).all() and track.frame[k] in at]
         errors = [np.linalg.norm(track.position[k] - at[int(track.frame[k])]) for k in seen]

@@ -54,8 +54,8 @@ def test_tracks_are_on_the_ground_and_those_beyond_the_horizon_are_left_out() ->
     feet = camera.ground_to_image(np.array([[0.5, 1.0], [0.6, 1.0]]))
     items = [seen(0, tuple(feet[0]), flat), seen(1, tuple(feet[1]), flat), seen(2, (100.0, -500.0), flat)]
     tracks = to_tracks(by_frame(items), PoseClasses.circle(12, 3), camera, 10.0).tracks
-    np.testing.assert_allclose(tracks[1].position, [[0.5, 1.0], [0.6, 1.0]], atol=1e-6)
-    np.testing.assert_allclose(tracks[1].t, [0.0, 0.1])
+    np.testing.assert_allclose(tracks.by_id(1).position, [[0.5, 1.0], [0.6, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(tracks.by_id(1).t, [0.0, 0.1])
     with pytest.raises(InputError):
         to_tracks(by_frame(items[2:]), PoseClasses.circle(12), camera, 10.0)
     with pytest.raises(InputError):

@@ -64,7 +64,7 @@ def test_positions_orientations_and_spreads_come_back(written):
     tracks, truth = gt.read(written), estimates()
     assert [one.track_id for one in tracks] == [1, 2, 3]
     for one in truth:
-        back = tracks[one.track_id]
+        back = tracks.by_id(one.track_id)
         np.testing.assert_allclose(back.t, one.t, atol=1e-9)
         np.testing.assert_array_equal(back.position, one.position)
         np.testing.assert_allclose(back.body, one.body)
@@ -118,7 +118,7 @@ def test_arrows_point_where_people_go_and_look(written):
     assert np.diff(stamps).min() >= 95_000_000
     _, message = markers[0]
     assert message.markers[0].action == 3
-    for name, angle in (("body", truth[1].body[0]), ("head", truth[1].head[0])):
+    for name, angle in (("body", truth.by_id(1).body[0]), ("head", truth.by_id(1).head[0])):
         (one,) = (m for m in message.markers if m.ns == name and m.id == 0)
         turn = one.pose.orientation
         assert 2.0 * np.arctan2(turn.z, turn.w) == pytest.approx(angle)
@@ -126,9 +126,9 @@ def test_arrows_point_where_people_go_and_look(written):
     (ellipse,) = (m for m in message.markers if m.ns == "position" and m.id == 0)
     assert ellipse.scale.x >= ellipse.scale.y > 0.0
     (body,) = (m for m in message.markers if m.ns == "person" and m.id == 0)
-    assert body.pose.position.x == truth[1].position[0, 0] and body.pose.position.z > 0.0
+    assert body.pose.position.x == truth.by_id(1).position[0, 0] and body.pose.position.z > 0.0
     assert [m.text for m in message.markers if m.ns == "label"] == ["person 0", "person 1"]
-    assert way.scale.x == pytest.approx(np.hypot(*truth[1].velocity[0]))
+    assert way.scale.x == pytest.approx(np.hypot(*truth.by_id(1).velocity[0]))
 
 
 def test_names_and_dates_are_written_as_they_were_read(tmp_path):
@@ -138,14 +138,14 @@ def test_names_and_dates_are_written_as_they_were_read(tmp_path):
     gt.write(replace(estimates(), as_read=as_read), tmp_path / "people.mcap")
     back = gt.read(tmp_path / "people.mcap")
     assert [one.label for one in back] == ["anna", "ben", "cem"]
-    assert back.as_read.time.origin + round(back[1].t[0] * 1e9) == origin
+    assert back.as_read.time.origin + round(back.by_id(1).t[0] * 1e9) == origin
     gt.write(back, tmp_path / "again.mcap")
     (drawn,) = (told for (_, kind), told in decoded(tmp_path / "again.mcap").items() if kind == MARKERS)
     assert {one.header.frame_id for _, message in drawn for one in message.markers} == {"odom"}
-    np.testing.assert_array_equal(gt.read(tmp_path / "again.mcap")[2].t, back[2].t)
+    np.testing.assert_array_equal(gt.read(tmp_path / "again.mcap").by_id(2).t, back.by_id(2).t)
     gt.write(back, tmp_path / "people.csv")
     table = gt.read(tmp_path / "people.csv")
-    assert table[1].label == "anna" and table[1].t[0] == pytest.approx(origin / 1e9)
+    assert table.by_id(1).label == "anna" and table.by_id(1).t[0] == pytest.approx(origin / 1e9)
 
 
 def test_times_that_ros_cannot_hold_are_refused(tmp_path):

@@ -83,7 +83,7 @@ def test_a_batch_that_ends_every_worker_is_one_error(data, two_workers, tmp_path
         os._exit(1)
 
     monkeypatch.setattr(scale_cluster, "smooth_batch", fatal)
-    with pytest.raises(GraphtrackError, match="ended while they smoothed the same batch"):
+    with pytest.raises(GraphtrackError, match="ended while they had the same batch"):
         smooth_dataset(data, tmp_path / "out.parquet", cluster=two_workers.scheduler_address)
     assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
 

@@ -81,7 +81,7 @@ def test_presets_have_the_channels_of_their_model() -> None:
     model = Model("separate", Parameters(MotionParameters(initial_speed_std=0.01)))
     tracks = simulate(model, n_tracks=3, n_steps=7, fps=4.0, rng=rng)
     assert len(tracks) == 3 and all(len(track) == 7 and track.head is not None for track in tracks)
-    np.testing.assert_allclose(tracks[0].t, np.arange(7) / 4.0)
+    np.testing.assert_allclose(tracks.by_id(0).t, np.arange(7) / 4.0)
 
 
 def test_missing_observations_come_at_their_rate_and_never_first() -> None:

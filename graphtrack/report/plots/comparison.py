@@ -206,7 +206,7 @@ def _draw_angle(axes: Axes, pair: Pair, name: str) -> None:
     angle, std = getattr(estimate, name), estimate.std(name)
     if pair.observation is not None:
         _draw_observed_angle(axes, pair.observation, name, colour)
-    if angle is not None and std is not None:
+    if angle is not None and np.isfinite(std).any():
         for scale, alpha, label in ((NORMAL_95, 0.16, "95 %"), (1.0, 0.26, "±1σ")):
             for i, band in enumerate(angle_bands(*open_holes(estimate.t, angle, scale * std))):
                 axes.fill_between(
