@@ -120,7 +120,7 @@ def test_the_site_has_commands_functions_and_pictures(site):
     functions = (site / "reference" / "tracks" / "index.html").read_text(encoding="utf-8")
     assert "several whose tracks are merged" in re.sub(r"\s+", " ", functions)
     model = re.sub(r"<[^>]+>", "", (site / "reference" / "model" / "index.html").read_text(encoding="utf-8"))
-    assert re.search(r"Model\(\s*preset: str = (&#39;|&quot;)joint", model), "classes have their signatures"
+    assert re.search(r"Model\(\s*preset: str = (\"|&quot;)joint", model), "classes have their signatures"
     assert len(list((site / "gallery").glob("*.png"))) >= 10
     gallery = (site / "gallery" / "index.html").read_text(encoding="utf-8")
     cards = gallery[gallery.index('class="grid cards gallery"') : gallery.index("<h2")]
