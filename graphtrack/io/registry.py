@@ -105,7 +105,7 @@ FORMATS = (
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:
-    """The files beside ``path`` that a reader of some format would read with it."""
+    """The files next to ``path`` that a reader of some format would read with it."""
     places = (place for known in FORMATS for place in places_beside(path, known.beside))
     return tuple(place for place in places if place.is_file())
 

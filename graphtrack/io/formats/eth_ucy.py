@@ -115,11 +115,11 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     if given is None and options.point_pairs is None and options.calibration is None:
         (found,) = places_beside(source.path, _BESIDE)
         if found.is_file():
-            given, notes = found, ("homography from H.txt beside the file",)
+            given, notes = found, ("homography from H.txt next to the file",)
         elif options.metres_per_pixel is None:
             raise InputError(
                 "no homography",
-                "H.txt beside the file, or a homography (row, column → metres)",
+                "H.txt next to the file, or a homography (row, column → metres)",
                 path=source.path,
             )
     if given is None:
