@@ -77,6 +77,12 @@ DETECTION = np.dtype(
         ("evidence", float),  # of the detection given those before
         ("total", float),  # of the track up to there
         ("rest", float),  # of the track from there on, to its end: as it was when a sweep began
+        ("alone", float),  # the value of what follows from there on as somebody new: as it was last looked at
+        ("changed_before", np.int64),  # number of the move that last changed its state or its next detection
+        (
+            "changed_after",
+            np.int64,
+        ),  # of that which last changed what follows in its chain, or the one before
     ]
 )
 """A detection as kernels read it: one record, since each array that they are handed costs some time."""
@@ -258,8 +264,8 @@ def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> 
     state[6] -= 0.5 * v_gain * state[6]
 
 
-IMPOSSIBLE = -1e9  # the gain of what cannot be
 GATE = 6.0  # standard deviations beyond which a detection is nobody's
+SAME = 1e-7  # difference of states and of evidence that changes nobody's links
 
 
 @compiled
@@ -330,36 +336,31 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 
 
 @compiled
-def is_within(
-    off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, scene: Scene
-) -> bool:
-    """Return whether a detection is within the gate, ``off_x``, ``off_y`` metres from the predicted position.
-
-    ``dt``: seconds since p, pv and v were the covariance on each axis; ``variance``: of the detection, m²
-    """
-    spread = p + 2.0 * dt * pv + dt * dt * v + scene.density * dt**3 / 3.0 + variance
-    if scene.jump_probability > 0.0:
-        spread += scene.jump_variance
-    return off_x * off_x + off_y * off_y < GATE * GATE * spread
+def spread_after(dt: float, state: FloatArray, variance: float, scene: Scene) -> float:
+    """Variance (m²) on each axis of where a detection of that variance is from where somebody is expected."""
+    q = scene.density
+    return state[4] + 2.0 * dt * state[5] + dt * dt * state[6] + q * dt**3 / 3.0 + variance
 
 
 @compiled
-def near_ones(
-    chains: Chains, state: FloatArray, t: float, others: IntArray, scene: Scene, found: IntArray
-) -> int:
-    """Put into ``found`` the places in ``others`` of detections somebody may be at; return their number."""
-    count = 0
-    for j in range(len(others)):
-        other = chains.rows[others[j]]
-        dt = other.t - t
-        if dt <= 0.0 or dt > scene.longest_gap:
-            continue
-        off_x = other.x - state[0] - dt * state[2]
-        off_y = other.y - state[1] - dt * state[3]
-        if is_within(off_x, off_y, dt, state[4], state[5], state[6], other.variance, scene):
-            found[count] = j
-            count += 1
-    return count
+def reach(state: FloatArray, dt: float, variance: float, scene: Scene) -> float:
+    """Metres from the expected position, ``dt`` seconds ahead, within which somebody's detections are."""
+    spread = spread_after(dt, state, variance, scene)
+    return GATE * math.sqrt(spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0))
+
+
+@compiled
+def is_within(
+    off_x: float, off_y: float, dt: float, state: FloatArray, variance: float, scene: Scene
+) -> bool:
+    """Return whether a detection is within the gate, ``off_x``, ``off_y`` metres from the predicted position.
+
+    ``dt``: seconds since the state; ``variance``: of the detection, m²
+    """
+    spread = spread_after(dt, state, variance, scene)
+    if scene.jump_probability > 0.0:
+        spread += scene.jump_variance
+    return off_x * off_x + off_y * off_y < GATE * GATE * spread
 
 
 @allocating
@@ -375,12 +376,20 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
 
 
 @compiled
-def remember_rest(chains: Chains, scene: Scene) -> None:
-    """Set ``rest``, which holds for a detection as long as nothing changes but what comes before it."""
+def remember_rest(chains: Chains, scene: Scene, move: int) -> None:
+    """Set ``rest``, which holds for a detection as long as nothing changes but what comes before it.
+
+    ``move``: number of the move that changes what follows, see `DETECTION`
+    """
     for m in range(len(chains.rows) - 1, -1, -1):
-        after = chains.rows[m].following
-        rest = chains.rows[after].rest if after >= 0 else ending(chains, m, scene)
-        chains.rows[m].rest = chains.rows[m].evidence + rest
+        one = chains.rows[m]
+        rest = one.evidence + (
+            chains.rows[one.following].rest if one.following >= 0 else ending(chains, m, scene)
+        )
+        # What is far ahead counts where it may be that nobody is there.
+        if abs(rest - one.rest) > SAME and one.alone < max(one.rest - rest, 0.0) + SAME:
+            one.changed_after = move
+        one.rest = rest
 
 
 @compiled
@@ -394,94 +403,61 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
 
 @allocating
 def born(chains: Chains, k: int, scene: Scene) -> float:
-    """Evidence of the track from detection k on, as of somebody new; 0 if false ones are more probable."""
+    """Evidence of the track from detection k on, as of somebody new, over that of false detections."""
     state = np.empty(STATE)
     value = begin(chains.rows[k], scene, state)
-    return max(0.0, value + run_on(chains, state, k, scene))
-
-
-@allocating
-def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scene) -> FloatArray:
-    """Return the gain in evidence (heads, tails) of each link of a track's head to a tail over none."""
-    gains, state = np.full((len(heads), len(tails)), IMPOSSIBLE), np.empty(STATE)
-    alone, near = np.empty(len(tails)), np.empty(len(tails), np.int64)
-    for j in range(len(tails)):
-        alone[j] = born(chains, tails[j], scene)
-    for i in range(len(heads)):
-        k = heads[i]
-        count = near_ones(chains, chains.state[k], chains.rows[k].t, tails, scene, near)
-        if not count:
-            continue
-        ended = max(0.0, chains.rows[k].total + ending(chains, k, scene))
-        for j in near[:count]:
-            m = tails[j]
-            linked = chains.rows[k].total + follow(chains, chains.state[k], k, m, scene, state)
-            gains[i, j] = linked + run_on(chains, state, m, scene) - ended - alone[j]
-    return gains
-
-
-@allocating
-def gains_of_detections(
-    chains: Chains, heads: IntArray, tails: IntArray, detections: IntArray, scene: Scene
-) -> FloatArray:
-    """Return the gain in evidence (tracks, detections) of a frame's detection in a track that spans it.
-
-    ``heads``, ``tails``: (tracks,) the last detection before the frame and the first after it, linked; −1:
-    none
-    """
-    gains, state, here = np.full((len(heads), len(detections)), IMPOSSIBLE), np.empty(STATE), np.empty(STATE)
-    alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)
-    is_next = np.empty(1, np.int64)
-    for j in range(len(detections)):
-        d = detections[j]
-        alone[j] = max(0.0, begin(chains.rows[d], scene, state) + ending(chains, d, scene))
-    for i in range(len(heads)):
-        k, m = heads[i], tails[i]
-        without, is_known = 0.0, False
-        count = len(detections)
-        if k >= 0:
-            count = near_ones(chains, chains.state[k], chains.rows[k].t, detections, scene, near)
-        else:
-            near[:] = np.arange(count)
-        next_one[0] = m
-        for j in near[:count]:
-            d = detections[j]
-            if k >= 0:
-                value = chains.rows[k].total + follow(chains, chains.state[k], k, d, scene, here)
-            else:
-                value = begin(chains.rows[d], scene, here)
-            if m >= 0:
-                if not near_ones(chains, here, chains.rows[d].t, next_one, scene, is_next):
-                    continue
-                value += follow(chains, here, d, m, scene, state)
-                value += run_on(chains, state, m, scene)
-            else:
-                value += ending(chains, d, scene)
-            if not is_known:
-                without = state_after(chains, k, scene) if k >= 0 else born(chains, m, scene)
-                is_known = True
-            gains[i, j] = value - without - alone[j]
-    return gains
+    value += run_on(chains, state, k, scene)
+    chains.rows[k].alone = max(0.0, value)
+    return value
 
 
 @allocating
 def state_after(chains: Chains, k: int, scene: Scene) -> float:
-    """Evidence of the whole track that detection k is in, from there on as it is linked; at least 0."""
+    """Evidence of the whole track that detection k is in, from there on as it is linked."""
     state = chains.state[k].copy()
-    return max(0.0, chains.rows[k].total + run_on(chains, state, k, scene))
+    return chains.rows[k].total + run_on(chains, state, k, scene)
+
+
+@allocating
+def refresh(chains: Chains, first: int, end: int, scene: Scene, move: int) -> None:
+    """Filter the detections from ``first`` up to ``end`` along their chains.
+
+    ``move``: number of the move that changes states, see `DETECTION`
+    """
+    before = np.empty(STATE)
+    for m in range(first, end):
+        one, state = chains.rows[m], chains.state[m]
+        before[:] = state
+        worth = head_worth(chains, m, scene)
+        k = one.preceding
+        if k < 0:
+            one.evidence = begin(one, scene, state)
+            one.total = one.evidence
+        else:
+            one.evidence = follow(chains, chains.state[k], k, m, scene, state)
+            one.total = chains.rows[k].total + one.evidence
+        same = abs(head_worth(chains, m, scene) - worth) < SAME
+        for i in range(STATE):
+            same = same and abs(state[i] - before[i]) < SAME
+        if not same:
+            one.changed_before = move
 
 
 @compiled
-def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
-    """Filter the detections from ``first`` up to ``end`` along their chains."""
-    for m in range(first, end):
-        k = chains.rows[m].preceding
-        if k < 0:
-            chains.rows[m].evidence = begin(chains.rows[m], scene, chains.state[m])
-            chains.rows[m].total = chains.rows[m].evidence
-        else:
-            chains.rows[m].evidence = follow(chains, chains.state[k], k, m, scene, chains.state[m])
-            chains.rows[m].total = chains.rows[k].total + chains.rows[m].evidence
+def head_worth(chains: Chains, k: int, scene: Scene) -> float:
+    """Evidence of the track up to detection k over that of its ending there, or of false detections."""
+    total = chains.rows[k].total
+    return total - max(0.0, total + ending(chains, k, scene))
+
+
+@compiled
+def change_after(chains: Chains, k: int, scene: Scene, move: int) -> None:
+    """Note that the next one of detection k changed: for it, and for those before that look so far ahead."""
+    chains.rows[k].changed_before = move
+    seen = 0
+    while k >= 0 and seen < scene.look_ahead:
+        chains.rows[k].changed_after = move
+        k, seen = chains.rows[k].preceding, seen + 1
 
 
 @allocating
@@ -498,31 +474,6 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
         angles += see_facing(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
         count += 1
     return places, angles, count
-
-
-@compiled
-def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: FloatArray) -> None:
-    """Return the probability of each head's link to its tail among all that either could have, or none.
-
-    Parameters
-    ----------
-    gains : (heads, tails) as of `gains_of_links`
-    tail_of : (heads,) the column of each head's tail; −1: it has none
-    probability : (tails,) is set where there is a link
-    """
-    for i in range(len(tail_of)):
-        j = tail_of[i]
-        if j < 0:
-            continue
-        own = gains[i, j]
-        total = 1.0 + math.exp(min(-own, 50.0))
-        for other in range(gains.shape[1]):
-            if other != j and gains[i, other] > own - 50.0:
-                total += math.exp(min(gains[i, other] - own, 50.0))
-        for other in range(gains.shape[0]):
-            if other != i and gains[other, j] > own - 50.0:
-                total += math.exp(min(gains[other, j] - own, 50.0))
-        probability[j] = 1.0 / total
 
 
 @compiled
@@ -544,42 +495,6 @@ def count_up(chains: Chains, times: IntArray) -> None:
         before = chains.rows[k].preceding
         if before >= 0:
             times[k] = times[before] + 1
-
-
-@allocating
-def only_pairs(gains: FloatArray, rows: IntArray, columns: IntArray) -> int:
-    """Put the rows and columns of gains above 0 that are the only ones of both into the arrays; their number.
-
-    After them the arrays have the other rows and columns with such gains, with −1 behind them.
-    """
-    of_row, of_column = np.zeros(gains.shape[0], np.int64), np.zeros(gains.shape[1], np.int64)
-    for i in range(gains.shape[0]):
-        for j in range(gains.shape[1]):
-            if gains[i, j] > 0.0:
-                of_row[i] += 1
-                of_column[j] += 1
-    count = 0
-    for i in range(gains.shape[0]):
-        if of_row[i] == 1:
-            for j in range(gains.shape[1]):
-                if gains[i, j] > 0.0:
-                    if of_column[j] == 1:
-                        rows[count], columns[count] = i, j
-                        of_row[i] = of_column[j] = 0
-                        count += 1
-                    break
-    rows[count:], columns[count:] = -1, -1
-    place = count
-    for i in range(gains.shape[0]):
-        if of_row[i] > 0:
-            rows[place] = i
-            place += 1
-    place = count
-    for j in range(gains.shape[1]):
-        if of_column[j] > 0:
-            columns[place] = j
-            place += 1
-    return count
 
 
 _LEAST = 20  # neighbours in tracks below which angles say nothing

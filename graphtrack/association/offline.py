@@ -8,24 +8,38 @@ rises; a few sweeps suffice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.appearance import Looks, ScoreRatio, constancy, learn_appearance
+from graphtrack.association.candidates import (
+    WORTHLESS,
+    Edges,
+    bridge,
+    carried,
+    changed_since,
+    ends_at,
+    gains_of_detections,
+    gains_of_links,
+    grid_of,
+    insert,
+    link,
+    match,
+    probabilities_of_links,
+    raise_least,
+    spanning,
+    window,
+)
 from graphtrack.association.likelihood import (
     Chains,
     IntArray,
     Scene,
     chains_of,
-    gains_of_detections,
-    gains_of_links,
     learn_orientation,
     link_by,
-    only_pairs,
-    probabilities_of_links,
     refresh,
     remember_rest,
     roots,
@@ -38,9 +52,19 @@ from graphtrack.association.scene import (
     seen_from_within,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.packages import optimize
 from graphtrack.tracks.detections import APPEARANCE, Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
+
+
+@dataclass(frozen=True, eq=False)
+class _Visit:
+    """Candidates of a cut or of a frame, by their tracks' keys and detections, as a move left them."""
+
+    move: int
+    edges: Edges
+
+
+_RECENT = 2  # frames before that which is decided: heads whose candidates are looked at first
 
 
 class Moves:
@@ -51,98 +75,129 @@ class Moves:
     chains : the tracks
     packed : the scene's parameters
     link_p : (n,) how probable the link to the one before was, among those that either could have had
+    remembers : whether candidates are kept, so that the same move later looks at what has changed alone
+    worthless : gain, below that of the best, of candidates that count in no probability
     """
 
-    def __init__(self, chains: Chains, packed: Scene) -> None:
-        self.chains, self.packed = chains, packed
-        self.link_p = np.ones(len(chains.t))
+    def __init__(self, chains: Chains, packed: Scene, remembers: bool = False) -> None:
+        self.chains, self.packed, self.remembers = chains, packed, remembers
+        self.link_p, self.worthless = np.ones(len(chains.t)), WORTHLESS
+        self._move = 1
+        self._visits: dict[tuple[str, int], _Visit] = {}
+        self._place = np.full(2 * len(chains.t), -1)
 
     def move(self, first: int, end: int) -> bool:
         """Both moves at the frame of the detections ``first`` up to ``end``; whether a link changed."""
-        cut = self._cut(first)
-        changed = self._frame(first, end) or cut
-        refresh(self.chains, first, end, self.packed)
+        begin, last = window(self.chains, first, self.packed)
+        cut = self._cut(begin, first, last)
+        changed = self._frame(begin, first, end, last) or cut
+        refresh(self.chains, first, end, self.packed, self._move)
         return changed
 
     def filter_from(self, first: int) -> None:
         """Filter all detections from ``first`` on along their chains."""
-        refresh(self.chains, first, len(self.chains.t), self.packed)
-        remember_rest(self.chains, self.packed)
+        self._visits.clear()
+        refresh(self.chains, first, len(self.chains.t), self.packed, self._move)
+        remember_rest(self.chains, self.packed, self._move)
 
-    def _window(self, first: int) -> tuple[int, int]:
-        t, gap = self.chains.t, self.packed.longest_gap
-        return int(np.searchsorted(t, t[first] - gap)), int(np.searchsorted(t, t[first] + gap, "right"))
-
-    def _ends(self, first: int) -> tuple[IntArray, IntArray]:
-        """Heads and tails of the tracks that are cut before detection ``first``."""
-        begin, end = self._window(first)
-        following, preceding = self.chains.following[begin:first], self.chains.preceding[first:end]
-        heads = begin + np.flatnonzero((following < 0) | (following >= first))
-        return heads, first + np.flatnonzero(preceding < first)
-
-    def _cut(self, first: int) -> bool:
+    def _cut(self, begin: int, first: int, last: int) -> bool:
         """Match what came before a frame to what comes from it on; whether a link changed."""
-        chains = self.chains
-        heads, tails = self._ends(first)
+        heads, tails = ends_at(self.chains, begin, first, last)
         if not len(heads) or not len(tails):
             return False
-        gains = gains_of_links(chains, heads, tails, self.packed)
-        before, after = chains.following[heads], np.full(len(heads), -1)
-        i, j = match(gains)
-        after[i] = tails[j]
-        new = after != before
-        if new.any():
-            lost, found = before[new & (before >= 0)], new & (after >= 0)
-            chains.preceding[lost] = -1
-            chains.following[heads] = after
-            chains.preceding[after[found]] = heads[found]
-        self._note(gains, heads, tails)
-        return bool(new.any())
+        edges = self._links(heads, tails, first)
+        if edges is None:
+            return False
+        partner = match(edges, (len(heads), len(tails)))
+        sure = self.link_p[tails]
+        probabilities_of_links(edges, partner, sure)
+        self.link_p[tails] = sure
+        return link(self.chains, heads, tails, partner, self.packed, self._move)
 
-    def _frame(self, first: int, end: int) -> bool:
+    def _links(self, heads: IntArray, tails: IntArray, first: int) -> Edges | None:
+        """Candidates of heads for tails across a cut; None: nothing changed since the last time."""
+        chains, scene, base = self.chains, self.packed, int(self.chains.frame[first])
+
+        def gains(rows: IntArray, columns: IntArray, least: FloatArray) -> Edges:
+            some = tails[columns]
+            return gains_of_links(chains, heads[rows], some, grid_of(chains, some, base), least, scene)
+
+        place, none = ("cut", first), np.full(max(len(heads), len(tails)), -1)
+        fresh = self._fresh(place, heads, none[: len(heads)]), self._fresh(place, none[: len(tails)], tails)
+        if not fresh[0].any() and not fresh[1].any():
+            return None
+        recent = (chains.following[heads] >= 0) | (chains.frame[heads] >= base - _RECENT)
+        return self._candidates(place, heads, tails, fresh, recent, gains)
+
+    def _frame(self, begin: int, first: int, end: int, last: int) -> bool:
         """Match the detections of a frame anew to the tracks that span it; whether a link changed."""
-        heads, tails = self._spanning(first, end)
+        chains, scene, base = self.chains, self.packed, int(self.chains.frame[first])
+        heads, tails, keys = spanning(chains, begin, first, end, last)
         if not len(heads):
             return False
-        following, preceding = self.chains.following, self.chains.preceding
-        before = following[first:end].copy(), preceding[first:end].copy()
-        following[first:end] = preceding[first:end] = -1
-        has_head, has_tail = heads >= 0, tails >= 0
-        following[heads[has_head]], preceding[tails[has_tail]] = tails[has_head], heads[has_tail]
-        detections = np.arange(first, end)
-        i, j = match(gains_of_detections(self.chains, heads, tails, detections, self.packed))
-        head, tail, own = heads[i], tails[i], detections[j]
-        preceding[own], following[own] = head, tail
-        has_head, has_tail = head >= 0, tail >= 0
-        following[head[has_head]], preceding[tail[has_tail]] = own[has_head], own[has_tail]
-        return bool((following[first:end] != before[0]).any() or (preceding[first:end] != before[1]).any())
+        place, detections = ("frame", first), np.arange(first, end)
+        fresh = self._fresh(place, heads, tails), np.full(len(detections), place not in self._visits)
+        if not fresh[0].any() and not fresh[1].any():
+            return False
+        before = np.column_stack([chains.following[first:end], chains.preceding[first:end]])
+        bridge(chains, heads, tails, first, end)
 
-    def _spanning(self, first: int, end: int) -> tuple[IntArray, IntArray]:
-        """Head and tail of each track around a frame, without its detections; −1: none."""
-        heads, _ = self._ends(first)
-        _, last = self._window(first)
-        following = self.chains.following
-        tails = following[heads]
-        inside = (tails >= 0) & (tails < end)
-        tails = np.where(inside, following[np.where(inside, tails, 0)], tails)
-        before = self.chains.preceding[end:last]
-        starts = end + np.flatnonzero(before < 0)
-        # Tracks that begin in the frame go on after it.
-        own = np.arange(first, end)
-        begun = following[own][(self.chains.preceding[own] < 0) & (following[own] >= 0)]
-        only_tails = np.concatenate([starts, begun])
-        return (
-            np.concatenate([heads, np.full(len(only_tails), -1)]),
-            np.concatenate([tails, only_tails]),
+        def gains(rows: IntArray, columns: IntArray, least: FloatArray) -> Edges:
+            some = detections[columns]
+            grid = grid_of(chains, some, base)
+            return gains_of_detections(chains, heads[rows], tails[rows], some, grid, least, scene)
+
+        recent = (heads >= 0) & ((tails >= 0) | (chains.frame[heads] >= base - _RECENT))
+        edges = self._candidates(place, keys, detections, fresh, recent, gains)
+        partner = match(edges, (len(heads), len(detections)))
+        return insert(chains, heads, tails, partner, first, before, scene, self._move)
+
+    def _fresh(self, place: tuple[str, int], heads: IntArray, tails: IntArray) -> NDArray[np.bool_]:
+        """Return whether tracks (heads, tails; −1: none) changed since a move was last made at a place."""
+        visit = self._visits.get(place)
+        return changed_since(self.chains, heads, tails, -1 if visit is None else visit.move)
+
+    def _candidates(
+        self,
+        place: tuple[str, int],
+        keys: IntArray,
+        columns: IntArray,
+        fresh: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+        recent: NDArray[np.bool_],
+        gains: Callable[[IntArray, IntArray, FloatArray], Edges],
+    ) -> Edges:
+        """Candidates of tracks (rows) for detections (columns).
+
+        Parameters
+        ----------
+        place : where the move is made
+        keys : (rows,) names of tracks, see `spanning`
+        fresh : (rows,) and (columns,) that have changed since the move was last made there
+        recent : (rows,) whose candidates are looked at first: what they outbid need not be looked at
+        gains : candidates of some rows for some columns, whose gains matter above a least one
+        """
+        self._move += 1
+        pieces: list[Edges] = []
+        if place in self._visits:
+            pieces.append(carried(self._visits[place].edges, keys, columns, *fresh, self._place))
+        rows_fresh, columns_fresh = fresh
+        least, every, new = (
+            np.full(len(columns), self.worthless),
+            np.arange(len(columns)),
+            np.flatnonzero(columns_fresh),
         )
-
-    def _note(self, gains: FloatArray, heads: IntArray, tails: IntArray) -> None:
-        """Keep the probability of each link among those that either end could have had, or none."""
-        place = np.full(len(self.chains.t) + 1, -1)
-        place[tails] = np.arange(len(tails))
-        sure = self.link_p[tails]
-        probabilities_of_links(gains, place[self.chains.following[heads]], sure)
-        self.link_p[tails] = sure
+        for group in (recent, ~recent):
+            for rows, some in ((rows_fresh & group, every), (~rows_fresh & group, new)):
+                which = np.flatnonzero(rows)
+                if len(which) and len(some):
+                    i, j, gain = gains(which, some, least[some])
+                    pieces.append((which[i], some[j], gain))
+            edges = joined(pieces)
+            raise_least(edges, recent, self.worthless, least)
+        if self.remembers:
+            i, j, gain = edges
+            self._visits[place] = _Visit(self._move, (keys[i], columns[j], gain))
+        return edges
 
     def roots(self) -> tuple[IntArray, FloatArray]:
         """(n,) where the track of each detection begins, and at each beginning what the track is worth.
@@ -154,21 +209,12 @@ class Moves:
         return root, value
 
 
-def match(gains: FloatArray) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the pairs whose gains are greatest in sum, each once, and each above 0."""
-    rows, columns = np.empty(gains.shape[0] + 1, np.int64), np.empty(gains.shape[1] + 1, np.int64)
-    alone = only_pairs(gains, rows, columns)
-    i, j = rows[alone:], columns[alone:]
-    i, j = i[i >= 0], j[j >= 0]
-    if not len(i):
-        return rows[:alone], columns[:alone]
-    inner = np.maximum(gains[i[:, None], j], 0.0)
-    row, column = optimize.linear_sum_assignment(inner, maximize=True)
-    kept = inner[row, column] > 0.0
-    return (
-        np.concatenate([rows[:alone], i[row[kept]]]),
-        np.concatenate([columns[:alone], j[column[kept]]]),
-    )
+def joined(pieces: Sequence[Edges]) -> Edges:
+    """Return all candidates of several arrays of them."""
+    if not pieces:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    rows, columns, gains = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    return rows, columns, gains
 
 
 SWEEPS = 6  # over the recording at most, for one set of parameters
@@ -210,7 +256,10 @@ def associate_detections(
     for k in range(rounds):
         if k:
             search.adopt(search.learned())
+        search.worthless = 0.0
         search.join_generously()
+        # The probabilities of links are those of the last round.
+        search.worthless = WORTHLESS if k == rounds - 1 else 0.0
         search.settle(progress, k * SWEEPS, rounds * SWEEPS)
     progress(rounds * SWEEPS, rounds * SWEEPS)
     return search.found(search.identities())
@@ -268,7 +317,7 @@ class _Search(Moves):
         channels = detections.channels
         self._std = channels.get("position_std", np.full(n, np.nan))
         chains = chains_of(detections)
-        super().__init__(chains, Scene(*scene.packed(detections.step_seconds)))
+        super().__init__(chains, Scene(*scene.packed(detections.step_seconds)), remembers=True)
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
         self._duplicates, self._score = np.zeros(n), channels.get("score", np.full(n, np.nan))
@@ -329,40 +378,27 @@ class _Search(Moves):
             log_birth=np.log(self.scene.clutter_density), log_death=0.0, longest_gap=gap
         )
         self.filter_from(0)
+        self.remembers = False
         self.sweep()
-        self.packed = packed
+        self.packed, self.remembers = packed, True
         self.filter_from(0)
 
     def settle(
         self, progress: Callable[[int, int], None] = lambda done, total: None, done: int = 0, total: int = 0
     ) -> None:
         """Sweep until nothing changes, or often enough; report the sweeps ``done`` before and since."""
-        changed = None
         for sweep in range(SWEEPS):
             progress(done + sweep, total)
-            changed = self.sweep(changed)
-            if not len(changed):
+            if not self.sweep():
                 break
 
-    def sweep(self, changed: FloatArray | None = None) -> FloatArray:
-        """Every move once, from the first frame to the last; the times (s) of frames in which links changed.
-
-        ``changed``: those of the sweep before, increasing: where nothing did, as far as a gap reaches,
-        nothing will; None: all frames are looked at
-        """
-        remember_rest(self.chains, self.packed)
-        frames = zip(self._first.tolist(), self._end.tolist(), strict=True)
-        t, gap = self.chains.t, self.packed.longest_gap
-        found: list[float] = []
-        for first, end in frames:
-            now = float(t[first])
-            if changed is not None:
-                near = np.searchsorted(changed, [now - gap, now + gap])
-                if near[0] == near[1] and not (found and now - found[-1] <= gap):
-                    continue
-            if self.move(first, end):
-                found.append(now)
-        return np.array(found)
+    def sweep(self) -> int:
+        """Every move once, from the first frame to the last; the number of frames in which links changed."""
+        self._move += 1
+        remember_rest(self.chains, self.packed, self._move)
+        return sum(
+            self.move(first, end) for first, end in zip(self._first.tolist(), self._end.tolist(), strict=True)
+        )
 
     # -- what came out ---------------------------------------------------------------------------------------
 

@@ -152,7 +152,7 @@ class History:
         scene = learn_orientation(chains, scene, step_seconds, known)
         scene = self._with_guess(scene, known)
         shown = looks_of_tracks(chains, identity, self.descriptor, self.score)
-        refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)))
+        refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)), 0)
         return scene, learn_places(chains, identity), shown
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:

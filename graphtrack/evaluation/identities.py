@@ -26,9 +26,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from graphtrack.association.associate import tracks_of
+from graphtrack.association.candidates import match
 from graphtrack.errors import InputError
 from graphtrack.evaluation.matching import (
     EPSILON,
@@ -114,7 +114,8 @@ class FrameMatches:
 
     Attributes
     ----------
-    frame : its place among the shared frames
+    frame : its number
+    row : (k,) of the truth
     truth, estimates : (k,) people and tracks, numbered as in `SharedFrames`
     similarity : (k,)
     before : (k,) the track that each of these people was matched with last; `NOBODY` at their first match
@@ -122,6 +123,7 @@ class FrameMatches:
     """
 
     frame: int
+    row: IntArray
     truth: IntArray
     estimates: IntArray
     similarity: FloatArray
@@ -148,16 +150,31 @@ def clear_matches(frames: SharedFrames, threshold: float) -> Iterator[FrameMatch
     """
     last = np.full(len(frames.truth_rows), NOBODY, dtype=np.int64)
     now = last.copy()
-    every = zip(frames.truth, frames.estimates, frames.similarity, strict=True)
-    for k, (truth, estimates, similarity) in enumerate(every):
-        # As in TrackEval a frame without any truth or any estimates ends no stretch.
-        if not similarity.size:
-            continue
-        rows, columns = _matched(similarity, estimates == now[truth][:, None], threshold)
-        people, tracks = truth[rows], estimates[columns]
-        yield FrameMatches(k, people, tracks, similarity[rows, columns], last[people], now[people] == NOBODY)
+    # As in TrackEval a frame without any truth or any estimates ends no stretch.
+    for k in np.flatnonzero(frames.shared).tolist():
+        here = slice(frames.start[k], frames.start[k + 1])
+        row, column, similarity = frames.row[here], frames.column[here], frames.similarity[here]
+        people, tracks = frames.truth[row], frames.estimates[column]
+        # Pairs of the frame before are kept, then similarity is highest.
+        worth = np.where(
+            similarity >= threshold - EPSILON, KEEPING * (tracks == now[people]) + similarity, 0.0
+        )
+        found = matched_pairs(row, column, worth)
+        row, people, tracks = row[found], people[found], tracks[found]
+        number, before = int(frames.numbers[k]), last[people]
+        yield FrameMatches(number, row, people, tracks, similarity[found], before, now[people] == NOBODY)
         now[:] = NOBODY
         last[people] = now[people] = tracks
+
+
+def matched_pairs(row: IntArray, column: IntArray, worth: FloatArray) -> IntArray:
+    """Return the places of the pairs (p,) whose worth is greatest in sum, each row and column once."""
+    if not len(row):
+        return np.zeros(0, np.int64)
+    rows, i = np.unique(row, return_inverse=True)
+    columns, j = np.unique(column, return_inverse=True)
+    partner = match((i, j, np.ascontiguousarray(worth, float)), (len(rows), len(columns)))
+    return np.flatnonzero((partner[i] == j) & (worth > EPSILON))
 
 
 def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
@@ -189,14 +206,6 @@ def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
         mostly_lost=lost,
         similarity=total,
     )
-
-
-def _matched(similarity: FloatArray, kept: BoolArray, threshold: float) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the matches: pairs of the frame before are kept, then similarity is highest."""
-    worth = np.where(similarity >= threshold - EPSILON, KEEPING * kept + similarity, 0.0)
-    rows, columns = linear_sum_assignment(worth, maximize=True)
-    matched = worth[rows, columns] > EPSILON
-    return rows[matched], columns[matched]
 
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
@@ -257,27 +266,22 @@ def _matches(frames: SharedFrames) -> tuple[IntArray, IntArray, FloatArray]:
     In each frame the sum of similarities is highest, each weighted by how alike the two are over the whole
     sequence: with the one matching for all α that TrackEval makes of it.
     """
-    alike = _alike(frames)
-    found = []
-    for truth, estimates, similarity in zip(frames.truth, frames.estimates, frames.similarity, strict=True):
-        rows, columns = linear_sum_assignment(alike[np.ix_(truth, estimates)] * similarity, maximize=True)
-        found.append((truth[rows], estimates[columns], similarity[rows, columns]))
-    true_person, track, close = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return true_person, track, close
+    found = matched_pairs(frames.row, frames.column, _alike(frames) * frames.similarity)
+    return frames.truth[frames.row[found]], frames.estimates[frames.column[found]], frames.similarity[found]
 
 
 def _alike(frames: SharedFrames) -> FloatArray:
-    """Similarity of true people and tracks over the whole sequence, (people, tracks), from 0 to 1.
+    """Similarity over the whole sequence, from 0 to 1, of the person and the track of each pair (p,).
 
     The rows that they may have in common over the rows of both. In a frame a pair counts by its similarity
     over all similarities of either of them, so that a crowd gives nobody more than one row.
     """
-    common = np.zeros((len(frames.truth_rows), len(frames.estimate_rows)))
-    for truth, estimates, similarity in zip(frames.truth, frames.estimates, frames.similarity, strict=True):
-        either = similarity.sum(axis=0) + similarity.sum(axis=1)[:, None] - similarity
-        share = np.divide(similarity, either, out=np.zeros_like(either), where=either > EPSILON)
-        common[np.ix_(truth, estimates)] += share
-    return common / (frames.truth_rows[:, None] + frames.estimate_rows - common)
+    row, column, similarity = frames.row, frames.column, frames.similarity
+    of_rows, of_columns = np.bincount(row, similarity), np.bincount(column, similarity)
+    either = of_rows[row] + of_columns[column] - similarity
+    share = np.divide(similarity, either, out=np.zeros_like(either), where=either > EPSILON)
+    person, track, common, place = frames.common(share)
+    return (common / (frames.truth_rows[person] + frames.estimate_rows[track] - common))[place]
 
 
 def _sums(
@@ -332,14 +336,40 @@ def identity_counts(frames: SharedFrames, threshold: float) -> IdentityCounts:
     ----------
     threshold : similarity from which on two rows can be the same person's
     """
-    common = np.zeros((len(frames.truth_rows), len(frames.estimate_rows)), dtype=np.int64)
-    for truth, estimates, similarity in zip(frames.truth, frames.estimates, frames.similarity, strict=True):
-        close = np.nonzero(similarity >= threshold)
-        common[truth[close[0]], estimates[close[1]]] += 1
-    paired = int(common[linear_sum_assignment(common, maximize=True)].sum())
+    person, track, common, _ = frames.common((frames.similarity >= threshold).astype(float))
+    paired = int(common[matched_pairs(person, track, common)].sum())
     return IdentityCounts(
         paired, int(frames.truth_rows.sum()) - paired, int(frames.estimate_rows.sum()) - paired
     )
+
+
+@dataclass(frozen=True)
+class GospaCounts(Summed):
+    """Sums of GOSPA over the frames (Rahmathullah, García-Fernández & Svensson 2017; p = 2, α = 2).
+
+    Attributes
+    ----------
+    squared : squared distances of the pairs, in units of the cutoff
+    unpaired : rows of the truth and of the estimates without a partner
+    frames : frames
+    """
+
+    squared: float
+    unpaired: int
+    frames: int
+
+    @property
+    def gospa(self) -> float:
+        """The root mean square over frames, in units of the cutoff."""
+        return float(np.sqrt((self.squared + 0.5 * self.unpaired) / max(1, self.frames)))
+
+
+def gospa_counts(frames: SharedFrames) -> GospaCounts:
+    """Pair truth and estimates in each frame so that GOSPA is least; beyond the cutoff similarity is 0."""
+    squared = np.square(1.0 - frames.similarity)
+    found = matched_pairs(frames.row, frames.column, 1.0 - squared)
+    rows = int(frames.truth_rows.sum() + frames.estimate_rows.sum())
+    return GospaCounts(float(squared[found].sum()), rows - 2 * len(found), len(frames))
 
 
 TOGETHER = "together"
@@ -356,6 +386,7 @@ HEADINGS = {
     "idr": "IDR",
     "mota": "MOTA",
     "motp": "MOTP",
+    "gospa": "GOSPA m",
     "precision": "precision",
     "recall": "recall",
     "switches": "identity switches",
@@ -368,7 +399,7 @@ HEADINGS = {
 }
 """Figure → what tables call it."""
 
-SHARES, COUNTS = tuple(HEADINGS)[:11], tuple(HEADINGS)[11:]
+SHARES, COUNTS = tuple(HEADINGS)[:12], tuple(HEADINGS)[12:]
 """The figures of which 1 is best, and those that are numbers of rows, events and people."""
 
 IN_SHORT = ("hota", "det_a", "ass_a", "idf1", "mota", "precision", "recall", "switches", "fragmentations")
@@ -414,6 +445,7 @@ class SequenceScore:
     idf1, idp, idr : of the best lasting pairing of people and tracks
     mota : below 0 where errors outnumber people
     motp : mean similarity of the matches
+    gospa : root mean square over frames, in metres, with twice the threshold as the cutoff; None in the image
     mean_distance : of the matches, in metres; None in the image, and where nothing matches
     precision, recall : shares of the estimates and of the truth that are matched
     matches, misses, false_positives : rows
@@ -438,6 +470,7 @@ class SequenceScore:
     idr: float
     mota: float
     motp: float
+    gospa: float | None
     mean_distance: float | None
     precision: float
     recall: float
@@ -512,6 +545,7 @@ class Counts(Summed):
     hota: HotaCounts
     identity: IdentityCounts
     clear: ClearCounts
+    gospa: GospaCounts
 
 
 def count(frames: SharedFrames, threshold: Threshold) -> Counts:
@@ -523,6 +557,7 @@ def count(frames: SharedFrames, threshold: Threshold) -> Counts:
         hota=hota_counts(frames),
         identity=identity_counts(frames, threshold.similarity),
         clear=clear_counts(frames, threshold.similarity),
+        gospa=gospa_counts(frames),
     )
 
 
@@ -544,6 +579,7 @@ def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
         idf1=identity.idf1,
         idp=identity.idp,
         idr=identity.idr,
+        gospa=2.0 * threshold.value * counts.gospa.gospa if threshold.measure == "metres" else None,
         mean_distance=threshold.distance(clear.motp) if clear.matches else None,
         **alike,
         curves={key: tuple(values.tolist()) for key, values in {"alpha": ALPHAS, **curves}.items()},

@@ -67,16 +67,12 @@ def judge_events(estimates: Given, truth: Given, *, metres: float | None = None)
     tracks, threshold = tracks_of(estimates), threshold_of(metres)
     found, true = estimated_detections(tracks), true_detections(tracks_of(truth))
     shared = share_frames(true, found, similarity_of(threshold))
-    frames = np.unique(np.concatenate([true.frame, found.frame]))
-    first = np.searchsorted(true.frame, frames)
     people, ids = np.unique(true.track_id), np.unique(found.track_id)
     # Frame, track and place of every match.
     rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     events: list[IdentityEvent] = []
     for matched in clear_matches(shared, threshold.similarity):
-        frame = int(frames[matched.frame])
-        within = np.searchsorted(shared.truth[matched.frame], matched.truth)
-        place = true.place[first[matched.frame] + within]
+        frame, place = matched.frame, true.place[matched.row]
         rows.append((np.full(len(place), frame), ids[matched.estimates], place))
         switched, again = matched.switched, matched.found_again
         events += [

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.io.cameras import NO_CAMERA
+from graphtrack.packages import spatial
 from graphtrack.tracks.display import counted
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import Track, TrackSet
@@ -123,30 +124,62 @@ def _places(track: Track, channel: str) -> FloatArray:
     return np.full((len(track), 2), np.nan) if values is None else values
 
 
-Similarity = Callable[[FloatArray, FloatArray], FloatArray]
-"""Places (n, k) and (m, k) → similarities (n, m)."""
+Pairs = tuple[IntArray, IntArray, FloatArray]
+"""Rows of the truth (p,) and of the estimates (p,) in the same frame, and their similarities, above 0."""
+
+Similarity = Callable[["Detections", "Detections"], Pairs]
+"""Pairs of truth and estimates that are similar, in the order of the rows."""
 
 EPSILON = float(np.finfo(float).eps)
 """Rounding tolerance of similarities and sums."""
 
 
-def ground_similarity(truth: FloatArray, estimates: FloatArray, zero_distance: float) -> FloatArray:
-    """max(0, 1 − d / zero_distance) of positions (n, 2) and (m, 2) in metres: (n, m).
+def ground_similarity(truth: Detections, estimates: Detections, zero_distance: float) -> Pairs:
+    """max(0, 1 − d / zero_distance) of positions in metres.
 
     That of MOTChallenge 3D, where it is zero from 2 m on, so that 0.5 stands for 1 m.
     """
-    distance = np.linalg.norm(truth[:, None] - estimates[None], axis=2)
-    return np.maximum(0.0, 1.0 - distance / zero_distance)
+    i, j = _near_pairs(truth, estimates, truth.place / zero_distance, estimates.place / zero_distance, 2.0)
+    distance = np.linalg.norm(truth.place[i] - estimates.place[j], axis=1)
+    return _similar(i, j, 1.0 - distance / zero_distance)
 
 
-def box_similarity(truth: FloatArray, estimates: FloatArray) -> FloatArray:
-    """Intersection over union of boxes (n, 4) and (m, 4), left, top, width and height in pixels: (n, m)."""
-    first, second = _corners(truth)[:, None], _corners(estimates)[None]
-    low = np.maximum(first[..., :2], second[..., :2])
-    high = np.minimum(first[..., 2:], second[..., 2:])
-    intersection = np.prod(np.maximum(high - low, 0.0), axis=2)
+def box_similarity(truth: Detections, estimates: Detections) -> Pairs:
+    """Intersection over union of boxes, left, top, width and height in pixels."""
+    # Boxes overlap where their centres are less than a box apart along either axis.
+    largest = np.max([side.place[:, 2:].max(axis=0, initial=1.0) for side in (truth, estimates)], axis=0)
+    here, there = ((side.place[:, :2] + 0.5 * side.place[:, 2:]) / largest for side in (truth, estimates))
+    i, j = _near_pairs(truth, estimates, here, there, np.inf)
+    first, second = _corners(truth.place[i]), _corners(estimates.place[j])
+    low = np.maximum(first[:, :2], second[:, :2])
+    high = np.minimum(first[:, 2:], second[:, 2:])
+    intersection = np.prod(np.maximum(high - low, 0.0), axis=1)
     union = _area(first) + _area(second) - intersection
-    return np.divide(intersection, union, out=np.zeros_like(union), where=union > EPSILON)
+    overlap = np.divide(intersection, union, out=np.zeros_like(union), where=union > EPSILON)
+    return _similar(i, j, overlap)
+
+
+def _near_pairs(
+    truth: Detections, estimates: Detections, first: FloatArray, second: FloatArray, norm: float
+) -> tuple[IntArray, IntArray]:
+    """Rows of both sides in the same frame whose points (n, 2) and (m, 2) are at most 1 apart in a norm."""
+    if not len(truth) or not len(estimates):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    frames = np.unique(np.concatenate([truth.frame, estimates.frame]))
+    # Frames far apart on a third axis: one tree for all.
+    apart = [
+        np.column_stack([points, 10.0 * np.searchsorted(frames, side.frame)])
+        for side, points in ((truth, first), (estimates, second))
+    ]
+    trees = [spatial.cKDTree(points) for points in apart]
+    near = trees[0].sparse_distance_matrix(trees[1], 1.0 + 1e-9, p=norm, output_type="ndarray")
+    order = np.lexsort((near["j"], near["i"]))
+    return near["i"][order].astype(np.int64), near["j"][order].astype(np.int64)
+
+
+def _similar(i: IntArray, j: IntArray, similarity: FloatArray) -> Pairs:
+    some = similarity > 0.0
+    return i[some], j[some], similarity[some]
 
 
 def _corners(box: FloatArray) -> FloatArray:
@@ -166,19 +199,36 @@ class SharedFrames:
 
     Attributes
     ----------
-    truth, estimates : for each frame who is there, (n,) and (m,)
-    similarity : for each frame (n, m)
+    numbers : (f,) of the frames
+    shared : (f,) whether both have somebody in the frame
+    truth, estimates : the person of each row, (n,) and (m,)
+    row, column, similarity : rows of both, (p,), in one frame, whose similarity is above 0
+    start : (f + 1,) the first of these pairs in each frame
     truth_rows, estimate_rows : of each person, the number of frames
     """
 
-    truth: tuple[IntArray, ...]
-    estimates: tuple[IntArray, ...]
-    similarity: tuple[FloatArray, ...]
+    numbers: IntArray
+    shared: BoolArray
+    truth: IntArray
+    estimates: IntArray
+    row: IntArray
+    column: IntArray
+    similarity: FloatArray
+    start: IntArray
     truth_rows: IntArray
     estimate_rows: IntArray
 
     def __len__(self) -> int:
-        return len(self.similarity)
+        return len(self.numbers)
+
+    def common(self, weight: FloatArray) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+        """Sums over the frames of weights of pairs: people, tracks, sums, and the place of each pair (p,)."""
+        tracks = max(1, len(self.estimate_rows))
+        pair, place = np.unique(
+            self.truth[self.row] * tracks + self.estimates[self.column], return_inverse=True
+        )
+        people, others = np.divmod(pair, tracks)
+        return people, others, np.asarray(np.bincount(place, weight, minlength=len(pair)), float), place
 
 
 class Summed:
@@ -212,11 +262,17 @@ def share_frames(
     frames = np.unique(np.concatenate([truth.frame, estimates.frame]))
     truth_ids, true_person = np.unique(truth.track_id, return_inverse=True)
     estimate_ids, estimated_person = np.unique(estimates.track_id, return_inverse=True)
-    here = list(zip(_slices(truth, frames), _slices(estimates, frames), strict=True))
+    row, column, alike = similarity(truth, estimates)
+    ends = np.append(frames, frames[-1] + 1)
     return SharedFrames(
-        truth=tuple(true_person[of_truth] for of_truth, _ in here),
-        estimates=tuple(estimated_person[of_estimates] for _, of_estimates in here),
-        similarity=tuple(similarity(truth.place[one], estimates.place[other]) for one, other in here),
+        numbers=frames,
+        shared=np.isin(frames, truth.frame) & np.isin(frames, estimates.frame),
+        truth=true_person,
+        estimates=estimated_person,
+        row=row,
+        column=column,
+        similarity=alike,
+        start=np.searchsorted(truth.frame[row], ends),
         truth_rows=np.bincount(true_person, minlength=len(truth_ids)),
         estimate_rows=np.bincount(estimated_person, minlength=len(estimate_ids)),
     )
@@ -224,10 +280,3 @@ def share_frames(
 
 def _span(detections: Detections) -> str:
     return f"frames {detections.frame[0]} to {detections.frame[-1]}"
-
-
-def _slices(detections: Detections, frames: IntArray) -> list[slice]:
-    """The rows of each of the frames."""
-    begin = np.searchsorted(detections.frame, frames, side="left")
-    end = np.searchsorted(detections.frame, frames, side="right")
-    return [slice(*ends) for ends in zip(begin.tolist(), end.tolist(), strict=True)]

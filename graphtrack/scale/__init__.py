@@ -1,6 +1,14 @@
-"""Smoothing of Parquet data sets that do not fit into memory, on this machine or on a Dask cluster."""
+"""Association and smoothing of Parquet data sets that do not fit into memory, here or on a Dask cluster."""
 
+from graphtrack.scale.blocks import AssociationOutcome, associate_dataset
 from graphtrack.scale.dataset import Dataset, open_dataset
 from graphtrack.scale.job import Outcome, smooth_dataset
 
-__all__ = ["Dataset", "Outcome", "open_dataset", "smooth_dataset"]
+__all__ = [
+    "AssociationOutcome",
+    "Dataset",
+    "Outcome",
+    "associate_dataset",
+    "open_dataset",
+    "smooth_dataset",
+]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,7 +23,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
 from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
-from graphtrack.scale.workers import Batch, Shard, Work, smooth_batch, smooth_on_cluster
+from graphtrack.scale.workers import Batch, Shard, Work, on_cluster, smooth_batch
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import in_order
 from graphtrack.tracks.table import check_names
@@ -137,9 +138,9 @@ def smooth_dataset(
         with atomic_path(output) as temporary:
             given = labelled(temporary.parent)
             shards = (
-                (smooth_batch(work, batch) for batch in given)
+                map(partial(smooth_batch, work), given)
                 if cluster is None
-                else smooth_on_cluster(work, given, cluster, jobs)
+                else on_cluster(partial(smooth_batch, work), given, cluster, jobs)
             )
             outcome = _write(dataset, shards, temporary, work, notes, progress)
             if not outcome.n_smoothed:

@@ -10,13 +10,13 @@ import logging
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +148,9 @@ def _in_order(rows: FloatArray) -> tuple[FloatArray, int]:
     return rows[np.lexsort((rows[:, 1], rows[:, 0]))], len(np.unique(rows[1:, 0][back]))
 
 
+B = TypeVar("B")
+R = TypeVar("R")
+
 AHEAD = 2
 """Batches in the hands of the cluster for each of its threads: one that runs and one that waits."""
 
@@ -158,11 +161,11 @@ _LOOK = 2.0
 """Seconds between two looks at whether there still are workers."""
 
 
-def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: int | None) -> Iterator[Shard]:
-    """Yield the result of `smooth_batch` for each batch, in the order of the batches.
+def on_cluster(work: Callable[[B], R], given: Iterable[B], address: str, jobs: int | None) -> Iterator[R]:
+    """Yield the result of ``work`` for each batch, in the order of the batches.
 
-    A batch travels inside its task, which stays with the scheduler until its shard has arrived here: when a
-    worker is lost, with batches or with finished shards, the scheduler gives them to another one.
+    A batch travels inside its task, which stays with the scheduler until its result has arrived here: when a
+    worker is lost, with batches or with finished results, the scheduler gives them to another one.
 
     Parameters
     ----------
@@ -173,7 +176,7 @@ def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: in
     ------
     InputError
         If there is no dask.distributed here, no graphtrack on the workers, or no answer from the address;
-        or what `smooth_batch` raises.
+        or what ``work`` raises.
     GraphtrackError
         When the scheduler is lost, no worker is left, or a batch ends every worker that takes it.
     """
@@ -182,14 +185,13 @@ def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: in
         raise InputError(f"{jobs} jobs on a cluster", "as many as its workers have threads: leave it out")
     with _client(address, jobs) as client:
         waiting: deque[tuple[Any, int]] = deque()
-        name = f"smooth-{uuid.uuid4().hex}"
-        number = 0
+        name, number, given = f"batch-{uuid.uuid4().hex}", 0, iter(given)
         try:
             while True:
                 room = AHEAD * max(1, sum(client.nthreads().values()))
                 while len(waiting) < room and (batch := next(given, None)) is not None:
                     key = f"{name}-{number}"
-                    waiting.append((client.submit(smooth_batch, work, batch, key=key), number))
+                    waiting.append((client.submit(work, batch, key=key), number))
                     number += 1
                 if not waiting:
                     return
@@ -197,7 +199,7 @@ def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: in
         except distributed.KilledWorker as error:
             raise GraphtrackError(
                 f"cluster: {error.last_worker.address} is the last of several workers that ended while they "
-                "smoothed the same batch; give the workers more memory, or batches of fewer frames"
+                "had the same batch; give the workers more memory, or batches of fewer frames"
             ) from error
         except (CancelledError, distributed.comm.CommClosedError) as error:
             raise GraphtrackError(f"cluster: the scheduler at {address} was lost") from error
@@ -207,12 +209,11 @@ def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: in
             ) from error
 
 
-def _result(client: Any, future: Any, number: int) -> Shard:
+def _result(client: Any, future: Any, number: int) -> Any:
     alone_since = None
     while True:
         try:
-            shard: Shard = future.result(timeout=_LOOK)
-            return shard
+            return future.result(timeout=_LOOK)
         except TimeoutError as error:
             if client.nthreads():
                 alone_since = None

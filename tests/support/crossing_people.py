@@ -83,6 +83,38 @@ def crowd(rng: np.random.Generator, *, people: int, frames: int, step: float = 0
         yield rng.permutation(np.concatenate([seen + rng.normal(0.0, 0.05, seen.shape), false]))
 
 
+def packed_square(
+    rng: np.random.Generator,
+    *,
+    people: int,
+    frames: int,
+    step: float = 0.2,
+    noise: float = 0.1,
+    miss: float = 0.1,
+    square_metres: float = 9.0,
+) -> tuple[Detections, np.ndarray]:
+    """People of 1.3 m/s who wander in a square and never leave, and whose each detection is; −1: nobody's.
+
+    There is one false detection a frame for 50 people.
+    """
+    side = np.sqrt(square_metres * people)
+    position, course = rng.uniform(0.0, side, (people, 2)), rng.uniform(-np.pi, np.pi, people)
+    seen, owners = [], []
+    for _ in range(frames):
+        course = course + rng.normal(0.0, 0.3 * np.sqrt(step), people)
+        velocity = 1.3 * np.column_stack([np.cos(course), np.sin(course)])
+        position = position + step * velocity
+        velocity = np.where((position < 0.0) | (position > side), -velocity, velocity)
+        course, position = np.arctan2(velocity[:, 1], velocity[:, 0]), np.clip(position, 0.0, side)
+        here = np.flatnonzero(rng.random(people) >= miss)
+        false = rng.uniform(0.0, side, (rng.poisson(people / 50), 2))
+        seen.append(np.concatenate([position[here] + rng.normal(0.0, noise, (len(here), 2)), false]))
+        owners.append(np.concatenate([here, np.full(len(false), -1)]))
+    frame = np.repeat(np.arange(frames), [len(places) for places in seen])
+    detections = Detections(frame, frame * step, np.concatenate(seen))
+    return detections, np.concatenate(owners)[detections.row]
+
+
 def looks_of(rng: np.random.Generator, whose: np.ndarray, size: int = 8, noise: float = 0.3) -> np.ndarray:
     """(n, size) descriptors of the detections of people (n,), much as the person's others; −1: of nobody."""
     people = rng.normal(0.0, 1.0, (whose.max() + 1, size))

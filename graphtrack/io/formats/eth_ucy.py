@@ -11,10 +11,10 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, places_beside
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import mostly_numbers, parse_number, read_numbers
+from graphtrack.io.text import parse_number, read_numbers
 from graphtrack.tracks.detections import frames_between
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXELS
@@ -52,7 +52,6 @@ ETH = Format(
     name="eth",
     description="BIWI (ETH) obsmat: frame id x z y vx vz vy",
     suffixes=(),
-    looks_like=lambda head, path: mostly_numbers(head, None, (8,)),
     read=_read_eth,
 )
 
@@ -72,9 +71,7 @@ _OBSTACLES = re.compile(r"\s*\d{1,9}.*number of (line|cylinder) obstacles", re.A
 _WHOLE = {"frame"}
 
 
-def _homography_beside(path: Path) -> tuple[Path, ...]:
-    """Path of the data set's homography."""
-    return (path.parent / "H.txt",)
+_BESIDE = ("H.txt",)  # the data set's homography
 
 
 @dataclass(frozen=True)
@@ -116,7 +113,7 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     given = options.homography
     notes: tuple[str, ...] = ()
     if given is None and options.point_pairs is None and options.calibration is None:
-        (found,) = _homography_beside(source.path)
+        (found,) = places_beside(source.path, _BESIDE)
         if found.is_file():
             given, notes = found, ("homography from H.txt beside the file",)
         elif options.metres_per_pixel is None:
@@ -223,7 +220,6 @@ UCY = Format(
     name="ucy",
     description="UCY crowds: splines of control points (.vsp)",
     suffixes=(".vsp",),
-    looks_like=lambda head, path: b"number of splines" in head.split(b"\n", 1)[0].lower(),
     read=_read_ucy,
-    beside=_homography_beside,
+    beside=_BESIDE,
 )

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, places_beside
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import mostly_numbers, read_numbers
+from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_ID
 
@@ -21,9 +19,8 @@ FPS = 25.0
 _NAMES = ("frame", "id", "left", "top", "width", "height")
 
 
-def beside(path: Path) -> tuple[Path, ...]:
-    """Path of the camera's calibration."""
-    return (path.parent / "calibration.ci",)
+BESIDE = ("calibration.ci",)
+"""The camera's calibration."""
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
@@ -53,7 +50,7 @@ def _camera(
     source: Source, options: ReadOptions, pixel: FloatArray, height: FloatArray
 ) -> tuple[GroundCamera, tuple[str, ...]]:
     camera, notes = known_camera(options, pixel)
-    (found,) = beside(source.path)
+    (found,) = places_beside(source.path, BESIDE)
     if camera is None and options.metres_per_pixel is None and found.is_file():
         camera, notes = read_calibration(found), ("calibration from calibration.ci beside the file",)
     if camera is None:
@@ -83,8 +80,7 @@ TOWNCENTRE = Format(
     name="towncentre",
     description="Oxford Town Centre boxes: frame,id,left,top,width,height",
     suffixes=(),
-    looks_like=lambda head, path: mostly_numbers(head, ",", (6,)),
     read=read,
-    beside=beside,
+    beside=BESIDE,
     read_boxes=read_boxes,
 )

@@ -1,0 +1,225 @@
+"""Data association of recordings larger than memory: block by block of time, each by itself.
+
+Blocks overlap. In the middle of an overlap the people of the later block take over; they are those of the
+earlier one with whom they have most detections in common. So blocks can be associated anywhere and in any
+order, and what comes out does not depend on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.association.associate import with_every_frame, with_identities
+from graphtrack.association.candidates import match
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.atomic import atomic_path, check_distinct
+from graphtrack.io.options import ReadOptions
+from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
+from graphtrack.scale.workers import on_cluster
+from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
+from graphtrack.tracks.schema import in_order
+from graphtrack.tracks.table import from_columns
+from graphtrack.tracks.track import TrackSet, to_columns
+
+IntArray = NDArray[np.int64]
+
+LEAST_OVERLAP = 3.0
+"""Overlap of two blocks, in longest gaps: in its middle both have seen a gap on either side, and more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """The rows of some time.
+
+    Attributes
+    ----------
+    rows : (n, columns + 1) as `Dataset.blocks` has them
+    begin, end : seconds, from and up to which the people of this block count
+    """
+
+    rows: FloatArray
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class Associated:
+    """The tracks of a block.
+
+    Attributes
+    ----------
+    columns : of the native table, with numbers of its own for people
+    row : (n,) of each in the data set; −1: of no detection
+    begin, end : as in `Block`
+    n_rows : detections that went in
+    """
+
+    columns: dict[str, NDArray[Any]]
+    row: IntArray
+    begin: float
+    end: float
+    n_rows: int
+
+
+@dataclass(frozen=True)
+class AssociationOutcome:
+    """What became of a data set of detections: people, rows that were written, detections, and blocks."""
+
+    people: int
+    n_frames: int
+    n_detections: int
+    blocks: int
+
+
+def associate_dataset(
+    dataset: Dataset | str | Path,
+    output: str | Path,
+    scene: GivenScene = None,
+    *,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    block_rows: int = 200_000,
+    read_options: ReadOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> AssociationOutcome:
+    """Find out who is who in a Parquet data set of detections, and write it as one Parquet file.
+
+    Parameters
+    ----------
+    dataset : a Parquet file, or a folder of them, whose rows stand in the order of time; identities that they
+        have are not read
+    output : the Parquet file to write, outside of the data set, with the columns of `graphtrack.associate`;
+        people have the same number throughout
+    scene : its parameters that are known; the others are learned, in each block by itself
+    jobs, cluster : as in `smooth_dataset`
+    block_rows : detections of a block, without its overlaps; memory grows with it
+    read_options : frame rate
+    progress : called with the numbers of detections that are done
+
+    Raises
+    ------
+    InputError
+        For input that cannot be right, with file, row and column, or a cluster that cannot be reached.
+    """
+    dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    output, known = Path(output), known_values(scene)
+    check_distinct({"the output": output}, {"the data set": [dataset.path, *(f.path for f in dataset.files)]})
+    if block_rows < 1 or (jobs is not None and jobs < 1):
+        raise InputError(f"block_rows = {block_rows}, jobs = {jobs}", "numbers from 1")
+    columns = tuple(name for name in dataset.columns if name not in ("track_id", "label"))
+    missing = [name for name in ("frame", "t", "x", "y") if name not in columns]
+    if missing:
+        raise dataset.fail(
+            f"no column {missing[0]}", "frame, t, x and y of each detection", column=missing[0]
+        )
+    options = ReadOptions() if read_options is None else read_options
+    overlap = LEAST_OVERLAP * SceneParameters(**known).longest_gap
+    given = time_blocks(dataset, columns, block_rows, overlap)
+    work = partial(associate_block, dataset.path, columns, known, options)
+    found = map(work, given) if cluster is None else on_cluster(work, given, cluster, jobs)
+    possible = in_order({*columns, "track_id", "pos_std", "identity_p", "observed"})
+    people = detections = blocks = 0
+    earlier: tuple[IntArray, IntArray] | None = None
+    with atomic_path(output) as temporary, ShardWriter(temporary, possible, dataset.names) as writer:
+        for block in found:
+            names, people = continued(block, earlier, people)
+            t = block.columns["t"]
+            own = (t >= block.begin) & (t < block.end)
+            writer.add(
+                {**{name: values[own] for name, values in block.columns.items()}, "track_id": names[own]}
+            )
+            seen = block.row >= 0
+            earlier = block.row[seen], names[seen]
+            detections, blocks = detections + block.n_rows, blocks + 1
+            if progress is not None:
+                progress(block.n_rows)
+    return AssociationOutcome(people, writer.n_rows, detections, blocks)
+
+
+def time_blocks(
+    dataset: Dataset, columns: tuple[str, ...], block_rows: int, overlap: float
+) -> Iterator[Block]:
+    """Whole frames in the order of time, in blocks that overlap by some seconds.
+
+    Raise InputError with the row, where times do not increase.
+    """
+    place = columns.index("t")
+    parts: list[FloatArray] = []
+    have, begin, last = 0, -np.inf, -np.inf
+    for part in dataset.blocks(columns):
+        back = np.flatnonzero(np.diff(part[:, place], prepend=last) < 0.0)
+        if len(back):
+            row = part[back[0]]
+            raise dataset.fail(f"t = {row[place]:g}", "rows in the order of time", int(row[-1]), "t")
+        last = float(part[-1, place])
+        parts.append(part)
+        have += len(part)
+        if have < block_rows:
+            continue
+        rows = np.concatenate(parts)
+        parts = [rows]
+        # The newest frame may go on in what is read next.
+        if last - max(begin, float(rows[0, place])) > 2.0 * overlap:
+            end = last - 0.5 * overlap
+            yield Block(rows[rows[:, place] < last], begin, end)
+            begin = end
+            parts = [rows[rows[:, place] >= last - overlap]]
+            have = 0
+    yield Block(np.concatenate(parts), begin, np.inf)
+
+
+def associate_block(
+    path: Path, columns: tuple[str, ...], known: Known, options: ReadOptions, block: Block
+) -> Associated:
+    """Associate the detections of a block; it runs on any worker."""
+    number = block.rows[:, -1].astype(np.int64)
+    native = from_columns(
+        {name: block.rows[:, k] for k, name in enumerate(columns)},
+        path=path,
+        format="parquet",
+        fps=options.fps,
+        line_of=lambda row: int(number[row]) + 1,
+    )
+    rows = with_identities(native, known)
+    tracks = with_every_frame(TrackSet.from_rows(rows), SceneParameters(**known).longest_filled)
+    found = to_columns(tracks)
+    # Nobody has two detections in a frame.
+    keys, width = rows.track_id * (1 + rows.frame.max()) + rows.frame, 1 + rows.frame.max()
+    order = np.argsort(keys)
+    wanted = found["track_id"] * width + found["frame"]
+    place = order[np.minimum(np.searchsorted(keys[order], wanted), len(order) - 1)]
+    lines = np.array([rows.line_of(i) - 1 for i in range(len(rows))])
+    row = np.where(keys[place] == wanted, lines[place], -1)
+    return Associated(found, row, block.begin, block.end, int((native.channels["t"] < block.end).sum()))
+
+
+def continued(
+    block: Associated, earlier: tuple[IntArray, IntArray] | None, people: int
+) -> tuple[IntArray, int]:
+    """Return the numbers (n,) of a block's people in the whole recording, and how many there are by now.
+
+    ``earlier``: rows and numbers of the detections in the block before
+    """
+    own, local = np.unique(block.columns["track_id"], return_inverse=True)
+    names = np.full(len(own), -1)
+    if earlier is not None and len(earlier[0]):
+        rows, numbers = earlier
+        _, here, there = np.intersect1d(block.row, rows, return_indices=True)
+        pairs, count = np.unique(np.column_stack([local[here], numbers[there]]), axis=0, return_counts=True)
+        if len(pairs):
+            before, place = np.unique(pairs[:, 1], return_inverse=True)
+            partner = match(
+                (np.ascontiguousarray(pairs[:, 0]), place, count.astype(float)), (len(own), len(before))
+            )
+            names = np.where(partner >= 0, before[partner], -1)
+    new = names < 0
+    names[new] = people + 1 + np.arange(new.sum())
+    return names[local], people + int(new.sum())

@@ -1,0 +1,127 @@
+"""Candidates within reach: none is missed, and what is left out changes no match."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from crossing_people import looks_of, packed_square, street
+from scipy.optimize import linear_sum_assignment
+
+from graphtrack.association import offline
+from graphtrack.association.candidates import (
+    ends_at,
+    gains_of_links,
+    grid_of,
+    match,
+    near_ones,
+    window,
+)
+from graphtrack.association.likelihood import GATE
+from graphtrack.association.offline import associate_detections, repair_detections
+from graphtrack.tracks.detections import APPEARANCE, Detections
+
+
+class Search(offline._Search):
+    """A search that has been settled once, and one that keeps nothing from move to move."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.remembers = False
+
+    def join_generously(self) -> None:
+        super().join_generously()
+        self.remembers = False
+
+
+@pytest.fixture(scope="module")
+def settled() -> Search:
+    search = Search(packed_square(np.random.default_rng(0), people=30, frames=30)[0], {})
+    search.join_generously()
+    search.settle()
+    return search
+
+
+def cuts(search: Search) -> Any:
+    for first in search._first[1:].tolist():
+        begin, last = window(search.chains, first, search.packed)
+        yield first, *ends_at(search.chains, begin, first, last)
+
+
+def test_the_grid_finds_what_is_within_the_gate(settled: Search) -> None:
+    chains, scene, rows = settled.chains, settled.packed, settled.chains.rows
+    found, near = 0, np.empty(len(rows), np.int64)
+    for first, heads, tails in cuts(settled):
+        grid = grid_of(chains, tails, int(chains.frame[first]))
+        for k in heads.tolist():
+            state, dt = chains.state[k], chains.t[tails] - chains.t[k]
+            off = chains.position[tails] - state[:2] - dt[:, None] * state[2:4]
+            spread = state[4] + 2.0 * dt * state[5] + dt**2 * state[6] + scene.density * dt**3 / 3.0
+            spread += chains.variance[tails] + scene.jump_variance
+            within = (np.sum(off**2, axis=1) < GATE**2 * spread) & (dt <= scene.longest_gap)
+            one, bounds = rows[k], np.full(len(grid.shape), np.inf)
+            count = near_ones(
+                chains, state, float(one["t"]), int(one["frame"]), tails, grid, bounds, scene, near
+            )
+            assert sorted(near[:count].tolist()) == np.flatnonzero(within).tolist()
+            found += count
+    assert found > 1000
+
+
+def test_what_is_outbid_or_hopeless_changes_no_match(settled: Search) -> None:
+    chains, scene = settled.chains, settled.packed
+    left_out = 0
+    for first, heads, tails in cuts(settled):
+        base = int(chains.frame[first])
+        least = np.full(len(tails), -1e9)
+        i, j, gain = gains_of_links(chains, heads, tails, grid_of(chains, tails, base), least, scene)
+        dense = np.zeros((len(heads), len(tails)))
+        dense[i, j] = np.maximum(gain, 0.0)
+        row, column = linear_sum_assignment(dense, maximize=True)
+        expected = np.full(len(heads), -1)
+        some = dense[row, column] > 0.0
+        expected[row[some]] = column[some]
+        edges = settled._links(heads, tails, first)
+        np.testing.assert_array_equal(match(edges, dense.shape), expected)
+        left_out += len(gain) - len(edges[0])
+    assert left_out > 1000
+
+
+def crowds() -> dict[str, Detections]:
+    seen, whose = street(np.random.default_rng(7), people=20, frames=50, miss=0.15, false=1.0)
+    rng = np.random.default_rng(3)
+    shown = {APPEARANCE: looks_of(rng, whose), "body": rng.uniform(-3.0, 3.0, len(seen))}
+    return {
+        "street": street(np.random.default_rng(5), people=25, frames=60, miss=0.2, false=2.0)[0],
+        "square": packed_square(np.random.default_rng(1), people=40, frames=40)[0],
+        "looks": Detections(seen.frame, seen.t, seen.position, {**seen.channels, **shown}),
+    }
+
+
+@pytest.mark.parametrize("name", crowds())
+def test_what_is_kept_from_sweep_to_sweep_changes_nobody(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    detections = crowds()[name]
+    given = np.arange(len(detections)) % 7
+    once, mended = associate_detections(detections), repair_detections(detections, given)
+    monkeypatch.setattr(offline, "_Search", Search)
+    again = associate_detections(detections)
+    np.testing.assert_array_equal(once.identity, again.identity)
+    assert once.evidence == pytest.approx(again.evidence)
+    np.testing.assert_array_equal(mended.identity, repair_detections(detections, given).identity)
+
+
+def test_the_match_is_that_of_the_hungarian_method() -> None:
+    rng = np.random.default_rng(0)
+    for density in (0.02, 0.1, 0.3, 1.0):
+        for _ in range(20):
+            shape = int(rng.integers(1, 40)), int(rng.integers(1, 40))
+            gains = np.where(rng.random(shape) < density, rng.normal(1.0, 2.0, shape), 0.0)
+            i, j = np.nonzero(gains)
+            partner = match((i, j, gains[i, j]), shape)
+            some = np.flatnonzero(partner >= 0)
+            assert len(set(partner[some].tolist())) == len(some)
+            assert (gains[some, partner[some]] > 0.0).all()
+            positive = np.maximum(gains, 0.0)
+            best = positive[linear_sum_assignment(positive, maximize=True)].sum()
+            assert gains[some, partner[some]].sum() == pytest.approx(best)

@@ -1,0 +1,86 @@
+"""Detections larger than memory: blocks of time with an overlap, and people who keep their numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from crossing_people import idf1, packed_square
+
+import graphtrack as gt
+from graphtrack.scale import associate_dataset
+
+KNOWN = {"longest_gap": 1.0}
+"""Overlaps of 3 s."""
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+    """A minute of a square in three files, in the order of time, and whose each detection is."""
+    detections, whose = packed_square(np.random.default_rng(2), people=12, frames=300, noise=0.05)
+    x, y = detections.position.T
+    table = pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
+    folder = tmp_path_factory.mktemp("square")
+    for k, part in enumerate(np.array_split(np.arange(len(table)), 3)):
+        table.iloc[part].to_parquet(folder / f"{k}.parquet", index=False)
+    return folder, whose
+
+
+def identities(written: Path, folder: Path) -> np.ndarray:
+    """The number of each detection's person; −1: false."""
+    rows = pd.concat(pd.read_parquet(path) for path in sorted(folder.iterdir()))
+    found = pd.read_parquet(written)[["frame", "x", "y", "track_id"]]
+    both = rows.merge(found, on=["frame", "x", "y"], how="left")
+    assert len(both) == len(rows)
+    return both.track_id.fillna(-1).to_numpy(np.int64)
+
+
+def test_one_block_is_what_the_recording_gives_in_memory(seen, tmp_path, monkeypatch):
+    folder, _ = seen
+    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 500)
+    outcome = associate_dataset(folder, tmp_path / "found.parquet", KNOWN)
+    (one,) = {len(pd.concat(pd.read_parquet(path) for path in folder.iterdir()))}
+    assert outcome.blocks == 1 and outcome.n_detections == one
+    whole = pd.concat(pd.read_parquet(path) for path in sorted(folder.iterdir()))
+    expected = gt.associate(whole, KNOWN).to_table()
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "found.parquet"), expected, check_like=True)
+
+
+def test_people_keep_their_numbers_from_block_to_block(seen, tmp_path, monkeypatch):
+    folder, whose = seen
+    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
+    one, many = tmp_path / "one.parquet", tmp_path / "many.parquet"
+    associate_dataset(folder, one, KNOWN)
+    outcome = associate_dataset(folder, many, KNOWN, block_rows=400)
+    assert outcome.blocks >= 5
+    found = identities(many, folder)
+    assert idf1(found, whose) > idf1(identities(one, folder), whose) - 0.02
+    pairs = pd.read_parquet(many)[["track_id", "frame"]]
+    assert not pairs.duplicated().any()
+    # The estimates of the smoother can follow.
+    done = gt.scale.smooth_dataset(many, tmp_path / "smoothed.parquet", "position")
+    assert done.n_smoothed == outcome.people
+
+
+def test_blocks_may_be_associated_anywhere(seen, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    folder, _ = seen
+    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
+    here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
+    associate_dataset(folder, here, KNOWN, block_rows=400)
+    associate_dataset(folder, there, KNOWN, block_rows=400, cluster="local", jobs=2)
+    assert here.read_bytes() == there.read_bytes()
+
+
+def test_rows_that_are_not_in_the_order_of_time_are_one_error(seen, tmp_path):
+    folder, _ = seen
+    table = pd.read_parquet(folder / "0.parquet").iloc[::-1]
+    table.to_parquet(tmp_path / "back.parquet", index=False)
+    with pytest.raises(gt.InputError, match="rows in the order of time"):
+        associate_dataset(tmp_path / "back.parquet", tmp_path / "out.parquet")
+    table.drop(columns="t").to_parquet(tmp_path / "timeless.parquet", index=False)
+    with pytest.raises(gt.InputError, match="no column t"):
+        associate_dataset(tmp_path / "timeless.parquet", tmp_path / "out.parquet")
+    assert not (tmp_path / "out.parquet").exists()
