@@ -356,4 +356,4 @@ def empty_result(packed: PackedTracks) -> Result:
     n, m = len(packed.records), len(packed.tracks)
     steps, status = np.zeros((2, m), np.int64)
     states, covariance, modes = np.zeros((n, 6)), np.empty((n, 6, 6)), np.full((n, 3), np.nan)
-    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes)
+    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes, np.zeros((n, 2)))

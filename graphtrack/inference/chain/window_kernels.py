@@ -132,7 +132,7 @@ def solve_window(
         cost, exact = move_if_less(
             problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
         )
-    if unwind(problem, track, n, states, memory):
+    if unwind(problem, track, n, states, 0.0, memory):
         assign(again, memory.again[:n])
         if kept > 0:
             cost = cost_of(problem, track, n, states, memory)
