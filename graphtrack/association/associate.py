@@ -50,7 +50,7 @@ _ALONG = (
     "head_likelihood",
     APPEARANCE,
 )
-"""Channels that the evidence reads beside the position."""
+"""Channels that the evidence reads in addition to the position."""
 
 
 def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) -> TrackSet:
@@ -194,7 +194,7 @@ def associate(
     model: Model | str | Path | None = None,
     **options: Unpack[FileReading],
 ) -> TrackSet:
-    """Find out who is who in a recording: one track a person, with a row for each frame from first to last.
+    """Associate the detections of a recording: a track for each person, with a row for each frame.
 
     Parameters
     ----------

@@ -241,7 +241,7 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
 
     Notes
     -----
-    The temporary path lies in a hidden folder beside the result, since replacing is atomic only within one
+    The temporary path lies in a hidden folder next to the result, since replacing is atomic only within one
     file system, and keeps the name of ``path``, since many writers choose their format by it. A process that
     is killed leaves that folder behind; the next writing to the same place removes it.
     """

@@ -41,7 +41,7 @@ class FoundBoxes:
     ----------
     box : (n, 4) left, top, width and height in pixels
     confidence : (n,) of the detector, from 0 to 1; None: not known
-    track_id : (n,) from 0 on; None: nobody says who is who
+    track_id : (n,) from 0 on; None: detections without identities
     place : (n,) where they stood among all that was found
     among : how many were found, of any class
     refused : reason → number of boxes that were left out; ``among == n + sum of these``

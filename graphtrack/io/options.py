@@ -21,7 +21,7 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 """Metres of each unit of length."""
 
 SHORT = {"id": "track_id", "time": "t"}
-"""Short names of columns, beside those of the native table."""
+"""Short names of columns, in addition to those of the native table."""
 
 WILD = "*"
 """In the name of a column what stands for an identity: a table with columns for each person."""

@@ -427,7 +427,7 @@ def paired_files(estimates: Sequence[Path], truth: Sequence[Path]) -> dict[str, 
     """Pairs of files by the name of their sequence, which is that of the file without its ending.
 
     One file on either side is a pair, whatever its name. A folder stands for the files in it, without hidden
-    ones, and without what a reader finds beside a file by itself, such as a calibration; but one that is a
+    ones, and without what a reader finds next to a file by itself, such as a calibration; but one that is a
     sequence of MOTChallenge, or is in such a folder, for itself.
 
     Raises

@@ -13,7 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.io.format import Format, places_beside
 from graphtrack.io.formats.caviar import CAVIAR
 from graphtrack.io.formats.coco import COCO
-from graphtrack.io.formats.eth_ucy import ETH, UCY
+from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
 from graphtrack.io.formats.kitti import KITTI
 from graphtrack.io.formats.mocap import MOCAP
 from graphtrack.io.formats.mot import MOT
@@ -24,7 +24,6 @@ from graphtrack.io.formats.pedpy import JUPEDSIM, PEDPY
 from graphtrack.io.formats.ros_reading import BAG
 from graphtrack.io.formats.salsa import SALSA
 from graphtrack.io.formats.towncentre import TOWNCENTRE
-from graphtrack.io.formats.trajnet import TRAJNET
 from graphtrack.io.libraries import GEOPACKAGE, GEOPARQUET
 from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
@@ -105,7 +104,7 @@ FORMATS = (
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:
-    """The files beside ``path`` that a reader of some format would read with it."""
+    """The files next to ``path`` that a reader of some format would read with it."""
     places = (place for known in FORMATS for place in places_beside(path, known.beside))
     return tuple(place for place in places if place.is_file())
 

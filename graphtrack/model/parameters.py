@@ -124,7 +124,7 @@ class CouplingParameters(_Group):
     motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
     speed_threshold: float = _number(0.13, 0.0, 100.0, "m/s")
     head_body_kappa: float = _number(4.5, 0.0, 1e6)
-    # At one frame rate only κ over this time counts: it is not learned beside κ.
+    # At one frame rate only κ over this time counts: it is not learned together with κ.
     correlation_time: float = _number(0.38, 0.0, 1e3, "s", learned=False)
 
     def weights(self, dt: FloatArray | float | None) -> FloatArray:

@@ -374,7 +374,7 @@ def _for_lanes(memory: Any) -> Any:
 
 @inner_allocating
 def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
-    """The arrays as the kernels see them; whoever calls keeps the arrays."""
+    """The arrays as the kernels see them; the caller keeps the arrays alive."""
     own = Problem(
         lane_records(arrays.frames, problem.records),
         problem.shared,

@@ -103,7 +103,7 @@ def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:
 def _given_or_beside(
     found: Path, option: str, given: str | Path | None, labels: Path, notes: list[str]
 ) -> Path:
-    """The path that was given, or the one that was ``found`` beside the labels."""
+    """The path that was given, or the one that was ``found`` next to the labels."""
     if given is not None:
         return Path(given)
     if not found.is_file():

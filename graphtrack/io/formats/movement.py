@@ -49,7 +49,7 @@ FURTHER: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "covariance": ("state", "other_state"),
     }
 )
-"""Attribute of a `Track` → dimensions of its variable beside time and individuals; names are the same."""
+"""Attribute of a `Track` → dimensions of its variable other than time and individuals; names are the same."""
 
 LENGTHS = ("position_std", "velocity", "true_position")
 """Variables in the unit of the positions, or that a second."""
@@ -451,7 +451,7 @@ class _Reading:
         return found, ignored
 
     def _further(self, name: str) -> tuple[str, ...] | None:
-        """The dimensions of a variable beside those of all; None where it is none of a track."""
+        """The dimensions of a variable other than those of all; None where it is none of a track."""
         dims = [str(one) for one in self.dataset[name].dims]
         if KEYPOINTS in dims and self.dataset.sizes[KEYPOINTS] == 1:
             dims.remove(KEYPOINTS)

@@ -46,7 +46,7 @@ def _read_csv(source: Source, options: ReadOptions) -> Rows:
     rows = from_columns(
         columns, path=source.path, format="csv", fps=options.fps, line_of=line_of, ignored=ignored
     )
-    return place_pixels(rows, options)
+    return place_pixels(rows, options) if "pixel" in rows.channels else rows
 
 
 def _header(source: Source) -> list[str]:
@@ -218,7 +218,7 @@ def _read_parquet(source: Source, options: ReadOptions) -> Rows:
         line_of=lambda row: row + 1,
         ignored=ignored,
     )
-    return place_pixels(rows, options)
+    return place_pixels(rows, options) if "pixel" in rows.channels else rows
 
 
 def has_moments(source: Source) -> bool:

@@ -53,7 +53,7 @@ def from_pedpy(trajectory: Any) -> TrackSet:
 
 
 def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.TrajectoryData:
-    """A ``pedpy.TrajectoryData``: id, frame, x and y in metres, and beside them the native table's columns.
+    """A ``pedpy.TrajectoryData``: id, frame, x and y in metres, and in addition the native table's columns.
 
     Rows without a position are left out. Times that frames and rate do not say are kept as the column ``t``.
 
@@ -159,11 +159,11 @@ _WITH_A_LOG = 2
 
 
 def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
-    """Read positions, and where agents point as the body; and native columns beside them."""
+    """Read positions, and where agents point as the body; and native columns in addition."""
     data = source.data
     if data[18:19] == bytes([_WITH_A_LOG]):
         raise InputError(
-            "a database whose changes may lie beside it", "one that its writer has closed", path=source.path
+            "a database whose changes may lie next to it", "one that its writer has closed", path=source.path
         )
     try:
         with closing(sqlite3.connect(":memory:")) as connection:

@@ -294,7 +294,7 @@ def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> l
         if not found:
             raise InputError(f"no topic {asked}", f"one of {_listed(known or topics)}", path=path)
     else:
-        # Whoever recorded what they observed and what was made of it means the former.
+        # A recording of observations and of estimates means the observations.
         found = [name for name in known if not name.startswith(OURS)]
         if not found:
             found = [name for name in (OWN_INPUT,) if name in known] or list(known)

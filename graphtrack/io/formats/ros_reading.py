@@ -476,7 +476,7 @@ class _Columns:
 
 
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
-    """Rows of a recording by the options ``topic``, ``fixed_frame``, ``classes`` and ``beside``."""
+    """Rows of a recording by the options ``topic``, ``fixed_frame`` and ``classes``."""
     with open_bag(path) as bag:
         topics = chosen_topics(bag.topics, options.topic, path)
         kind = bag.topics[topics[0]]

@@ -26,7 +26,7 @@ BESIDE = ("calibration.ci",)
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes and put their bottom centres on the ground.
 
-    The calibration is the one of the options or ``calibration.ci`` beside the file. The boxes may be
+    The calibration is the one of the options or ``calibration.ci`` next to the file. The boxes may be
     those of an image of half the calibrated size: that is recognised when all of them begin within it, or
     told by ``image_scale``. 25 frames a second unless ``fps`` is given.
     """
@@ -52,7 +52,7 @@ def _camera(
     camera, notes = known_camera(options, pixel)
     (found,) = places_beside(source.path, BESIDE)
     if camera is None and options.metres_per_pixel is None and found.is_file():
-        camera, notes = read_calibration(found), ("calibration from calibration.ci beside the file",)
+        camera, notes = read_calibration(found), ("calibration from calibration.ci next to the file",)
     if camera is None:
         return camera_or_scale(options, pixel, height)
     scale, why = _image_scale(options, camera, pixel - np.column_stack([np.zeros_like(height), height]))
