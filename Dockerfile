@@ -8,6 +8,7 @@ USER graphtrack
 RUN python -c "import graphtrack as gt; gt.warm_up('full')"
 VOLUME /streams
 EXPOSE 8765
-HEALTHCHECK CMD python -c "import urllib.request as r; r.urlopen('http://127.0.0.1:8765/health')"
-# Clients on other machines: docker run … graphtrack --allow-host NAME.
+HEALTHCHECK CMD python -c "import urllib.request as r; r.urlopen('http://127.0.0.1:8765/ready')"
+# It listens on all of the container's interfaces, so a token is required: docker run -e GRAPHTRACK_TOKEN=…;
+# clients on other machines: docker run … graphtrack --allow-host NAME.
 ENTRYPOINT ["graphtrack", "serve", "--host", "0.0.0.0", "--state", "/streams"]

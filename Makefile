@@ -4,7 +4,8 @@
 # make load    the service under load, on the loopback: latencies, lost rows, memory
 # make notebooks, make pictures   run them again and store what they show
 # make docs    the documentation site, into site/, strictly: a broken link or page is an error
-# make claims  measure what README and docs state, and compare
+# make claims  measure the results that README and docs show (hours)
+# make results write the tables of README and docs from the stored results
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -13,7 +14,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 20 --durations-min 5
-.PHONY: demo docs load test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
+.PHONY: demo docs load test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims results clean
 .DELETE_ON_ERROR:
 
 $(BIN)/python:
@@ -63,13 +64,15 @@ load: $(VENV)/installed-test
 docs: $(VENV)/installed-test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --site-dir site
 
-pictures: demo
-	mkdir -p docs/images
-	cp demo/tracks.png docs/images/demo.png
+pictures: $(VENV)/installed
+	$(BIN)/python docs/pictures.py
 
-# Hours: the experiments that README and docs quote, at full size, and whether the pages say what they measured.
+# Hours: the experiments at full size, stored in docs/results/data and written into the pages.
 claims: $(VENV)/installed-test
-	$(BIN)/python tests/claims/check.py
+	$(BIN)/python docs/hooks/results.py --measure
+
+results: $(VENV)/installed-test
+	$(BIN)/python docs/hooks/results.py
 
 clean:
 	rm -rf $(VENV) demo build .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from graphtrack.packages import imported_names
+
 if TYPE_CHECKING:
     from graphtrack.association.associate import associate, from_supervision, from_ultralytics, read
     from graphtrack.association.tracker import PersonEstimate
@@ -19,10 +21,11 @@ if TYPE_CHECKING:
     from graphtrack.interaction.attention import Looks, OnlineAttention
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
-    from graphtrack.io import ReadOptions, write
     from graphtrack.io.formats.movement import from_movement, to_movement
     from graphtrack.io.formats.pedpy import from_pedpy, to_pedpy
     from graphtrack.io.libraries import to_geopandas
+    from graphtrack.io.options import ReadOptions
+    from graphtrack.io.read_write import write
     from graphtrack.model import Model, Observation, Parameters, Term, presets
     from graphtrack.report.page import write_report
     from graphtrack.simulation.degrade import add_noise
@@ -95,110 +98,40 @@ __all__ = [
 ]
 
 _HOMES = {
-    "association.associate": (
-        "associate",
-        "from_supervision",
-        "from_ultralytics",
-        "read",
-    ),
-    "association.tracker": ("PersonEstimate",),
-    "errors": (
-        "GraphtrackError",
-        "InputError",
-        "InputWarning",
-        "SolveError",
-    ),
-    "evaluation.compare": (
-        "Comparison",
-        "compare",
-    ),
-    "evaluation.identities": (
-        "SequenceScore",
-        "TrackingScore",
-        "score",
-    ),
-    "evaluation.metrics": (
-        "StateScore",
-        "score_states",
-    ),
-    "forecasting.forecaster": (
-        "Forecast",
-        "Forecaster",
-    ),
-    "forecasting.motion": ("ForecastParameters",),
-    "forecasting.recorded": (
-        "Forecasts",
-        "forecast",
-    ),
-    "inference": (
-        "Estimate",
-        "Failure",
-        "OnlineSmoother",
-        "Solution",
-        "SolverOptions",
-    ),
-    "interaction.attention": (
-        "Looks",
-        "OnlineAttention",
-    ),
-    "interaction.groups": (
-        "Groups",
-        "OnlineGroups",
-        "groups",
-    ),
-    "interaction.parameters": ("GroupParameters",),
-    "io": (
-        "ReadOptions",
-        "write",
-    ),
-    "io.formats.movement": (
-        "from_movement",
-        "to_movement",
-    ),
-    "io.formats.pedpy": (
-        "from_pedpy",
-        "to_pedpy",
-    ),
-    "io.libraries": ("to_geopandas",),
-    "model": (
-        "Model",
-        "Observation",
-        "Parameters",
-        "Term",
-        "presets",
-    ),
-    "report.page": ("write_report",),
-    "simulation.degrade": ("add_noise",),
-    "simulation.sampling": ("simulate",),
-    "smoothing": (
-        "OnlineTracker",
-        "smooth",
-        "solve",
-        "track_online",
-        "warm_up",
-    ),
-    "tracks.scene": ("SceneParameters",),
-    "tracks.track": (
-        "ReadSummary",
-        "Track",
-        "TrackSet",
-    ),
-    "viewer.shown": ("view",),
+    "association.associate": "associate from_supervision from_ultralytics read",
+    "association.tracker": "PersonEstimate",
+    "errors": "GraphtrackError InputError InputWarning SolveError",
+    "evaluation.compare": "Comparison compare",
+    "evaluation.identities": "SequenceScore TrackingScore score",
+    "evaluation.metrics": "StateScore score_states",
+    "forecasting.forecaster": "Forecast Forecaster",
+    "forecasting.motion": "ForecastParameters",
+    "forecasting.recorded": "Forecasts forecast",
+    "inference": "Estimate Failure OnlineSmoother Solution SolverOptions",
+    "interaction.attention": "Looks OnlineAttention",
+    "interaction.groups": "Groups OnlineGroups groups",
+    "interaction.parameters": "GroupParameters",
+    "io.options": "ReadOptions",
+    "io.read_write": "write",
+    "io.formats.movement": "from_movement to_movement",
+    "io.formats.pedpy": "from_pedpy to_pedpy",
+    "io.libraries": "to_geopandas",
+    "model": "Model Observation Parameters Term presets",
+    "report.page": "write_report",
+    "simulation.degrade": "add_noise",
+    "simulation.sampling": "simulate",
+    "smoothing": "OnlineTracker smooth solve track_online warm_up",
+    "tracks.scene": "SceneParameters",
+    "tracks.track": "ReadSummary Track TrackSet",
+    "viewer.shown": "view",
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+_attribute = imported_names(__name__, _HOMES)
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562), so that reading a file loads no solver."""
-    value: object
     if name == "__version__":
-        value = import_module("importlib.metadata").version(__name__)
-    elif name in _HOME_OF:
-        value = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value
-    return value
+        return import_module("importlib.metadata").version(__name__)
+    return _attribute(name)
 
 
 def __dir__() -> list[str]:

@@ -53,6 +53,10 @@ class UnknownTrackError(InputError, KeyError):
     """An id that no track of a set has; a `KeyError` too, as a mapping would raise."""
 
 
+class TrackIndexError(InputError, IndexError):
+    """A place at which a set has no track; an `IndexError` too, as a list would raise."""
+
+
 def _rebuild_input_error(
     kind: type[InputError],
     found: str,

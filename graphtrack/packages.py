@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -11,6 +13,7 @@ from graphtrack.errors import InputError
 __all__ = [
     "csgraph",
     "gtsam",
+    "imported_names",
     "ndimage",
     "optimize",
     "package",
@@ -21,11 +24,38 @@ __all__ = [
 ]
 
 
+def imported_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return a module's ``__getattr__`` (PEP 562) that imports its names when they are first used.
+
+    Reading a file loads no solver then, and printing help none of the readers.
+
+    Parameters
+    ----------
+    package : full name of the module
+    homes : module within the package → names that come from it, with spaces between them
+    """
+    home_of = {name: home for home, names in homes.items() for name in names.split()}
+
+    def attribute(name: str) -> Any:
+        if name not in home_of:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(import_module(f"{package}.{home_of[name]}"), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return attribute
+
+
 class _Later(ModuleType):
     """Stands for a module, and imports it when something of it is asked for."""
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(import_module(self.__name__), name)
+        try:
+            module = import_module(self.__name__)
+        except ModuleNotFoundError as error:
+            expected = "it installed (GTSAM has no wheel for Windows: use the engine chain there)"
+            raise InputError(f"no package {self.__name__}", expected) from error
+        found = getattr(module, name)
         setattr(self, name, found)
         return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,11 @@ DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, Graphtra
 """Exceptions that a damaged state raises."""
 
 
-def damaged(error: Exception) -> InputError:
-    """The error for a state that raised one of `DAMAGES`."""
-    return InputError(f"a damaged state ({error!r})", "what a smoother saved")
+def damaged(
+    error: Exception, expected: str = "what a smoother saved", path: str | Path | None = None
+) -> InputError:
+    """The error for a state that raised an exception, such as one of `DAMAGES`."""
+    return InputError(f"a damaged state ({error!r})", expected, path=path)
 
 
 def real(value: Any) -> float:
@@ -34,6 +37,13 @@ def whole(value: Any) -> int:
     if type(value) is not int:
         raise TypeError(f"{str(value)[:40]!r} in place of a whole number")
     return value
+
+
+def count(value: Any) -> int:
+    """A whole number from 0 on of a saved state; TypeError or ValueError if the value is something else."""
+    if whole(value) < 0:
+        raise ValueError(f"{value} in place of a count")
+    return int(value)
 
 
 def to_text(values: FloatArray) -> str:

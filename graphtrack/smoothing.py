@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.inference.engines import OnlineEngine, engine_of
 from graphtrack.inference.offline import solve_each
 from graphtrack.inference.online import OnlineSmoother
@@ -31,9 +32,12 @@ from graphtrack.inference.result import Failure, OfflineEngine, Solution, Solver
 from graphtrack.inference.state import Estimate, as_track
 from graphtrack.inference.warm import make_all_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
+from graphtrack.interaction.walls import model_with_walls, solve_inside, with_observed_walls
+from graphtrack.io.options import FileReading, ReadingBase
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.faces_group import GROUP
+from graphtrack.model.terms.walls import without_walls
 from graphtrack.saved import DAMAGES, damaged, pack_tree, unpack_tree, whole
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
 from graphtrack.tracks.scene import GivenScene
@@ -44,8 +48,6 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[int], None]
-Options = dict[str, Any]
-"""Of an `OnlineSmoother`."""
 
 
 def solve(
@@ -57,6 +59,7 @@ def solve(
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
     trust: Trust = "declared",
+    walkable: AreaLike | None = None,
 ) -> list[Solution | Failure]:
     """Smooth every track; one that fails does not keep the others from coming out.
 
@@ -72,6 +75,8 @@ def solve(
     progress : called with the numbers of person-frames that are done
     trust : "declared": observations are as noisy as they, or the model, say; "check": warn where the data
         contradict that; "learn": correct it there, warn, and go on
+    walkable : area in which people walk, in metres: a file of GeoJSON or well-known text, or a polygon of
+        Shapely or PedPy
 
     Returns
     -------
@@ -82,7 +87,8 @@ def solve(
     given, model, said = trusted(tracks_of(tracks, scene=model.scene), model, trust)
     for line in said:
         warnings.warn(line, InputWarning, stacklevel=2)
-    return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress)
+    area = None if walkable is None else WalkableArea.of(walkable)
+    return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress, walkable=area)
 
 
 def solve_tracks(
@@ -94,11 +100,20 @@ def solve_tracks(
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
     n_frames: int | None = None,
+    walkable: WalkableArea | None = None,
 ) -> list[Solution | Failure]:
     """Smooth tracks with the engine that `engine_of` has chosen; groups are found where the model has them.
 
     ``n_frames``: person-frames of all the work that the tracks are a part of, if there are others.
     """
+    if walkable is not None:
+        plain = partial(solve_tracks, engine=engine, jobs=jobs, options=options)
+        return solve_inside(
+            tracks,
+            partial(plain, model=model, progress=progress, n_frames=n_frames),
+            partial(plain, model=model_with_walls(model)),
+            walkable,
+        )
     each = partial(
         solve_each,
         model=model,
@@ -118,38 +133,30 @@ def lacks_groups(tracks: TrackSet) -> bool:
     return len(tracks) > 1 and not any(GROUP in track.inputs for track in tracks)
 
 
-@overload
-def smooth(
-    tracks: Track,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-    fill: bool = False,
-    resample: float | None = None,
-    **reading: Any,
-) -> Track: ...
+class Solving(TypedDict, total=False):
+    """Keywords of `solve`."""
+
+    engine: OfflineEngine | Literal["auto"]
+    jobs: int | None
+    options: SolverOptions | None
+    progress: Progress | None
+    trust: Trust
+    walkable: AreaLike | None
+
+
+class Smoothing(Solving, FileReading, total=False):
+    """Keywords of `smooth`."""
+
+    fill: bool
+    resample: float | None
 
 
 @overload
+def smooth(tracks: Track, model: Model | str | Path | None = None, **options: Unpack[Smoothing]) -> Track: ...
+@overload
 def smooth(
-    tracks: Scene,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OfflineEngine | Literal["auto"] = "auto",
-    jobs: int | None = None,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
-    fill: bool = False,
-    resample: float | None = None,
-    **reading: Any,
+    tracks: Scene, model: Model | str | Path | None = None, **options: Unpack[Smoothing]
 ) -> TrackSet: ...
-
-
 def smooth(
     tracks: Given,
     model: Model | str | Path | None = None,
@@ -161,13 +168,14 @@ def smooth(
     trust: Trust = "declared",
     fill: bool = False,
     resample: float | None = None,
-    **reading: Any,
+    walkable: AreaLike | None = None,
+    **reading: Unpack[FileReading],
 ) -> TrackSet | Track:
     """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
 
     Parameters
     ----------
-    tracks, model, engine, jobs, options, progress, trust : as in `solve`
+    tracks, model, engine, jobs, options, progress, trust, walkable : as in `solve`
     fill : estimate the frames between a track's rows that its table leaves out, too; see `gaps.filled`
     resample : estimates at so many frames a second (Hz) in place of the tracks' own; see `gaps.with_times_at`
     **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
@@ -189,7 +197,16 @@ def smooth(
         given = filled(given)
     if resample is not None:
         given = with_times_at(given, resample)
-    found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress, trust=trust)
+    found = solve(
+        given,
+        model,
+        engine=engine,
+        jobs=jobs,
+        options=options,
+        progress=progress,
+        trust=trust,
+        walkable=walkable,
+    )
     for result in found:
         if isinstance(result, Failure):
             raise SolveError(result.track_id, result.reason)
@@ -199,32 +216,36 @@ def smooth(
     return estimates.tracks[0] if isinstance(tracks, Track) else estimates
 
 
+class OnlineOptions(TypedDict, total=False):
+    """Keywords of an `OnlineSmoother`."""
+
+    engine: OnlineEngine
+    lag: float | None
+    camera: GroundCamera | None
+
+
+class OnlineReading(ReadingBase, total=False):
+    """Keywords of reading for `track_online`, whose camera is one of `OnlineOptions`."""
+
+    fps: float | None
+    format: str | None
+
+
+class OnlineTracking(OnlineOptions, OnlineReading, total=False):
+    """Keywords of `track_online`."""
+
+    progress: Progress
+    walkable: AreaLike | None
+
+
 @overload
 def track_online(
-    tracks: Track,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OnlineEngine = "auto",
-    lag: float | None = 2.0,
-    camera: GroundCamera | None = None,
-    progress: Progress = ...,
-    **reading: Any,
+    tracks: Track, model: Model | str | Path | None = None, **options: Unpack[OnlineTracking]
 ) -> Track: ...
-
-
 @overload
 def track_online(
-    tracks: Scene,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OnlineEngine = "auto",
-    lag: float | None = 2.0,
-    camera: GroundCamera | None = None,
-    progress: Progress = ...,
-    **reading: Any,
+    tracks: Scene, model: Model | str | Path | None = None, **options: Unpack[OnlineTracking]
 ) -> TrackSet: ...
-
-
 def track_online(
     tracks: Given,
     model: Model | str | Path | None = None,
@@ -233,7 +254,8 @@ def track_online(
     lag: float | None = 2.0,
     camera: GroundCamera | None = None,
     progress: Progress = lambda frames: None,
-    **reading: Any,
+    walkable: AreaLike | None = None,
+    **reading: Unpack[OnlineReading],
 ) -> TrackSet | Track:
     """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
 
@@ -246,32 +268,52 @@ def track_online(
     model, engine, lag : as in `OnlineSmoother`
     camera : camera of the scene; by default that of the `TrackSet`
     progress : called with the numbers of person-frames that are done
+    walkable : as in `solve`; the walls of a frame are those near its observed position
     **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
 
     Raises
     ------
     InputError
-        For a file of detections without identities too: who is who is found out from past and future by
+        For a file of detections without identities too: identities are associated from past and future by
         `associate`, and from the past alone by `OnlineTracker`.
     """
+    options: OnlineOptions = {"engine": engine, "lag": lag, "camera": camera}
+    if walkable is not None:
+        return _inside(tracks, model, walkable, reading, progress, options)
     if not isinstance(tracks, Track) or reading:
-        scene, chosen = tracks_of(tracks, **{"associate": "never", **reading}), Model.named(model)
-        camera = scene.camera if camera is None else camera
-        options: Options = {"engine": engine, "lag": lag, "camera": camera}
+        scene, chosen = tracks_of(tracks, identified=True, **reading), Model.named(model)
+        options["camera"] = scene.camera if camera is None else camera
         if chosen.has_groups and lacks_groups(scene):
             return _in_step(scene, chosen, options, progress)
         return scene.map(lambda one: _by_itself(one, chosen, options, progress))
-    return _by_itself(tracks, Model.named(model), {"engine": engine, "lag": lag, "camera": camera}, progress)
+    return _by_itself(tracks, Model.named(model), options, progress)
 
 
-def _by_itself(track: Track, model: Model, options: Options, progress: Progress) -> Track:
+def _inside(
+    tracks: Given,
+    model: Model | str | Path | None,
+    walkable: AreaLike,
+    reading: OnlineReading,
+    progress: Progress,
+    options: OnlineOptions,
+) -> TrackSet | Track:
+    """Track with the walls of a walkable area."""
+    area = WalkableArea.of(walkable)
+    scene = tracks_of(tracks, identified=True, **reading)
+    walled = scene.map(lambda track: with_observed_walls(track, area))
+    chosen = model_with_walls(Model.named(model))
+    found = track_online(walled, chosen, progress=progress, **options).map(without_walls)
+    return found.tracks[0] if isinstance(tracks, Track) else found
+
+
+def _by_itself(track: Track, model: Model, options: OnlineOptions, progress: Progress) -> Track:
     smoother = OnlineSmoother(model, **options)
     found = [smoother.update(observation) for observation in observations(track)]
     progress(len(track))
     return as_track(track, found, model)
 
 
-def _in_step(scene: TrackSet, model: Model, options: Options, progress: Progress) -> TrackSet:
+def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Progress) -> TrackSet:
     """Everybody frame by frame, each told of the conversations of the frames before."""
     conversations = Conversations(model)
     people = [OnlineSmoother(model, **options) for _ in scene]
@@ -295,7 +337,7 @@ def warm_up(
 ) -> None:
     """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
 
-    Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about
+    Without it the first call waits: half a second for loading or, once on a machine, about
     half a minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
     Python shows where logging is not set up.
 
@@ -331,6 +373,7 @@ class OnlineTracker(DetectionTracker):
     model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
     scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
         names. The others are as the model has them, else learned from what is seen
+    walkable : as in `solve`
 
     Attributes
     ----------
@@ -353,11 +396,20 @@ class OnlineTracker(DetectionTracker):
         engine: OnlineEngine = "auto",
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
+        walkable: AreaLike | None = None,
     ) -> None:
         chosen = Model.named(model)
+        area = None if walkable is None else WalkableArea.of(walkable)
+        chosen = chosen if area is None else model_with_walls(chosen)
         self._conversations = Conversations(chosen) if chosen.has_groups else None
         super().__init__(
-            chosen, scene=scene, engine=engine, lag=lag, camera=camera, groups=self._conversations
+            chosen,
+            scene=scene,
+            engine=engine,
+            lag=lag,
+            camera=camera,
+            groups=self._conversations,
+            walkable=area,
         )
         self._forecaster: Forecaster | None = None
         self._frames: deque[tuple[Any, ...]] = deque(maxlen=_UNASKED)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,9 +27,10 @@ from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
 from perception.drawing.people import ShownPerson, draw_tracked
-from perception.images.frames import Frame
+from perception.images.frames import Clock, Frame, FrameSource
 from perception.images.pixels import pictures
 from perception.observe.tables import BOX
+from perception.storage import key_of
 
 STAGES = "stages.json"
 """Which stages are done, and what they said."""
@@ -141,11 +141,6 @@ def check_folder(path: Path) -> None:
         check_place(path, directory=True)
 
 
-def key_of(*asked: object) -> str:
-    """A hash of all that tells one run from another."""
-    return hashlib.sha256(repr(asked).encode()).hexdigest()
-
-
 class ShownPeople(Mapping[int, list[ShownPerson]]):
     """People to draw in each frame, made when they are asked for: of an hour, only columns are kept."""
 
@@ -247,7 +242,7 @@ def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
 def _angle(track: Track, name: Literal["body", "head"]) -> tuple[FloatArray, FloatArray]:
     unknown = np.full(len(track), np.nan)
     angle, std = getattr(track, name), track.std(name)
-    return unknown if angle is None else angle, unknown if std is None else std
+    return unknown if angle is None else angle, std
 
 
 def _boxes_of(
@@ -277,14 +272,14 @@ def write_video(
     frames: Iterable[Frame],
     people: Mapping[int, Sequence[ShownPerson]],
     camera: GroundCamera,
-    rate: float,
+    clock: Clock,
 ) -> int:
     """Write the frames with their people; how many there are. One at a time is in memory."""
     count = 0
-    with pictures(path, rate) as write:
+    with pictures(path, clock.rate) as write:
         for frame in frames:
             if frame.image is not None:
-                words = f"frame {frame.number}  {frame.number / rate:.2f} s"
+                words = f"frame {frame.number}  {clock.seconds(frame.number):.2f} s"
                 write(frame.number, draw_tracked(frame.image, words, people.get(frame.number, ()), camera))
                 count += 1
     return count
@@ -345,21 +340,13 @@ _DESCRIPTION = (
 
 def _photos(video: Path) -> list[tuple[int, int, bytes]]:
     """Numbers of frames of a video, from 0, how many it has, and the frames, evenly chosen, as JPEG."""
-    reader = cv2.VideoCapture(str(video.absolute()))
+    frames = FrameSource.open(video)
+    wanted = np.linspace(0, frames.count - 1, min(_PHOTOS, frames.count)).round().astype(int).tolist()
     found = []
-    try:
-        count = int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
-        wanted = set(np.linspace(0, count - 1, min(_PHOTOS, count)).round().astype(int).tolist())
-        for k in range(count):
-            if not reader.grab():
-                break
-            if k in wanted:
-                good, image = reader.retrieve()
-                if good:
-                    factor = min(1.0, _PHOTO_WIDTH / image.shape[1])
-                    small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-                    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-                    found.append((k, count, np.asarray(data, np.uint8).tobytes()))
-    finally:
-        reader.release()
+    for frame in frames.where(wanted.__contains__):
+        if frame.image is not None:
+            factor = min(1.0, _PHOTO_WIDTH / frame.image.shape[1])
+            small = cv2.resize(frame.image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+            _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+            found.append((frame.number, frames.count, np.asarray(data, np.uint8).tobytes()))
     return found

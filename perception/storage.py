@@ -1,16 +1,24 @@
-"""Model files: arrays and a card in one NumPy archive, which loads without running anything in it."""
+"""Model files: arrays and a card in one NumPy archive, which loads without running anything in it.
+
+Also records of runs: dataclasses with arrays as lines of JSON.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from types import NoneType
+from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
@@ -135,3 +143,46 @@ class Stored(ABC):
             return cls.restored(card, arrays)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error
+
+
+def key_of(*asked: object) -> str:
+    """Key of a run, from all that its result depends on."""
+    return hashlib.sha256(repr(asked).encode()).hexdigest()
+
+
+def encoded(record: object) -> bytes:
+    """Encode a dataclass of numbers, text, arrays, lists and other such dataclasses as a line of JSON."""
+    return orjson.dumps(record, default=_of_array)
+
+
+def _of_array(values: Any) -> object:
+    if isinstance(values, np.generic):
+        return values.item()
+    data = base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+    return {"dtype": values.dtype.str, "shape": values.shape, "data": data}
+
+
+def decoded(kind: Any, values: Any) -> Any:
+    """Restore a record of a kind; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+    parts = get_args(kind)
+    if NoneType in parts:
+        return None if values is None else decoded(parts[0], values)
+    if is_dataclass(kind):
+        return _restored(kind, values)
+    origin = get_origin(kind)
+    if origin is np.ndarray:
+        data = base64.b64decode(values["data"], validate=True)
+        return np.frombuffer(data, values["dtype"]).reshape(values["shape"]).copy()
+    if origin in (list, tuple):
+        return origin(decoded(parts[0], part) for part in values)
+    return kind(values)
+
+
+def _restored(kind: Any, values: Any) -> Any:
+    hints = _hints(kind)
+    return kind(**{name: decoded(hints[name], part) for name, part in dict(values).items()})
+
+
+@lru_cache(maxsize=16)
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)

@@ -109,25 +109,22 @@ def keypoint_figures(
     model: KeypointPose, points: FloatArray, body: FloatArray, head: FloatArray
 ) -> dict[str, float]:
     """Errors and calibration errors of body and head, of the points (n, 9, 3) of people who point at (n,)."""
-    found = {}
+    found: dict[str, float] = {}
     for name, classes, layers, angle in (("body", BODY, model.body, body), ("head", HEAD, model.head, head)):
-        for figure, value in _keypoint_figures(classes, layers.log_likelihoods(points), angle).items():
-            found[f"{name}_{figure}"] = value
+        log_likelihood = layers.log_likelihoods(points)
+        error = np.degrees(np.abs(difference(classes.mean_pan(log_likelihood), angle)))
+        label = classes.index(angle)
+        said = log_softmax(log_likelihood, axis=1)[np.arange(len(label)), label]
+        found |= {
+            f"{name}_mean_error_deg": float(error.mean()),
+            f"{name}_median_error_deg": float(np.median(error)),
+            f"{name}_beyond_90_percent": 100.0 * float((error > 90.0).mean()),
+            f"{name}_bits": float(-said.mean() / np.log(2.0)),
+            f"{name}_expected_calibration_error": reliability(
+                log_likelihood, label
+            ).expected_calibration_error,
+        }
     return found
-
-
-def _keypoint_figures(
-    classes: PoseClasses, log_likelihood: FloatArray, angle: FloatArray
-) -> dict[str, float]:
-    error = np.degrees(np.abs(difference(classes.mean_pan(log_likelihood), angle)))
-    label = classes.index(angle)
-    said = log_softmax(log_likelihood, axis=1)[np.arange(len(label)), label]
-    return {
-        "mean_error_deg": float(error.mean()),
-        "median_error_deg": float(np.median(error)),
-        "bits": float(-said.mean() / np.log(2.0)),
-        "expected_calibration_error": reliability(log_likelihood, label).expected_calibration_error,
-    }
 
 
 _HEADS = HeadVariation(size=(16, 40), offset=0.02, scale=0.03)

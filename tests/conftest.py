@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import re
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from graphtrack.errors import InputError
 
 # Tests that run beside each other have the processors in use: more threads would wait for each other.
 # Here, since the libraries look at it when they are loaded.
@@ -23,6 +28,23 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Documents and notebooks come first: at the end one worker would wait while the other runs them."""
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
+
+
+if importlib.util.find_spec("gtsam") is None:  # Windows: there is no wheel
+    collect_ignore_glob = ["benchmarks/*"]
+    for test_file in Path(__file__).parent.rglob("*.py"):
+        if re.search(r"^(import gtsam|from (gtsam|costs) )", test_file.read_text("utf-8"), re.MULTILINE):
+            collect_ignore_glob.append(str(test_file))
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+        """Skip tests that turn out to need GTSAM."""
+        try:
+            return (yield)
+        except InputError as error:
+            if error.found != "no package gtsam":
+                raise
+            pytest.skip("needs GTSAM")
 
 
 @pytest.fixture(scope="session")

@@ -64,7 +64,7 @@ def cases() -> Iterator[tuple[str, TrackSet, Model]]:
 
 
 def numbers_of(track: Track) -> dict[str, np.ndarray]:
-    """What an engine estimates of a track."""
+    """Estimated channels of a track."""
     names = ("position", "velocity", "body", "head", "covariance")
     return {name: value for name in names if (value := getattr(track, name)) is not None}
 

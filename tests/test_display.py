@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import html
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ def people() -> TrackSet:
 
 @cache
 def solution() -> gt.Solution:
-    (found,) = gt.solve(TrackSet((people()[0][:20],)), "joint")
+    (found,) = gt.solve(TrackSet((people().by_id(0)[:20],)), "joint")
     assert isinstance(found, gt.Solution)
     return found
 
@@ -68,13 +69,16 @@ def estimate(**seen: object) -> gt.Estimate:
 
 
 def labelled() -> TrackSet:
-    return TrackSet(tuple(replace(people()[0][:5], track_id=i, label=NASTY) for i in range(500)))
+    return TrackSet(tuple(replace(people().by_id(0)[:5], track_id=i, label=NASTY) for i in range(500)))
 
 
 SHORT: dict[str, tuple[Callable[[], object], str]] = {
     "tracks": (people, "TrackSet(3 tracks, 600 person-frames, 0.0–19.9 s, body, head; truth)"),
     "no tracks": (lambda: people().with_tracks([]), "TrackSet(0 tracks)"),
-    "track": (lambda: people()[0], "Track(0, 'simulated 0', 200 frames, 0.0–19.9 s, body, head; truth)"),
+    "track": (
+        lambda: people().by_id(0),
+        "Track(0, 'simulated 0', 200 frames, 0.0–19.9 s, body, head; truth)",
+    ),
     "positions": (
         lambda: Track(7, np.arange(1), np.ones(1), np.ones((1, 2))),
         "Track(7, 1 frame, 1.0–1.0 s)",
@@ -108,39 +112,15 @@ def test_a_line_says_what_it_is(make: Callable[[], object], said: str) -> None:
     assert repr(make()) == said
 
 
-def test_results_say_how_they_came_out() -> None:
-    assert repr(solution()).startswith("Solution(track 0, 20 frames, cost ")
-    assert repr(solution()).endswith(" steps, converged, chain)")
-    said = repr(estimate(position=(2.0, 2.0)))
-    assert said.startswith("Estimate(t=1 s, frame 2, 'new', position (") and "m/s, body " in said
-    assert comparison()._repr_html_().count("<tr>") == 3
-
-
-class Cells(HTMLParser):
-    """The tags of a page, and the text between them."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.tags: set[str] = set()
-        self.text = ""
-        self.feed(page)
-
-    def handle_starttag(self, tag: str, attrs: object) -> None:
-        self.tags.add(tag)
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
 THINGS: dict[str, Callable[[], object]] = {
     **{name: make for name, (make, _) in SHORT.items()},
     "solution": solution,
     "estimate": lambda: estimate(position=(2.0, 2.0)),
     "failed": lambda: replace(estimate(), reason=NASTY[:200]),
     "nasty tracks": labelled,
-    "a nasty track": lambda: labelled()[3],
+    "a nasty track": lambda: labelled().by_id(3),
     "a nasty score": nasty_score,
-    "a nasty solution": lambda: replace(solution(), track=labelled()[3]),
+    "a nasty solution": lambda: replace(solution(), track=labelled().by_id(3)),
 }
 
 
@@ -150,10 +130,13 @@ def test_it_is_short_and_a_table_of_text(make: Callable[[], object]) -> None:
     assert len(repr(thing)) < 450 and "\n" not in repr(thing)
     page = thing._repr_html_()  # type: ignore[attr-defined]
     assert len(page) < 5000
-    assert {"table"} <= Cells(page).tags <= {"table", "caption", "tr", "th", "td"}
+    assert {"table"} <= set(re.findall(r"<(\w+)", page)) <= {"table", "caption", "tr", "th", "td"}
 
 
-def test_of_many_tracks_the_first_are_shown_and_their_labels_as_they_are() -> None:
-    text = Cells(labelled()._repr_html_()).text
-    assert "and 490 more" in text
-    assert "<script>alert(" in text
+def test_results_say_how_they_came_out_and_labels_are_text() -> None:
+    assert repr(solution()).startswith("Solution(track 0, 20 frames, cost ")
+    assert repr(solution()).endswith(" steps, converged, chain)")
+    assert repr(estimate(position=(2.0, 2.0))).startswith("Estimate(t=1 s, frame 2, 'new', position (")
+    assert comparison()._repr_html_().count("<tr>") == 3
+    text = html.unescape(re.sub("<[^>]*>", "", labelled()._repr_html_()))
+    assert "and 490 more" in text and "<script>alert(" in text

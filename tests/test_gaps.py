@@ -29,27 +29,18 @@ def test_rows_that_are_left_out_come_back_as_frames_without_observations(missing
     assert (found.observed is None) == (not missing)
     if missing:
         np.testing.assert_array_equal(found.observed, there)
+    far = gt.Track(1, frame=[0, 1, 2, 36_000], t=[0.0, 0.1, 0.2, 3600.0], position=np.zeros((4, 2)))
+    tracks = gt.TrackSet((far,))  # beyond the longest gap
+    assert filled(tracks).n_frames == 4 and unfilled_gaps(tracks) == 1
 
 
-def test_filling_is_smoothing_with_empty_rows():
+def test_filling_changes_nothing_elsewhere():
+    """The model is linear."""
     whole = walk()
-    there = np.ones(60, bool)
-    there[20:31] = False
-    position = np.where(there[:, None], whole.position, np.nan)
-    empty = gt.Track(1, frame=whole.frame, t=whole.t, position=position)
-    by_hand = gt.smooth(empty, "position")
+    there = np.delete(np.arange(60), slice(20, 31))
     by_filling = gt.smooth(filled(gt.TrackSet((whole[there],))), "position").tracks[0]
-    np.testing.assert_allclose(by_filling.position, by_hand.position, atol=1e-10)
-    np.testing.assert_allclose(by_filling.covariance, by_hand.covariance, atol=1e-10)
-    # Frames without observations change nothing elsewhere: the model is linear.
     without = gt.smooth(whole[there], "position")
     np.testing.assert_allclose(by_filling.position[there], without.position, atol=1e-8)
-
-
-def test_gaps_beyond_the_longest_are_left_and_counted():
-    track = gt.Track(1, frame=[0, 1, 2, 36_000], t=[0.0, 0.1, 0.2, 3600.0], position=np.zeros((4, 2)))
-    tracks = gt.TrackSet((track,))
-    assert filled(tracks).n_frames == 4 and unfilled_gaps(tracks) == 1
 
 
 @pytest.mark.parametrize("hz", [3.0, 10.0, 20.0, 25.0])
@@ -64,12 +55,9 @@ def test_estimates_at_another_rate_are_those_of_a_model_without_these_frames(hz)
         assert len(common) >= 5
         for j, k in common:
             np.testing.assert_allclose(one.position[j], plain.position[k], atol=1e-8)
-
-
-@pytest.mark.parametrize("hz", [0.0, -1.0, float("nan"), float("inf"), 1e12])
-def test_a_rate_that_cannot_be_is_an_error(hz):
-    with pytest.raises(InputError, match="Hz"):
-        with_times_at(gt.TrackSet((walk(),)), hz)
+    for wrong in (0.0, -1.0, float("nan"), float("inf"), 1e12):
+        with pytest.raises(InputError, match="Hz"):
+            with_times_at(tracks, wrong)
 
 
 def test_the_command_fills_and_resamples(tmp_path, monkeypatch):
@@ -87,7 +75,7 @@ def test_the_command_fills_and_resamples(tmp_path, monkeypatch):
     assert [len(track) for track in rows["filled"]] == [60, 60]
     assert [len(track) for track in rows["left"]] == [49, 60]
     assert [len(track) for track in rows["fast"]] == [119, 119]
-    np.testing.assert_array_equal(rows["filled"][1].observed, there)
+    np.testing.assert_array_equal(rows["filled"].by_id(1).observed, there)
 
 
 def test_options_of_reading_go_with_paths_and_tables(tmp_path):
@@ -95,8 +83,8 @@ def test_options_of_reading_go_with_paths_and_tables(tmp_path):
     table = gt.read(tmp_path / "a.csv").to_table().drop(columns="t")
     table.to_csv(tmp_path / "b.csv", index=False)
     for source in (tmp_path / "b.csv", [tmp_path / "b.csv"], table):
-        np.testing.assert_allclose(gt.smooth(source, "position", fps=5)[1].t, 0.2 * np.arange(60))
-        np.testing.assert_allclose(gt.track_online(source, "position", fps=5)[1].t, 0.2 * np.arange(60))
+        np.testing.assert_allclose(gt.smooth(source, "position", fps=5).by_id(1).t, 0.2 * np.arange(60))
+        np.testing.assert_allclose(gt.track_online(source, "position", fps=5).by_id(1).t, 0.2 * np.arange(60))
     for wrong, options in ((walk(), {"fps": 5}), (tmp_path / "b.csv", {"fpz": 5})):
         for call in (gt.smooth, gt.track_online):
             with pytest.raises(InputError, match="fp"):

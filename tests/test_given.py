@@ -14,7 +14,7 @@ from graphtrack.learning import fit
 from graphtrack.tracks.track import Track, TrackSet
 
 PEOPLE = gt.simulate("separate", n_tracks=3, n_steps=12, rng=np.random.default_rng(0))
-PERSON = PEOPLE[1]
+PERSON = PEOPLE.by_id(1)
 TABLE = PEOPLE.to_table()
 COLUMNS = {name: TABLE[name].tolist() for name in TABLE}
 
@@ -44,31 +44,38 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
-def test_whatever_holds_tracks_is_smoothed_as_they_are(form, path) -> None:
-    expected = gt.smooth(PEOPLE, "position")
-    found = gt.smooth(form(path), "position")
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one.position, other.position, atol=1e-9)
+def test_whatever_holds_tracks_is_taken_everywhere(form, path, tmp_path) -> None:
+    given = form(path)
+    for function in (gt.smooth, gt.track_online):
+        for one, other in zip(function(given, "position"), function(PEOPLE, "position"), strict=True):
+            np.testing.assert_allclose(one.position, other.position, atol=1e-9)
+    assert [s.track.track_id for s in gt.solve(given, "position")] == [0, 1, 2]
+    assert gt.compare(given, ["kf"], model="position").rows
+    assert gt.score(given, PEOPLE).together == gt.score(PEOPLE, given).together
+    assert len(gt.add_noise(given, position_std=0.1, rng=np.random.default_rng(0))) == 3
+    for entry in OTHERS:
+        entry(given, tmp_path)
 
 
-def test_every_entry_takes_the_same(path) -> None:
-    assert [s.track.track_id for s in gt.solve(str(path), "position")] == [0, 1, 2]
-    assert gt.compare(path, ["kf"], model="position").rows
-    scores = [gt.score(*pair) for pair in ((path, str(path)), (TABLE, PEOPLE), ([path], COLUMNS))]
-    assert scores[0].together == scores[1].together == scores[2].together
-    assert len(gt.add_noise(path, position_std=0.1, rng=np.random.default_rng(0))) == 3
-    online = gt.track_online(path, "position")
-    np.testing.assert_allclose(online[1].position, gt.track_online(PERSON, "position").position, atol=1e-9)
+OTHERS = [
+    lambda given, folder: gt.groups(given),
+    lambda given, folder: gt.forecast(given, horizon=0.4),
+    lambda given, folder: gt.associate(given),
+    lambda given, folder: gt.write_report(folder / "report.html", given),
+    lambda given, folder: gt.view(given, save=folder / "view.rrd"),
+]
 
 
-def test_a_track_gives_a_track(tmp_path) -> None:
+def test_a_track_gives_a_track_and_a_file_is_read_once(path, tmp_path) -> None:
     for function in (gt.smooth, gt.track_online):
         assert type(function(PERSON, "position")) is Track
         assert type(function(TrackSet((PERSON,)), "position")) is TrackSet
-    (solution,) = gt.solve(PERSON, "position")
-    assert solution.track.track_id == 1
     gt.write(PERSON, tmp_path / "one.csv")
     assert len(gt.read(tmp_path / "one.csv")) == 1
+    link = tmp_path / "link.csv"
+    link.symlink_to(path)
+    for second in (path, str(path), link):
+        assert "again, expected each file once" in refused(gt.read, [path, second])
 
 
 ENTRIES = [gt.smooth, gt.solve, gt.track_online, gt.compare, fit]
@@ -82,6 +89,10 @@ def test_positions_alone_are_told_how_to_become_a_track(entry) -> None:
     for nonsense in (np.zeros((4, 3)), 7, None, [], [1, [2]], b"tracks.csv"):
         assert "expected a TrackSet, a Track, a table or the path of a file" in refused(entry, nonsense)
     assert "no/such.csv" in refused(entry, "no/such.csv")
+    for other in OTHERS:
+        assert "no such file" in refused(other, "missing.csv", Path())
+        for wrong in (None, 3, [1, 2]):
+            refused(other, wrong, Path())
 
 
 def test_columns_that_are_none_are_named() -> None:
@@ -102,7 +113,7 @@ def test_dates_and_times_become_seconds_and_a_note_says_so(zone) -> None:
         (pd.to_timedelta(seconds, unit="s"), 0.0),
     ):
         found = TrackSet.from_table(TABLE.assign(t=t))
-        np.testing.assert_allclose(found[2].t, first + np.arange(12) / 10, atol=1e-6)
+        np.testing.assert_allclose(found.by_id(2).t, first + np.arange(12) / 10, atol=1e-6)
         assert any("since 1970" in note for note in found.summary.notes)
     assert "column x: found dates or times" in refused(
         TrackSet.from_table, TABLE.assign(x=pd.to_timedelta(seconds, unit="s"))
@@ -141,6 +152,8 @@ def test_arrays_of_another_shape_are_told_the_right_one() -> None:
     assert "position of shape (12, 3)" in said and "shape (12, 2): x and y in metres" in said
     assert "body" in refused(replace, PERSON, body=["north"] * 12)
     assert "track_id 1.5" in refused(replace, PERSON, track_id=1.5)
+    for unit in ("timedelta64[ns]", "datetime64[s]"):
+        assert "expected seconds" in refused(replace, PERSON, t=np.arange(12).astype(unit))
     assert "frame 3000000000" in refused(replace, PERSON, frame=np.arange(12) + 3_000_000_000 - 11)
 
 
@@ -155,31 +168,17 @@ SEEN = {
 }
 
 
-@pytest.mark.parametrize("engine", ["chain", "fixed-lag"])
-def test_an_observation_that_no_engine_could_use_names_its_channel(engine) -> None:
-    smoother = gt.OnlineSmoother("separate", engine=engine)
-    good = {"t": 0.0, "position": (0.0, 0.0)}
-    for name, values in SEEN.items():
-        for value in values:
-            said = refused(smoother.update, gt.Observation(**good | {name: value}))
-            assert said.startswith(f"found {name} = ") and "number" in said
-    assert smoother.update(gt.Observation(0.0, position=(0.0, 0.0))).status == "new"
-
-
-def test_whatever_takes_tracks_takes_paths_and_tables_and_refuses_the_rest(path, tmp_path) -> None:
-    entries = {
-        "groups": gt.groups,
-        "forecast": lambda given: gt.forecast(given, horizon=0.4),
-        "associate": gt.associate,
-        "write_report": lambda given: gt.write_report(tmp_path / "report.html", given),
-        "view": lambda given: gt.view(given, save=tmp_path / "view.rrd"),
-    }
-    for entry in entries.values():
-        for form in FORMS.values():
-            entry(form(path))
-        assert "no such file" in refused(entry, "missing.csv")
-        for wrong in (None, 3, [1, 2]):
-            refused(entry, wrong)
+@pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
+def test_an_observation_that_no_engine_could_use_names_its_channel_and_changes_nothing(engine) -> None:
+    smoother, plain = (gt.OnlineSmoother("separate", engine=engine) for _ in range(2))
+    seen = [{"t": 0.1 * k, "position": (0.1 * k, 0.0), "head": 0.2} for k in range(6)]
+    for k, good in enumerate(seen):
+        for name, values in SEEN.items() if k == 3 else ():
+            for value in values:
+                said = refused(smoother.update, gt.Observation(**good | {name: value}))
+                assert said.startswith(f"found {name} = ") and "number" in said
+        found, expected = (one.update(gt.Observation(**good)) for one in (smoother, plain))
+        np.testing.assert_array_equal(found.covariance, expected.covariance)
 
 
 def test_what_cannot_be_read_or_written_is_refused(path, tmp_path) -> None:
@@ -193,13 +192,6 @@ def test_what_cannot_be_read_or_written_is_refused(path, tmp_path) -> None:
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_a_file_is_read_once(path, tmp_path) -> None:
-    link = tmp_path / "link.csv"
-    link.symlink_to(path)
-    for second in (path, str(path), link):
-        assert "again, expected each file once" in refused(gt.read, [path, second])
-
-
 def test_masked_values_are_missing() -> None:
     position = np.array(PERSON.position)
     position[4] = 1e3
@@ -208,11 +200,6 @@ def test_masked_values_are_missing() -> None:
     np.testing.assert_array_equal(replace(PERSON, position=masked).position, position)
     whole = np.ma.masked_equal(np.arange(12), 3)
     assert np.flatnonzero(np.isnan(replace(PERSON, head=whole).head)).tolist() == [3]
-
-
-@pytest.mark.parametrize("unit", ["timedelta64[ns]", "datetime64[s]"])
-def test_durations_and_dates_are_no_seconds(unit) -> None:
-    assert "expected seconds" in refused(replace, PERSON, t=np.arange(12).astype(unit))
 
 
 def test_settings_that_are_no_numbers_are_refused() -> None:

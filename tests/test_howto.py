@@ -26,18 +26,22 @@ def test_there_is_a_page_for_each_task():
     assert tasks | {"own-term", "own-method", "robots"} <= names
 
 
-# README's demo runs in CI, and the start page's is the same.
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, marks=pytest.mark.slow if page == "docs/start.md" else ())
-        for page in PAGES
-        if not page.endswith("own-term.md")
-    ],
-)
+@pytest.mark.parametrize("page", [page for page in PAGES if not page.endswith("own-term.md")])
 def test_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run(blocks(page), {}, slow=False)
+
+
+def test_the_tutorial_ends_with_estimates_in_the_gap_and_a_picture(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    run(blocks("docs/start.md"), names, slow=False)
+    assert len(names["walks"]) == 2 * 110 and [len(person) for person in names["smoothed"]] == [120, 120]
+    person = names["smoothed"][1]
+    inside, outside = person.std("x")[55], person.std("x")[30]
+    assert inside > 1.5 * outside
+    assert (tmp_path / "walks.png").stat().st_size > 10_000
+    assert (tmp_path / "report.html").exists() and (tmp_path / "smoothed.csv").exists()
 
 
 def test_the_term_of_ones_own_has_factors_of_its_density(tmp_path, monkeypatch):
@@ -56,5 +60,4 @@ def test_the_term_of_ones_own_has_factors_of_its_density(tmp_path, monkeypatch):
     _, kappa = with_term.terms[-1].pull(track.position)
     assert kappa.any(), "nobody passes the window, so that nothing is tested"
     density = with_term.cost(states, track) - without.cost(states, track)
-    assert density > 0.0
-    assert graph_cost(with_term) - graph_cost(without) == pytest.approx(density)
+    assert density > 0.0 and graph_cost(with_term) - graph_cost(without) == pytest.approx(density)

@@ -1,83 +1,105 @@
-"""docs/model.md says what the code does, where that can be checked."""
+"""The pages about the model state what the code does, where that can be checked."""
 
+import importlib.util
 import inspect
 import re
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import ROOT
 
 from graphtrack.learning.scene import SET
 from graphtrack.model import Model, Parameters, factors, presets
+from graphtrack.model.model import default_parameters
 from graphtrack.model.observation import chain
 from graphtrack.model.parameters import range_of
 from graphtrack.model.terms import head_follows_body, motion, pose, position, turning
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks.scene import SceneParameters
 
-DOCUMENT = (Path(__file__).resolve().parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
+DOCUMENT = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+EXPLANATIONS = DOCUMENT + "".join(
+    path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs" / "model").glob("*.md"))
+)
 
 
-def rows(heading):
-    section = DOCUMENT.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+def hook(name):
+    """Import a hook of the documentation site."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "hooks" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+PARAMETERS = hook("parameters").page()
+
+
+def rows(heading, text):
+    section = text.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     return [
-        [cell.strip() for cell in line.strip("|").split("|")]
+        [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip("|"))]
         for line in section.splitlines()
         if line.startswith("| ") and not line.startswith("|---")
     ][1:]
 
 
 def number(text):
-    """A number as the tables have it, such as 0.15, 10⁻⁵ or π."""
-    power = text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
-    if power != text:
-        sign, _, exponent = power.replace("−", "-").partition("10")
-        return float(f"{sign}1") * 10.0 ** float(exponent)
+    """A number as the tables have it, such as 0.15, 10⁻⁵, 5·10⁻⁴ or π."""
+    factor, _, power = text.rpartition("·")
+    plain = power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
+    if plain != power:
+        sign, _, exponent = plain.replace("−", "-").partition("10")
+        return float(factor or 1) * float(f"{sign}1") * 10.0 ** float(exponent)
     return np.pi if text == "π" else float(text)
 
 
-def test_every_parameter_stands_there_with_its_default_and_range():
-    parameters = Parameters()
-    groups = [field.name for field in fields(parameters)]
-    defaults = {
-        f"`{group}.{field.name}`": getattr(getattr(parameters, group), field.name)
-        for group in groups
-        for field in fields(getattr(parameters, group))
-    }
-    told = {name: default for name, _, _, default, _ in rows("Parameters")}
-    assert told.keys() == defaults.keys()
-    for name, *_, limits in rows("Parameters"):
-        group, key = name.strip("`").split(".")
-        allowed = range_of(getattr(parameters, group), key)
+@pytest.mark.parametrize("group", [field.name for field in fields(Parameters)])
+def test_every_parameter_stands_there_with_its_default_and_range(group):
+    values = getattr(Parameters(), group)
+    found = {cells[0].strip("`"): cells[1:] for cells in rows(group, PARAMETERS)}
+    assert list(found) == [one.name for one in fields(values)]
+    for name, (meaning, _, default, limits, _) in found.items():
+        assert len(meaning) > 3, name
+        allowed = range_of(values, name)
         assert [number(cell) for cell in limits.split(" to ") if cell] == pytest.approx(allowed or []), name
-    for name, default in defaults.items():
-        if isinstance(default, bool | str):
-            assert told[name] == str(default).lower(), name
+        value = getattr(values, name)
+        if isinstance(value, bool | str):
+            assert default == str(value).lower(), name
         else:
-            assert float(told[name]) == pytest.approx(default), name
+            assert number(default) == pytest.approx(value), name
 
 
 def test_every_parameter_of_a_scene_stands_there_with_its_unit_default_and_range():
-    told = {name.strip("`"): cells for name, _, *cells in rows("The scene")}
-    assert list(told) == [f"scene.{one.name}" for one in fields(SceneParameters)]
+    found = {cells[0].strip("`"): cells[2:] for cells in rows("scene", PARAMETERS)}
+    assert list(found) == [one.name for one in fields(SceneParameters)]
     for one in fields(SceneParameters):
-        unit, default, limits, learned = told[f"scene.{one.name}"]
+        unit, default, limits, learned = found[one.name]
         assert unit == (one.metadata["unit"] or "–")
         assert number(default) == pytest.approx(one.default)
         assert [number(cell) for cell in limits.split(" to ")] == pytest.approx(one.metadata["range"])
         assert (learned == "yes") == (one.name not in SET)
 
 
+def test_the_defaults_of_presets_that_differ_are_named():
+    found = {cells[0].strip("`"): cells[1] for cells in rows("Defaults of presets", PARAMETERS)}
+    assert set(found) == set(presets)
+    motion_of = {name: default_parameters(name).motion for name in presets}
+    for name, parameters in motion_of.items():
+        differs = parameters.lasting_std != Parameters().motion.lasting_std
+        assert (f"`motion.lasting_std` = {parameters.lasting_std:g}" in found[name]) == differs
+    assert found["separate"] == "–"
+
+
 def test_every_preset_stands_there():
-    assert {name.strip("`") for name, _ in rows("Presets")} == set(presets)
+    assert {name.strip("`") for name, _ in rows("Presets", DOCUMENT)} == set(presets)
 
 
 def test_every_term_of_the_presets_stands_there():
-    told = " ".join(row[1] for row in rows("Terms"))
+    found = " ".join(row[1] for row in rows("Terms", DOCUMENT))
     for terms in presets.values():
         for term in terms:
-            assert f"`{term.__name__}`" in told
+            assert f"`{term.__name__}`" in found
 
 
 def test_native_factors_are_those_that_are_named():
@@ -90,3 +112,19 @@ def test_native_factors_are_those_that_are_named():
     for module in (factors, head_follows_body, motion, turning, pose, position):
         for name in re.findall(r"gtsam\.((?:Frobenius|Wnoa|Prior)\w+)", inspect.getsource(module)):
             assert name in named
+
+
+def test_robust_defaults_are_those_that_are_stated():
+    full = default_parameters("full").likelihood
+    assert f"Cauchy with $k = {full.robust_threshold:g}$" in EXPLANATIONS
+    assert f"$\\varepsilon = {full.outlier_probability:g}$ for angles" in EXPLANATIONS
+    assert full == default_parameters("social").likelihood and full.robust == "cauchy"
+    others = {name for name in presets if default_parameters(name).likelihood.robust != "none"}
+    assert others == {"full", "social"}
+
+
+def test_covariance_terms_name_parameters_that_exist():
+    page = (ROOT / "docs" / "model" / "uncertainty.md").read_text(encoding="utf-8")
+    known = {one.name for group in fields(Parameters) for one in fields(getattr(Parameters(), group.name))}
+    named = set(re.findall(r"\\texttt\{(\w+)\}", page.replace("\\_", "_")))
+    assert named and named <= known

@@ -30,18 +30,8 @@ def test_every_public_name_is_there_and_listed():
     assert dir(gt) == sorted([*gt.__all__, "__version__"])
     assert gt.write is graphtrack.io.write and gt.ReadOptions is graphtrack.io.ReadOptions
     assert gt.compare is compare and gt.simulate is simulate
-
-
-def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="nonsense"):
         _ = gt.nonsense
-
-
-def test_public_functions_stay_functions_whatever_was_imported_first():
-    code = "import graphtrack.evaluation.compare, graphtrack.simulation.sampling, graphtrack as gt\n"
-    code += "gt.io.FORMATS\nfunctions = (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read)\n"
-    code += "assert all(map(callable, functions))"
-    modules_after(code)
 
 
 def test_the_package_itself_and_commands_that_need_no_solver_load_none(tmp_path):
@@ -61,11 +51,13 @@ def test_gtsam_is_loaded_where_a_graph_is_built_alone():
     # SciPy itself comes with numba, but what takes long of it does not.
     assert modules_after(code.format("chain")) == ["scipy"]
     assert "gtsam" in modules_after(code.format("gtsam"))
-
-
-def test_importing_every_part_of_the_way_to_a_solution_loads_nothing_heavy():
     code = "from graphtrack import inference, simulation, diagnostics; import graphtrack.cli.commands"
     assert modules_after(code) == ["scipy"]
+    code = "import graphtrack.evaluation.compare, graphtrack.simulation.sampling, graphtrack as gt\n"
+    modules_after(
+        code
+        + "assert all(map(callable, (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read_identified)))"
+    )
 
 
 @pytest.mark.parametrize("module", ["json", "duckdb"])

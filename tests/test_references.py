@@ -10,7 +10,6 @@ from documents import ROOT
 from graphtrack.io.registry import FORMATS
 from graphtrack.model.model import presets
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 NUMBER = re.compile(r"(?<![\d.,:#\w{])(?<!\d )00[0-4](?!\.\w|[\d\w]|[.,]\d)")
 """000 to 004 where they stand for a paper, and not for a part of a number or of a file's name."""
 
@@ -46,16 +45,13 @@ def test_every_paper_has_a_reference_that_pages_link_to(anchor):
 @pytest.mark.parametrize("page", ["CHANGELOG.md", "docs/formats.md"])
 def test_the_stated_number_of_formats_is_theirs(page):
     text = (ROOT / page).read_text(encoding="utf-8")
-    assert f"{len(FORMATS)} formats" in text
+    assert re.search(rf"\b{len(FORMATS)} (?:file )?formats", text)
     assert not re.search(r"\bten formats", text)
 
 
-@pytest.mark.parametrize(
-    "text", [README, (ROOT / "docs/model.md").read_text(encoding="utf-8")], ids=["README", "model"]
-)
-def test_every_preset_stands_in_the_table(text):
-    table = set(re.findall(r"^\| `([\w-]+)` \|", text, flags=re.M))
-    assert set(presets) <= table
+def test_every_preset_stands_in_the_table():
+    text = (ROOT / "docs/model.md").read_text(encoding="utf-8")
+    assert set(presets) <= set(re.findall(r"^\| `([\w-]+)` \|", text, flags=re.M))
 
 
 def test_the_notebook_on_gait_says_what_its_table_has():

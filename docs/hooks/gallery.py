@@ -1,4 +1,4 @@
-"""Show every picture of the notebooks on one page, when the site is built."""
+"""Show the pictures of the notebooks on one page of the site: one of each at the front, then all."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from mkdocs.structure.files import File, Files
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 TITLE = "Gallery"
+FRONT = {"03-filters": 1}
+"""Notebook → which of its pictures stands at the front, where it is not the first."""
 
 
 @dataclass(frozen=True)
@@ -25,19 +27,25 @@ class Picture:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the page and its pictures."""
-    lines = [f"# {TITLE}", "", "What the notebooks draw, each picture beside the code that made it.", ""]
+    cards, sections = ['<div class="grid cards gallery" markdown>', ""], []
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         notebook = nbformat.read(path, as_version=4)
         title = notebook.cells[0].source.splitlines()[0].lstrip("# ")
-        lines += [f"## {title}", "", f"[The notebook](notebooks/{path.name})", ""]
+        found, names = list(pictures(notebook)), []
+        for k, picture in enumerate(found):
+            names.append(f"gallery/{path.stem}-{k}.png")
+            files.append(File.generated(config, names[-1], content=picture.png))
+        link = f"notebooks/{path.name}"
+        front = names[FRONT.get(path.stem, 0)]
+        cards += [f"- [![{title}]({front})]({link})", "", f"    **[{title}]({link})**", ""]
+        sections += [f"## {title}", "", f"[The notebook]({link})", ""]
         heading = ""
-        for k, picture in enumerate(pictures(notebook)):
-            name = f"gallery/{path.stem}-{k}.png"
-            files.append(File.generated(config, name, content=picture.png))
+        for picture, name in zip(found, names, strict=True):
             if picture.heading != heading:
-                lines += [f"### {picture.heading}", ""]
+                sections += [f"### {picture.heading}", ""]
             heading = picture.heading
-            lines += [f"![{picture.heading}]({name})", ""]
+            sections += [f"![{picture.heading}]({name})", ""]
+    lines = ["---", "hide: [toc]", "---", "", f"# {TITLE}", "", *cards, "</div>", "", *sections]
     files.append(File.generated(config, "gallery.md", content="\n".join(lines)))
     return files
 

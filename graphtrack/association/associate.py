@@ -7,18 +7,22 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.libraries import rows_of_supervision, rows_of_ultralytics
-from graphtrack.io.options import Associate, ReadOptions
-from graphtrack.io.read_write import is_table, rows_of_file, rows_of_frame
-from graphtrack.io.read_write import read as read_identified
-from graphtrack.io.read_write import tracks_of as tracks_given
-from graphtrack.io.read_write import tracks_of_rows as identified_tracks
+from graphtrack.io.options import Associate, FileReading, Placing, Reading, ReadOptions
+from graphtrack.io.read_write import (
+    identified_tracks,
+    is_table,
+    read_identified,
+    rows_of_file,
+    rows_of_frame,
+    tracks_given,
+)
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
@@ -46,7 +50,7 @@ _ALONG = (
     "head_likelihood",
     APPEARANCE,
 )
-"""Channels that the evidence reads beside the position."""
+"""Channels that the evidence reads in addition to the position."""
 
 
 def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) -> TrackSet:
@@ -188,10 +192,9 @@ def associate(
     scene: GivenScene = None,
     *,
     model: Model | str | Path | None = None,
-    fps: float | None = None,
-    **options: Any,
+    **options: Unpack[FileReading],
 ) -> TrackSet:
-    """Find out who is who in a recording: one track a person, with a row for each frame from first to last.
+    """Associate the detections of a recording: a track for each person, with a row for each frame.
 
     Parameters
     ----------
@@ -199,8 +202,7 @@ def associate(
     scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
         names. The others are as the model has them, else learned from the detections
     model : a model, or a model file, whose scene it is
-    fps : frames a second, where there are no times
-    **options : for files, the other fields of `ReadOptions`
+    **options : fields of `ReadOptions`, such as ``fps`` where there are no times, and for files ``format``
 
     Returns
     -------
@@ -217,12 +219,10 @@ def associate(
     from graphtrack.model import Model  # loads the compiler
 
     of_model = {} if model is None else Model.named(model).scene
-    return associated(rows_of(detections, fps=fps, **options), {**of_model, **known_values(scene)})
+    return associated(rows_of(detections, **options), {**of_model, **known_values(scene)})
 
 
-def rows_of(
-    detections: Detected, *, format: str | None = None, fps: float | None = None, **options: Any
-) -> Rows:
+def rows_of(detections: Detected, *, format: str | None = None, **options: Unpack[Reading]) -> Rows:
     """The rows of whatever holds detections, with the identities that they have.
 
     Raise InputError if the input cannot be read.
@@ -230,9 +230,9 @@ def rows_of(
     ``format``: of a file; None: recognised by its content
     """
     if isinstance(detections, str | Path):
-        return rows_of_file(detections, format, ReadOptions(fps=fps, **options))
+        return rows_of_file(detections, format, ReadOptions.named(**options))
     if is_table(detections):
-        return rows_of_frame(detections, ReadOptions(fps=fps, **options))
+        return rows_of_frame(detections, ReadOptions.named(**options))
     return rows_of_table(to_columns(tracks_given(detections)))
 
 
@@ -260,7 +260,7 @@ def read(
     *,
     format: str | None = None,
     scene: GivenScene = None,
-    **options: Any,
+    **options: Unpack[Reading],
 ) -> TrackSet:
     """Read tracks from one file or several, in any known format, or from a table in memory.
 
@@ -289,7 +289,7 @@ def read(
 
 
 def tracks_of(
-    given: Given, associate: Associate = "auto", scene: GivenScene = None, **reading: Any
+    given: Given, scene: GivenScene = None, *, identified: bool = False, **reading: Unpack[FileReading]
 ) -> TrackSet:
     """Return tracks, a track, several of them, files or a table as a set of tracks.
 
@@ -297,14 +297,20 @@ def tracks_of(
 
     Parameters
     ----------
-    associate, scene : for rows without identities, as in `read`
-    **reading : other options of `read`, for paths and tables
+    scene : for rows without identities, as in `read`
+    identified : whether rows without identities are an error, unless ``associate`` says otherwise
+    **reading : options of `read`, for paths and tables
     """
-    return tracks_given(given, partial(read, associate=associate, scene=scene), **reading)
+    associate: Associate = "never" if identified else "auto"
+    return tracks_given(given, partial(read, scene=scene, associate=associate), **reading)
 
 
 def from_supervision(
-    detections: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = 0, **options: Any
+    detections: Iterable[Any] | Mapping[int, Any],
+    *,
+    fps: float,
+    person: int | None = 0,
+    **options: Unpack[Placing],
 ) -> TrackSet:
     """Tracks of what detectors and trackers found in the frames of a video, as ``supervision.Detections``.
 
@@ -323,12 +329,16 @@ def from_supervision(
     InputError
         If one is no such object, some frames have ids and others none, or nobody was found.
     """
-    chosen = ReadOptions(fps=fps, **options)
+    chosen = ReadOptions.named(fps=fps, **options)
     return tracks_of_rows(rows_of_supervision(detections, chosen, person), chosen)
 
 
 def from_ultralytics(
-    results: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = None, **options: Any
+    results: Iterable[Any] | Mapping[int, Any],
+    *,
+    fps: float,
+    person: int | None = None,
+    **options: Unpack[Placing],
 ) -> TrackSet:
     """Tracks of Ultralytics' ``Results`` of the frames of a video, as ``model.track`` gives them.
 
@@ -345,5 +355,5 @@ def from_ultralytics(
     InputError
         As there.
     """
-    chosen = ReadOptions(fps=fps, **options)
+    chosen = ReadOptions.named(fps=fps, **options)
     return tracks_of_rows(rows_of_ultralytics(results, chosen, person), chosen)

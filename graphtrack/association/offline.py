@@ -130,7 +130,7 @@ class Moves:
         return self._candidates(place, heads, tails, fresh, recent, gains)
 
     def _frame(self, begin: int, first: int, end: int, last: int) -> bool:
-        """Match the detections of a frame anew to the tracks that span it; whether a link changed."""
+        """Match the detections of a frame again to the tracks that span it; return whether a link changed."""
         chains, scene, base = self.chains, self.packed, int(self.chains.frame[first])
         heads, tails, keys = spanning(chains, begin, first, end, last)
         if not len(heads):

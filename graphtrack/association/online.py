@@ -168,7 +168,7 @@ class History:
 
 TOLD = 0.45
 """How probable somebody has to be, and that who is not seen is still there, to be told. What makes an
-F-measure greatest is half of it (Lipton et al. 2014, ECML PKDD), and IDF1 of made-up crowds is 0.9."""
+F-measure greatest is half of it (Lipton et al. 2014, ECML PKDD), and IDF1 of synthetic crowds is 0.9."""
 
 _LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))  # the same of a track's value
 
@@ -428,7 +428,7 @@ class OnlineAssociation(Moves):
         self._first = [int(place[k]) for k in kept]
 
     def _prepare(self) -> None:
-        """Variances and gains of the frames that can be revised, and their tracks filtered anew."""
+        """Variances and gains of the frames that can be revised, and their tracks filtered again."""
         self._pack()
         chains = self.chains
         if not self._first:

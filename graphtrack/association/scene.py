@@ -187,7 +187,7 @@ def scene_log_density(
 
     Parameters
     ----------
-    chains : the tracks, linked; they are filtered anew
+    chains : the tracks, linked; they are filtered again
     identity : (n,) of each detection; −1: false
     """
     events = _Events.of(chains, identity, seconds)
@@ -293,7 +293,7 @@ _MOTION = {
 
 
 SPREAD = 2.0
-"""Metres, standard deviation of the blur: who comes in at one place may come in so far beside it."""
+"""Metres, standard deviation of the blur of the places where people enter."""
 
 AHEAD = 2.0
 """Seconds ahead of the last position at which the map of deaths is read: who has just come in stays."""
@@ -314,7 +314,7 @@ class Places:
     origin : (2,) metres, of the grid's first corner
     births, deaths, clutter : (2, nx, ny) events per square metre, as many as there were, and as there
         would be if they happened alike wherever they could
-    ways_out : the deaths, where whoever left would have been `AHEAD` seconds later
+    ways_out : the deaths, where people who left would have been `AHEAD` seconds later
     """
 
     origin: FloatArray

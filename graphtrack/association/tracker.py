@@ -17,6 +17,7 @@ from graphtrack.association.online import Decision, OnlineAssociation, Revision
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import OnlineEngine
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, as_track, checked, pack_observation, unpack_observation
@@ -24,6 +25,7 @@ from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.model.terms.faces_group import Group, with_group_at
+from graphtrack.model.terms.walls import with_walls_at
 from graphtrack.saved import DAMAGES, damaged, whole
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
@@ -120,6 +122,7 @@ class DetectionTracker:
     """Track everybody in a scene online from detections without identities; see `OnlineTracker`.
 
     ``groups``: source of the input `GROUP` of everybody's observations; None: the detections' own.
+    ``walkable``: area in which people walk, for a model with its term.
     ``revised`` is what the last update took back, ``newest`` its observations.
     """
 
@@ -132,9 +135,10 @@ class DetectionTracker:
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
         groups: SceneGroups | None = None,
+        walkable: WalkableArea | None = None,
     ) -> None:
         self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
-        self.model, self._camera = Model.named(model), camera
+        self.model, self._camera, self._walkable = Model.named(model), camera, walkable
         smoother = self._smoother()  # checks the options, and compiles what there is to compile
         self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
         known = {**self.model.scene, **known_values(scene)}
@@ -334,12 +338,14 @@ class DetectionTracker:
         """
         if not isinstance(detection, Observation):
             x, y = (float(value) for value in detection)
-            return Observation(t=t, position=(x, y))
+            detection = Observation(t=t, position=(x, y))
         if detection.position is None and detection.pixel is not None and self._camera is not None:
             x, y = self._camera.image_to_ground(np.array(detection.pixel)).tolist()
             detection = replace(detection, position=(x, y))
         if detection.position is None:
             raise InputError("a detection without a position", "x and y in metres, or u, v and a camera")
+        if self._walkable is not None:
+            detection = with_walls_at(detection, self._walkable)
         return checked(replace(detection, t=t))
 
 

@@ -187,15 +187,13 @@ def track_detections(detections: Detections, parameters: HungarianParameters | N
     """
     tracker = HungarianTracker(parameters)
     seen, first = np.unique(detections.frame, return_index=True)
-    end = dict(
-        zip(seen.tolist(), zip(first, np.append(first[1:], len(detections)), strict=True), strict=True)
-    )
     frames = with_those_between(seen)
     times = np.interp(frames, seen, detections.t[first])
     std = detections.channels.get("position_std")
     rows: list[Reported] = []
-    for frame, t in zip(frames.tolist(), times.tolist(), strict=True):
-        here = slice(*end.get(frame, (0, 0)))
+    ends = np.searchsorted(detections.frame, [frames, frames + 1]).T.tolist()
+    for (start, stop), t in zip(ends, times.tolist(), strict=True):
+        here = slice(start, stop)
         rows.append(tracker.step(t, detections.position[here], None if std is None else std[here]))
     counts = [len(found.people) for found in rows]
     people = np.concatenate([found.people for found in rows])

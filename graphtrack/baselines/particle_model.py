@@ -338,7 +338,7 @@ def _fill(
     kappa: FloatArray,
     uniform: float,
 ) -> None:
-    """The mixture ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ) of an orientation seen (docs/model.md, Outliers)."""
+    """The mixture ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ) of an orientation seen (docs/model/pose.md)."""
     size = weights.shape[1]
     peak = 1.0 / (2.0 * np.pi * special.i0e(kappa))
     pose.components[rows], pose.kappa[rows] = size, kappa

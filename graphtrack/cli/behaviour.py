@@ -114,15 +114,14 @@ def show(found: GroupScore, json_path: Path | None) -> None:
 def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
     """`graphtrack score` of a table of groups."""
     from graphtrack.interaction.scores import score_groups
-    from graphtrack.io.groups import read_group_rows
+    from graphtrack.interaction.tables import read_group_table
 
     if len(inputs) != 1 or len(truth) != 1:
         raise InputError(f"{len(inputs)} tables of groups, {len(truth)} truths", "one of each")
     options.check_outputs({"--json": json_path}, {"the input": inputs, "--truth": truth})
-    rows = read_group_rows(inputs[0])
-    labels = read_quietly(truth[0])
-    true = labels.labels(rows["frame"], rows["t"], rows["track_id"])
-    show(score_groups(rows["frame"], rows["track_id"], rows["group"], true), json_path)
+    found = read_group_table(inputs[0])
+    true = read_quietly(truth[0]).labels(found.frame, found.t, found.track_id)
+    show(score_groups(found.frame, found.track_id, found.group, true), json_path)
 
 
 PICTURES = ("looks.png", "timeline.png", "matrix.png")
@@ -208,6 +207,7 @@ def forecast(
     history: options.Seconds | None = None,
     samples: Annotated[int, typer.Option(metavar="N", min=0, max=1000)] = 0,
     parameters: Path | None = None,
+    walkable: options.Walkable = None,
     seed: options.Seed = 0,
 ) -> None:
     """Predict where each person will be, with the uncertainty, at every time from observations until then.
@@ -227,7 +227,7 @@ def forecast(
     from graphtrack.tracks.table import with_names
 
     options.check_outputs(
-        {"--output": output}, {**reading.inputs(inputs), "--parameters": [parameters] if parameters else []}
+        {"--output": output}, {**reading.inputs(inputs), "--parameters": parameters, "--walkable": walkable}
     )
     check_table_name(output)
     tracks = reading.tracks(inputs)
@@ -240,6 +240,7 @@ def forecast(
         samples=samples,
         parameters=parameters,
         seed=seed,
+        walkable=walkable,
     )
     write_table(with_names(found.columns, tracks.as_read), output)
     if found.too_short:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from graphtrack.cli.behaviour import attention, forecast, groups
-from graphtrack.cli.compare import CompareCommand, compare
+from graphtrack.cli.compare import compare
 from graphtrack.cli.files import convert, formats, info
 from graphtrack.cli.fit import fit
-from graphtrack.cli.options import command_of, program_of
+from graphtrack.cli.options import program_of
 from graphtrack.cli.report import report, view
 from graphtrack.cli.reproduce import demo, reproduce
 from graphtrack.cli.score import score
@@ -22,6 +22,7 @@ app = program_of(
         "track": track,
         "serve": serve,
         "score": score,
+        "compare": compare,
         "groups": groups,
         "attention": attention,
         "fit": fit,
@@ -37,4 +38,3 @@ app = program_of(
         "formats": formats,
     },
 )
-app.command("compare", cls=CompareCommand)(command_of(compare))

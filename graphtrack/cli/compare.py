@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from typer.core import TyperCommand
-
 from graphtrack.cli import options
 from graphtrack.cli.console import (
     emit,
@@ -84,26 +82,8 @@ def print_trackers(found: TrackerComparison) -> None:
         emit(f"  note: {note}")
 
 
-FIGURES, RELIABILITY = ("errors.png", "nees.png"), "reliability.png"
-"""Files of `write_figures`: the last one with --reliability."""
-
-
-class CompareCommand(TyperCommand):
-    """The command, for which ``--calibration`` without a file means `--reliability`.
-
-    A calibration is a camera's file and what a forecaster is judged by, and both are asked for by that name.
-    """
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line."""
-        after = [*args[1:], "--"]
-        return super().parse_args(
-            ctx,
-            [
-                "--reliability" if one == "--calibration" and following.startswith("-") else one
-                for one, following in zip(args, after, strict=True)
-            ],
-        )
+FIGURES = ("errors.png", "reliability.png")
+"""Files of `write_figures`."""
 
 
 def named(methods: str | None) -> list[str]:
@@ -127,12 +107,11 @@ def compare(
     seed: options.Seed = 0,
     json_path: options.Json = None,
     figures: Path | None = None,
-    reliability: bool = False,
     truth: Path | None = None,
     metres: float | None = None,
     fill: bool = False,
 ) -> None:
-    """Compare methods on tracks whose truth is known, each with the information it says.
+    """Compare methods on tracks whose truth is known: errors, and NEES and coverage of their intervals.
 
     With a noise option the file's own values are the truth, and what the methods see is made from them. With
     --truth trackers are compared, which find out who is who.
@@ -147,9 +126,7 @@ def compare(
     model : A preset or a model file (.toml) for all methods; by default the best preset of each: full for the
         graph with every engine and particle-modes, joint for particles, and the filters' own.
     occlude : Seconds around the sharpest turn to withhold and to score.
-    figures : Folder for figures (PNG).
-    reliability : How honest uncertainties are (also as --calibration, without a file): NEES and coverage of
-        50, 90 and 95 % intervals for position, velocity, body, head; with --figures a figure of it.
+    figures : Folder for figures (PNG) of errors and of reliability.
 
     Trackers, from detections without identities
     --------------------------------------------
@@ -159,7 +136,7 @@ def compare(
     fill : Smooth the tracks of online methods too, and fill their gaps: then all that differs is who is who.
     """
     if truth is not None:
-        of_tracks = {"occlude": occlude, "figures": figures, "reliability": reliability, "trust": trust}
+        of_tracks = {"occlude": occlude, "figures": figures, "trust": trust}
         refused = {options.option_name(name): one for name, one in (of_tracks | vars(noise)).items()}
         options.refuse(refused, "with --truth", "it without: with --truth the input is detections")
         compare_trackers(inputs, truth, reading, named(methods), metres, fill, model, json_path)
@@ -177,7 +154,7 @@ def compare(
     options.check_outputs(
         {
             "--json": json_path,
-            "--figures": options.files_in(figures, (*FIGURES, *([RELIABILITY] if reliability else []))),
+            "--figures": options.files_in(figures, FIGURES),
         },
         reading.inputs(inputs, model),
     )
@@ -197,14 +174,12 @@ def compare(
             "a track that one of them can estimate",
         )
     print_comparison(found)
-    if reliability:
-        print_reliability(found)
     if model is not None and model not in presets:
         emit(f"  the model is {model}")
     print_failures(found)
     write_json(json_path, found.to_dict())
     if figures is not None:
-        write_figures(found, figures, reliability)
+        write_figures(found, figures)
 
 
 def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSet, Model | str | None]:
@@ -225,7 +200,7 @@ def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSe
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """The comparison as tables on standard output: medians over the tracks, and the NEES with its band."""
+    """The comparison as tables on standard output: medians over the tracks, differences, reliability."""
     values = {(row["method"], row["metric"]): row["median"] for row in comparison.rows}
     columns = {row["metric"]: f"{row['metric']}\n({row['unit']})" for row in comparison.rows}
     groups, models = {row["method"]: row["group"] for row in comparison.rows}, comparison.models
@@ -236,18 +211,7 @@ def print_comparison(comparison: Comparison) -> None:
     ]
     print_table("Medians over the tracks", errors)
     print_differences(comparison)
-    consistency = [
-        {
-            "method": row["method"],
-            "of": row["quantity"],
-            "NEES": row["nees"],
-            "should be": row["dof"],
-            "95 % band": f"{row['low']:.2f} – {row['high']:.2f}",
-            "": "inside" if row["inside"] else "outside",
-        }
-        for row in comparison.nees
-    ]
-    print_table("Consistency: are the uncertainties honest?", consistency)
+    print_reliability(comparison)
     emit(comparison.caption)
 
 
@@ -298,15 +262,13 @@ def print_failures(comparison: Comparison) -> None:
         emit(f"  {what} {which}: {reason}")
 
 
-def write_figures(comparison: Comparison, folder: Path, reliability: bool = False) -> None:
-    """Figures of errors and NEES, and of the reliability if asked for, as PNG files in a folder."""
-    from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
+def write_figures(comparison: Comparison, folder: Path) -> None:
+    """Write figures of errors and reliability as PNG files in a folder."""
+    from graphtrack.report.plots import plot_errors, plot_reliability
 
     options.make_folder(folder)
     made = {FIGURES[0]: plot_errors(comparison.rows)}
-    if comparison.nees:
-        made[FIGURES[1]] = plot_nees(comparison.nees)
-    if reliability and comparison.calibration:
-        made[RELIABILITY] = plot_reliability(comparison.calibration)
+    if comparison.calibration:
+        made[FIGURES[1]] = plot_reliability(comparison.calibration)
     for name, figure in made.items():
         save_figure(figure, folder / name)

@@ -167,6 +167,14 @@ def input_warnings_as_notes() -> Iterator[None]:
         emit(f"  note: {message}")
 
 
+def write_tracks(tracks: TrackSet, output: Path) -> None:
+    """Write tracks in the format that the file name asks for, and print what its writer notes."""
+    from graphtrack.io.read_write import write
+
+    with input_warnings_as_notes():
+        write(tracks, output)
+
+
 def print_summary(tracks: TrackSet, name: str) -> None:
     """Print rows read, used and refused, tracks, and the reader's notes."""
     print_reading(tracks.summary, len(tracks), name)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, print_table, printable, write_json
+from graphtrack.cli.console import emit, print_table, printable, write_json, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
@@ -138,10 +138,9 @@ def formats() -> None:
 
 def convert(inputs: options.Inputs, output: options.Output, reading: options.CameraReading) -> None:
     """Write tracks in another format, as they are: the ending of the output names it."""
-    from graphtrack.io import write
 
     options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
     tracks = reading.tracks(inputs)
-    write(tracks, output)
+    write_tracks(tracks, output)
     people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
     emit(f"wrote {output}: {people}, {rows}")

@@ -45,8 +45,6 @@ def fit(
 ) -> None:
     """Learn the parameters of a model from tracks, by their truth or without; of a scene from detections.
 
-    If it is interrupted, the same command goes on from the progress file beside the output.
-
     Parameters
     ----------
     output : Model file to write (.toml).
@@ -65,14 +63,8 @@ def fit(
     """
     if output.suffix != ".toml":
         raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
-    journal = output.with_name(output.name + ".progress")
     options.check_outputs(
-        {
-            "--output": output,
-            "the progress file of --output": journal,
-            "--report": report,
-            "--json": json_path,
-        },
+        {"--output": output, "--report": report, "--json": json_path},
         {**reading.inputs(inputs, model), "--groups": groups, "--attention": attention},
     )
     if sum((forecast, groups is not None, attention is not None)) > 1:
@@ -99,8 +91,6 @@ def fit(
     if reading.associate == "auto":
         reading = replace(reading, associate="never")
     tracks = reading.tracks(inputs, rows)
-    if journal.is_file():
-        emit(f"  going on from {journal}, if it is of the same data and options")
     from graphtrack.learning import fit as learn
 
     with console.status("learning") as status:
@@ -111,7 +101,6 @@ def fit(
             hold_out=hold_out,
             seed=seed,
             max_frames=max_frames,
-            journal=journal,
             progress=lambda count: status.update(f"learning: {count} evaluations"),
         )
     found.model.save(output)

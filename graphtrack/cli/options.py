@@ -42,6 +42,12 @@ CAMERA = (*_CAMERA_FILES, "metres_per_pixel")
 """Options of how pixels come to the ground."""
 
 InputFile = Annotated[Path, typer.Option(exists=True, dir_okay=False)]
+Walkable = Annotated[
+    Path | None,
+    typer.Option(
+        exists=True, dir_okay=False, help="Area in which people walk: polygons in metres, GeoJSON or WKT."
+    ),
+]
 OutputPath = Annotated[Path, typer.Option("--output", "-o")]
 Seconds = Annotated[float, typer.Option(metavar="SECONDS")]
 

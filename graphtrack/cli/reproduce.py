@@ -40,9 +40,9 @@ def reproduce(
 
     Parameters
     ----------
-    name : baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-network, chen-joint,
-        chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, gaits, honesty, meetings, strangers,
-        unseen-people, or all.
+    name : baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-weight,
+        baxter-network, chen-joint, chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, gaits, honesty,
+        meetings, strangers, unseen-people, or all.
     out : Folder for figures (PNG) and tables (JSON).
     quick : Few tracks, for a first look.
     data : Folder with mocap, salsa and caviar in it; else ../shared/data if that is there.
@@ -146,7 +146,6 @@ def demo(
         observed,
         title="graphtrack demo",
         comparison=comparison.rows,
-        consistency=comparison.nees,
         calibration=comparison.calibration,
     )
     write_html(out / REPORT, report)

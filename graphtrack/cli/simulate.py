@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit
+from graphtrack.cli.console import emit, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.simulation import WALKING_PACE
 from graphtrack.tracks.display import counted
@@ -78,7 +78,6 @@ def simulate(
     """
     import numpy as np
 
-    from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.simulation.sampling import simulate as sample
     from graphtrack.simulation.scenario import scenario as scripted
@@ -114,7 +113,7 @@ def simulate(
             pace=pace or None,
             glances=glances,
         )
-    write(found, output)
+    write_tracks(found, output)
     emit(f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames; {what}")
 
 
@@ -151,7 +150,6 @@ def add_noise(
     """
     import numpy as np
 
-    from graphtrack.io import write
     from graphtrack.io.read_write import check_table_name, write_table
     from graphtrack.simulation.detector import Detector, detect, summary_of
 
@@ -175,10 +173,10 @@ def add_noise(
     if anonymous:
         write_table(found.anonymous(rng), output)
     else:
-        write(found.observed, output)
+        write_tracks(found.observed, output)
     if every is not None:
         emit(f"  note: {found.truth.summary.notes[-1]}")
     emit(f"wrote {output}: {summary_of(found)}")
     if truth_output is not None:
-        write(found.truth, truth_output)
+        write_tracks(found.truth, truth_output)
         emit(f"wrote {truth_output}: the truth")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.io.source import table_in
 from graphtrack.tracks.display import counted, duration
@@ -94,6 +94,7 @@ def smooth(
     trust: options.TrustNoise = None,
     fill: bool | None = None,
     resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
+    walkable: options.Walkable = None,
     jobs: Annotated[int | None, typer.Option(min=1)] = None,
     report: Path | None = None,
     stream: bool | None = None,
@@ -117,24 +118,25 @@ def smooth(
     cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
     from graphtrack.diagnostics import trusted
+    from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import engine_of
     from graphtrack.inference.result import Failure, Solution
     from graphtrack.inference.warm import make_solver_ready
-    from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at
 
     options.check_outputs(
         {"--output": output, "--report": report},
-        reading.inputs(inputs, model),
+        {**reading.inputs(inputs, model), "--walkable": walkable},
         table=output,
     )
     chosen = Model.named(model)
+    area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
-        unused = {"--report": report, "--fill": fill, "--resample": resample}
+        unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
         given = reading.given().items()
@@ -165,13 +167,13 @@ def smooth(
     make_solver_ready(chosen, solver, tracks.camera, in_lanes)
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance)
+        found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance, walkable=area)
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
     if good:
-        write(estimates if resample is None else at_times(estimates, resample, origin), output)
+        write_tracks(estimates if resample is None else at_times(estimates, resample, origin), output)
     unconverged = [result for result in good if not result.converged]
     emit(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
@@ -35,6 +35,7 @@ def track(
     groups: bool = False,
     attention: bool = False,
     places: options.Places = None,
+    walkable: options.Walkable = None,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone.
 
@@ -59,13 +60,16 @@ def track(
     """
     from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.inference.online import OnlineSmoother
-    from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.smoothing import track_online
 
     options.check_outputs(
         {"--output": output, "--state": state},
-        {**reading.inputs([] if input == "-" else [place_of(input)], model), "--places": places},
+        {
+            **reading.inputs([] if input == "-" else [place_of(input)], model),
+            "--places": places,
+            "--walkable": walkable,
+        },
         table=output,
     )
     chosen = Model.named(model)
@@ -74,6 +78,8 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: to repair tracks is to look ahead")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
+        if walkable is not None:
+            raise InputError("--walkable with -", "a file as the input")
         of_streams = ("fps", "homography", "associate", "columns", "time_unit")
         given_options = {"output": output} | reading.given()
         refused = [name for name, value in given_options.items() if value and name not in of_streams]
@@ -98,19 +104,19 @@ def track(
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
-        _track_detections(rows, output, chosen, engine, kept)
+        _track_detections(rows, output, chosen, engine, kept, walkable)
         return
     tracks = reading.tracks([place_of(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance)
+        everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance, walkable=walkable)
     seconds = time.perf_counter() - start
     found = [one for one in everybody if any(x == x for x in one.position[:, 0].tolist())]
     unseen = sorted({one.track_id for one in everybody} - {one.track_id for one in found})
     estimates = tracks.with_tracks(found)
     if found:
-        write(estimates, output)
+        write_tracks(estimates, output)
         emit(
             f"tracked {len(found)} people, {estimates.n_frames} person-frames in {duration(seconds)} "
             f"({1e3 * seconds / estimates.n_frames:.2f} ms each); "
@@ -124,21 +130,25 @@ def track(
 
 
 def _track_detections(
-    rows: Rows, output: Path, model: Model, engine: OnlineEngine, lag: float | None
+    rows: Rows,
+    output: Path,
+    model: Model,
+    engine: OnlineEngine,
+    lag: float | None,
+    walkable: Path | None,
 ) -> None:
     """Track the detections of a file online, and write what was said at once."""
     from graphtrack.association.tracker import track_rows
     from graphtrack.cli.console import print_summary
     from graphtrack.inference.engines import online_engine
-    from graphtrack.io import write
     from graphtrack.smoothing import OnlineTracker
 
-    tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)
+    tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable)
     start = time.perf_counter()
     with progress_bar(len(rows), "detections") as advance:
         tracks = track_rows(rows, tracker, advance)
     seconds = time.perf_counter() - start
-    write(tracks, output)
+    write_tracks(tracks, output)
     print_summary(tracks, str(rows.path))
     emit(
         f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {duration(seconds)} "
@@ -272,7 +282,7 @@ def serve(
 
     Clients
     -------
-    token_file : File with the token that clients have to bear; else the variable GRAPHTRACK_TOKEN; else none.
+    token_file : File with the clients' token, else GRAPHTRACK_TOKEN; needed beyond the loopback.
     allow_host : Name in clients' URLs, besides localhost and --host; '*': any. Repeatable.
     allow_origin : Web pages that may use the service, as https://site.example; '*': any. Repeatable.
 
@@ -294,7 +304,7 @@ def serve(
         from graphtrack.service.app import run
     except ModuleNotFoundError as error:
         raise InputError(f"no {error.name}", "pip install 'graphtrack[serve]'") from error
-    from graphtrack.service.settings import Limits, Service, clients_of, is_wildcard
+    from graphtrack.service.settings import Limits, Service, clients_of, is_loopback, is_wildcard
     from graphtrack.streaming.answers import StreamBounds
     from graphtrack.streaming.session import Answers
 
@@ -319,8 +329,9 @@ def serve(
     if token is not None and not all("!" <= character <= "~" for character in token):
         expected = "printable ASCII characters without spaces, which a header can hold"
         raise InputError("a token with other characters", expected, path=token_file)
-    if token is None and host not in ("127.0.0.1", "::1", "localhost"):
-        emit(f"note: no token: whoever reaches {host} may open streams")
+    if token is None and not is_loopback(host):
+        expected = f"--token-file, or the variable {TOKEN}: other machines reach that address"
+        raise InputError(f"--host {host} without a token", expected)
     clients = clients_of(host, allow_host or [], allow_origin or [])
     if not allow_host and is_wildcard(host):
         emit("note: requests are taken for localhost alone; --allow-host NAME adds a name")

@@ -18,13 +18,11 @@ from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle_filter import particle_filter, particle_smoother
 from graphtrack.errors import InputError
 from graphtrack.evaluation.metrics import (
-    DEGREES,
     Angle,
     TrackCalibration,
     angular_error,
     bootstrap,
     calibration_rows,
-    chi_square_band,
     mean_difference,
     position_rmse,
     track_calibration,
@@ -203,9 +201,6 @@ METRICS = {
 }
 """Metric → unit, in the order of the tables. Angular errors are means of |error|."""
 
-QUANTITIES = ("position", "body", "head")
-"""Quantities whose NEES is tabulated; true velocities are differences of positions."""
-
 _ANGLES: tuple[Angle, ...] = ("body", "head")
 
 
@@ -219,7 +214,6 @@ class TrackScore:
     method : name of the method
     frames : frames that were scored
     metrics : metric → value, in the units of `METRICS`; without those that the method does not estimate
-    nees : quantity → mean over the scored frames
     calibration : quantity → NEES per degree of freedom, and how often intervals hold the truth
     failure : why there is nothing; "" where there is
     """
@@ -229,7 +223,6 @@ class TrackScore:
     method: str
     frames: int = 0
     metrics: Mapping[str, float] = field(default_factory=dict)
-    nees: Mapping[str, float] = field(default_factory=dict)
     calibration: Mapping[str, TrackCalibration] = field(default_factory=dict)
     failure: str = ""
 
@@ -275,13 +268,11 @@ def score(
     }
     for name in _ANGLES:
         metrics[f"{name} error"] = angular_error(estimate, track, name, mask)
-    calibration = track_calibration(estimate, track, mask)
     return replace(
         empty,
         frames=int(mask.sum()),
         metrics={name: value for name, value in metrics.items() if np.isfinite(value)},
-        nees={q: DEGREES[q] * calibration[q].nees for q in QUANTITIES if q in calibration},
-        calibration=calibration,
+        calibration=track_calibration(estimate, track, mask),
     )
 
 
@@ -315,8 +306,6 @@ class Comparison:
     rows : one a method and metric, online methods first: ``method``, ``group`` ("online" or "offline"),
         ``model`` (its preset), ``metric``, ``unit``, ``median`` over the tracks, ``low`` and ``high`` (16th
         and 84th percentile), ``mean``, ``n`` (tracks)
-    nees : one a method and quantity: ``method``, ``group``, ``quantity``, ``nees``, ``dof``, ``count``
-        (tracks), ``low`` and ``high`` (95 % band), ``inside``
     differences : one a method, except the first of its group, and metric, the time a step left out:
         ``method``, ``group``, ``reference`` (the first method of the group), ``metric``, ``unit``,
         ``difference`` (mean over the tracks of the method's value less the reference's on the same track),
@@ -335,7 +324,6 @@ class Comparison:
 
     rows: tuple[Mapping[str, Any], ...]
     differences: tuple[Mapping[str, Any], ...]
-    nees: tuple[Mapping[str, Any], ...]
     calibration: tuple[Mapping[str, Any], ...]
     per_track: tuple[TrackScore, ...]
     information: Mapping[str, str]
@@ -380,7 +368,6 @@ class Comparison:
                 {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
                 for row in self.differences
             ],
-            "nees": [dict(row) for row in self.nees],
             "calibration": [dict(row) for row in self.calibration],
             "per_track": [asdict(record) for record in self.per_track],
             "left_out": [{"track_id": i, "reason": reason} for i, reason in self.left_out.items()],
@@ -451,7 +438,6 @@ def compare(
     return Comparison(
         rows=tuple(_rows(made, pooled)),
         differences=tuple(_differences(made, pooled)),
-        nees=tuple(_nees(made, pooled)),
         calibration=tuple(_calibration(made, pooled)),
         per_track=tuple(records),
         information={method.name: method.information for method in made},
@@ -546,21 +532,6 @@ def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> It
                     interval = {"difference": found.value, "low": found.low, "high": found.high}
                     count = int(np.isfinite(own - first).sum())
                     yield {**heading, "metric": metric, "unit": unit, **interval, "n": count}
-
-
-def _nees(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
-    for method in methods:
-        for quantity in QUANTITIES:
-            own = [record.nees for record in records if record.method == method.name]
-            known = [nees[quantity] for nees in own if quantity in nees]
-            if known:
-                nees, dof = float(np.mean(known)), DEGREES[quantity]
-                low, high = chi_square_band(dof, len(known))
-                yield {
-                    **{"method": method.name, "group": _group(method), "quantity": quantity},
-                    **{"nees": nees, "dof": dof, "count": len(known), "low": low, "high": high},
-                    "inside": low <= nees <= high,
-                }
 
 
 def _calibration(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:

@@ -13,10 +13,17 @@ from graphtrack.baselines.kalman import filter_states
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.parameters import Parameters
+from graphtrack.packages import spatial
 from graphtrack.tracks.track import Track, TrackSet
 
 SAMPLES = 20
 """Paths of which the best counts."""
+
+MISS = 2.0
+"""Metres of error at the last time ahead from which a forecast is a miss (Argoverse; Chang et al. 2019)."""
+
+COLLISION = 0.2
+"""Metres between two predicted people below which they collide (TrajNet++; Kothari et al. 2021)."""
 
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Shares of the probability in the circles of the reliability curve."""
@@ -32,15 +39,21 @@ class MethodScore:
     Attributes
     ----------
     ade, fde : mean error over all times ahead, and at the last, m
-    best_ade, best_fde : of the best of `SAMPLES` paths of each forecast, m
+    min_ade, min_fde : of the best of `SAMPLES` paths of each forecast, m
+    miss_rate : share of forecasts that are off by more than `MISS` at the last time ahead; of the best of
+        `SAMPLES` paths where there are such
+    collision_rate : share of forecasts whose mean path comes within `COLLISION` of another person's at the
+        same time, of those made for two people or more
     log_likelihood : mean over forecasts and times, nats: the logarithm of a density per m²
     inside_50, inside_90 : shares of true positions in the circles that should hold 50 and 90 %
     """
 
     ade: float
     fde: float
-    best_ade: float = float("nan")
-    best_fde: float = float("nan")
+    min_ade: float = float("nan")
+    min_fde: float = float("nan")
+    miss_rate: float = float("nan")
+    collision_rate: float = float("nan")
     log_likelihood: float = float("nan")
     inside_50: float = float("nan")
     inside_90: float = float("nan")
@@ -117,10 +130,13 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
     paths, drawn = _paths(grid, mean, spread)
     best = np.linalg.norm(paths - true[:, None], axis=3)
     inside = {f"inside_{share}": error <= grid[f"radius_{share}"] for share in (50, 90)}
+    made = grid["t"][:, 0]
     own = MethodScore(
         *_errors(error),
-        best_ade=float(best.mean(axis=2).min(axis=1).mean()),
-        best_fde=float(best[:, :, -1].min(axis=1).mean()),
+        min_ade=float(best.mean(axis=2).min(axis=1).mean()),
+        min_fde=float(best[:, :, -1].min(axis=1).mean()),
+        miss_rate=float((best[:, :, -1].min(axis=1) > MISS).mean()),
+        collision_rate=_collision_rate(mean, made),
         log_likelihood=_log_likelihood(off, spread),
         **{name: float(held.mean()) for name, held in inside.items()},
     )
@@ -129,6 +145,8 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
     of_filter = np.linalg.norm(off_filter, axis=2)
     kalman = MethodScore(
         *_errors(of_filter),
+        miss_rate=float((of_filter[:, -1] > MISS).mean()),
+        collision_rate=_collision_rate(filtered[..., :2], made),
         log_likelihood=_log_likelihood(off_filter, variance[..., None, None] * np.eye(2)),
         **{
             f"inside_{share}": float((of_filter**2 <= -2.0 * np.log1p(-share / 100.0) * variance).mean())
@@ -142,7 +160,11 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
     )
     methods = {
         "forecast": own,
-        "constant velocity": MethodScore(*_errors(other)),
+        "constant velocity": MethodScore(
+            *_errors(other),
+            miss_rate=float((other[:, -1] > MISS).mean()),
+            collision_rate=_collision_rate(straight, made),
+        ),
         "Kalman filter": kalman,
     }
     if any(track.has_truth for track in truth):
@@ -155,6 +177,18 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
 
 def _errors(error: FloatArray) -> tuple[float, float]:
     return float(error.mean()), float(error[:, -1].mean())
+
+
+def _collision_rate(path: FloatArray, made: FloatArray) -> float:
+    """Share of paths (n, A, 2) made at times (n,) that meet another of the same time; NaN without others."""
+    collides: list[NDArray[np.bool_]] = []
+    for rows in np.split(np.argsort(made, kind="stable"), np.unique(np.sort(made), return_index=True)[1][1:]):
+        if len(rows) > 1:
+            near = np.zeros(len(rows), dtype=bool)
+            for points in path[rows].swapaxes(0, 1):
+                near[spatial.cKDTree(points).query_pairs(COLLISION, output_type="ndarray").ravel()] = True
+            collides.append(near)
+    return float(np.concatenate(collides).mean()) if collides else float("nan")
 
 
 def _shares_within(error: FloatArray, inner: FloatArray, outer: FloatArray) -> FloatArray:

@@ -343,6 +343,35 @@ def identity_counts(frames: SharedFrames, threshold: float) -> IdentityCounts:
     )
 
 
+@dataclass(frozen=True)
+class GospaCounts(Summed):
+    """Sums of GOSPA over the frames (Rahmathullah, García-Fernández & Svensson 2017; p = 2, α = 2).
+
+    Attributes
+    ----------
+    squared : squared distances of the pairs, in units of the cutoff
+    unpaired : rows of the truth and of the estimates without a partner
+    frames : frames
+    """
+
+    squared: float
+    unpaired: int
+    frames: int
+
+    @property
+    def gospa(self) -> float:
+        """The root mean square over frames, in units of the cutoff."""
+        return float(np.sqrt((self.squared + 0.5 * self.unpaired) / max(1, self.frames)))
+
+
+def gospa_counts(frames: SharedFrames) -> GospaCounts:
+    """Pair truth and estimates in each frame so that GOSPA is least; beyond the cutoff similarity is 0."""
+    squared = np.square(1.0 - frames.similarity)
+    found = matched_pairs(frames.row, frames.column, 1.0 - squared)
+    rows = int(frames.truth_rows.sum() + frames.estimate_rows.sum())
+    return GospaCounts(float(squared[found].sum()), rows - 2 * len(found), len(frames))
+
+
 TOGETHER = "together"
 
 Measure = Literal["metres", "iou"]
@@ -357,6 +386,7 @@ HEADINGS = {
     "idr": "IDR",
     "mota": "MOTA",
     "motp": "MOTP",
+    "gospa": "GOSPA m",
     "precision": "precision",
     "recall": "recall",
     "switches": "identity switches",
@@ -369,7 +399,7 @@ HEADINGS = {
 }
 """Figure → what tables call it."""
 
-SHARES, COUNTS = tuple(HEADINGS)[:11], tuple(HEADINGS)[11:]
+SHARES, COUNTS = tuple(HEADINGS)[:12], tuple(HEADINGS)[12:]
 """The figures of which 1 is best, and those that are numbers of rows, events and people."""
 
 IN_SHORT = ("hota", "det_a", "ass_a", "idf1", "mota", "precision", "recall", "switches", "fragmentations")
@@ -415,6 +445,7 @@ class SequenceScore:
     idf1, idp, idr : of the best lasting pairing of people and tracks
     mota : below 0 where errors outnumber people
     motp : mean similarity of the matches
+    gospa : root mean square over frames, in metres, with twice the threshold as the cutoff; None in the image
     mean_distance : of the matches, in metres; None in the image, and where nothing matches
     precision, recall : shares of the estimates and of the truth that are matched
     matches, misses, false_positives : rows
@@ -439,6 +470,7 @@ class SequenceScore:
     idr: float
     mota: float
     motp: float
+    gospa: float | None
     mean_distance: float | None
     precision: float
     recall: float
@@ -513,6 +545,7 @@ class Counts(Summed):
     hota: HotaCounts
     identity: IdentityCounts
     clear: ClearCounts
+    gospa: GospaCounts
 
 
 def count(frames: SharedFrames, threshold: Threshold) -> Counts:
@@ -524,6 +557,7 @@ def count(frames: SharedFrames, threshold: Threshold) -> Counts:
         hota=hota_counts(frames),
         identity=identity_counts(frames, threshold.similarity),
         clear=clear_counts(frames, threshold.similarity),
+        gospa=gospa_counts(frames),
     )
 
 
@@ -545,6 +579,7 @@ def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
         idf1=identity.idf1,
         idp=identity.idp,
         idr=identity.idr,
+        gospa=2.0 * threshold.value * counts.gospa.gospa if threshold.measure == "metres" else None,
         mean_distance=threshold.distance(clear.motp) if clear.matches else None,
         **alike,
         curves={key: tuple(values.tolist()) for key, values in {"alpha": ALPHAS, **curves}.items()},

@@ -148,8 +148,8 @@ def box_similarity(truth: Detections, estimates: Detections) -> Pairs:
     """Intersection over union of boxes, left, top, width and height in pixels."""
     # Boxes overlap where their centres are less than a box apart along either axis.
     largest = np.max([side.place[:, 2:].max(axis=0, initial=1.0) for side in (truth, estimates)], axis=0)
-    centres = ((side.place[:, :2] + 0.5 * side.place[:, 2:]) / largest for side in (truth, estimates))
-    i, j = _near_pairs(truth, estimates, *centres, np.inf)
+    here, there = ((side.place[:, :2] + 0.5 * side.place[:, 2:]) / largest for side in (truth, estimates))
+    i, j = _near_pairs(truth, estimates, here, there, np.inf)
     first, second = _corners(truth.place[i]), _corners(estimates.place[j])
     low = np.maximum(first[:, :2], second[:, :2])
     high = np.minimum(first[:, 2:], second[:, 2:])
@@ -227,7 +227,8 @@ class SharedFrames:
         pair, place = np.unique(
             self.truth[self.row] * tracks + self.estimates[self.column], return_inverse=True
         )
-        return *np.divmod(pair, tracks), np.bincount(place, weight, minlength=len(pair)), place
+        people, others = np.divmod(pair, tracks)
+        return people, others, np.asarray(np.bincount(place, weight, minlength=len(pair)), float), place
 
 
 class Summed:

@@ -146,12 +146,8 @@ def track_boxes(
     corners = corners_of(detections, parameters)
     tracker = make(parameters, 1.0 / detections.step_seconds)
     identity = np.full(len(detections), -1)
-    seen, first = np.unique(detections.frame, return_index=True)
-    end = dict(
-        zip(seen.tolist(), zip(first, np.append(first[1:], len(detections)), strict=True), strict=True)
-    )
-    for frame in with_those_between(seen).tolist():
-        start, stop = end.get(frame, (0, 0))
+    frames = with_those_between(np.unique(detections.frame))
+    for start, stop in np.searchsorted(detections.frame, [frames, frames + 1]).T.tolist():
         told = tracker.update(boxes_of(corners[start:stop]))
         if len(told.tracker_id):
             identity[start + np.asarray(told.data["row"])] = told.tracker_id
@@ -563,8 +559,7 @@ def compare_trackers(
 
 def _first_frames(detections: Detections, count: int) -> Detections:
     kept = detections.frame <= np.unique(detections.frame)[:count][-1]
-    channels = {name: values[kept] for name, values in detections.channels.items()}
-    return Detections(detections.frame[kept], detections.t[kept], detections.position[kept], channels)
+    return detections.taken(np.flatnonzero(kept))
 
 
 def _as_observed(track: Any) -> Any:

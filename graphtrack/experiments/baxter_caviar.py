@@ -36,7 +36,6 @@ from graphtrack.experiments.harness import (
     quietly,
     squared_error,
     tabulated,
-    with_density,
 )
 from graphtrack.experiments.harness import PREDICTED as METHODS
 from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
@@ -107,8 +106,8 @@ def relabelled_rate(track: Track) -> float:
 
 def with_noise(density: float, std: float) -> Parameters:
     """Parameters with q in m²/s³ and 1-σ of the positions in metres."""
-    parameters = with_density(Parameters(), density)
-    return replace(parameters, likelihood=replace(parameters.likelihood, position_std=std))
+    values = {"motion.acceleration_density": density, "likelihood.position_std": std}
+    return Parameters().with_values(values)
 
 
 def fit_filters(training: Sequence[Track], progress: Progress, *, quick: bool) -> Fitted:

@@ -29,8 +29,6 @@ from graphtrack.experiments.harness import (
     paired,
     tabulated,
     thinned,
-    with_density,
-    with_head_rate,
 )
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Parameters
@@ -127,7 +125,8 @@ def _mean(logs: FloatArray) -> float:
 
 def tracker_nats(tracks: Sequence[Track], density: float, rate: GrowingRate) -> FloatArray:
     """Of the intentional tracker, (n,) one number a track."""
-    parameters = with_head_rate(with_density(Parameters(), density), rate.rate)
+    values = {"motion.acceleration_density": density, "motion.head_rate": rate.rate}
+    parameters = Parameters().with_values(values)
     found = [intentional_states(rate.given_to(track), parameters).log_likelihood for track in tracks]
     return np.array([_mean(logs) for logs in found])
 

@@ -7,7 +7,7 @@ presets alike, on people who are not reported.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -199,14 +199,14 @@ def draw_errors(
         grid[row, 0].set_ylabel(f"{angle}: mean error (°)")
 
 
-SHARED: Mapping[str, tuple[str, str]] = {
-    "q (m²/s³)": ("motion", "acceleration_density"),
-    "D_body (rad²/s)": ("orientation", "body_diffusion"),
-    "D_head (rad²/s)": ("orientation", "head_diffusion"),
-    "κ₁ ((m/s)⁻²)": ("coupling", "motion_body_kappa"),
-    "κ₂": ("coupling", "head_body_kappa"),
+SHARED: Mapping[str, str] = {
+    "q (m²/s³)": "motion.acceleration_density",
+    "D_body (rad²/s)": "orientation.body_diffusion",
+    "D_head (rad²/s)": "orientation.head_diffusion",
+    "κ₁ ((m/s)⁻²)": "coupling.motion_body_kappa",
+    "κ₂": "coupling.head_body_kappa",
 }
-"""Parameters that all methods have: name in tables → group and key."""
+"""Parameters that all methods have: name in tables → name."""
 
 FITTED = {"joint-body": tuple(SHARED)[:-1], "joint": tuple(SHARED)}
 """Preset → the parameters that are fitted: the paper's separate filtering has no κ₂."""
@@ -221,18 +221,13 @@ Models = Mapping[tuple[str, str], Model]
 
 def shared_values(model: Model) -> dict[str, float]:
     """The values of `SHARED` in a model."""
-    parameters = model.parameters
-    return {name: float(getattr(getattr(parameters, group), key)) for name, (group, key) in SHARED.items()}
+    return {name: model.parameters.value(one) for name, one in SHARED.items()}
 
 
 def with_shared(model: Model, values: Mapping[str, float]) -> Model:
     """The model with other values of some of `SHARED`."""
-    parameters = model.parameters
-    for name, value in values.items():
-        group, key = SHARED[name]
-        changed = replace(getattr(parameters, group), **{key: value})
-        parameters = replace(parameters, **{group: changed})
-    return model.with_parameters(parameters)
+    changed = {SHARED[name]: value for name, value in values.items()}
+    return model.with_parameters(model.parameters.with_values(changed))
 
 
 def fitted_models(

@@ -30,7 +30,7 @@ from graphtrack.evaluation.metrics import Interval, bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.inference import Solution
 from graphtrack.inference.engines import OnlineEngine
-from graphtrack.io import read
+from graphtrack.io import read_identified
 from graphtrack.model import Model, Parameters
 from graphtrack.model.terms.intentional_motion import (
     HEAD_RATE,
@@ -200,7 +200,7 @@ def quietly(path: Path) -> TrackSet:
     """The tracks of a file, read once; what its reader has to say is left to ``graphtrack info``."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
-        return read(path)
+        return read_identified(path)
 
 
 def thinned(track: Track, every: int = EVERY) -> Track:
@@ -394,12 +394,7 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
 
 def with_density(parameters: Parameters, acceleration_density: float) -> Parameters:
     """The parameters with another q in m²/s³."""
-    return replace(parameters, motion=replace(parameters.motion, acceleration_density=acceleration_density))
-
-
-def with_head_rate(parameters: Parameters, head_rate: float) -> Parameters:
-    """The parameters with another λ in 1/s, at which the head draws the velocity."""
-    return replace(parameters, motion=replace(parameters.motion, head_rate=head_rate))
+    return parameters.with_values({"motion.acceleration_density": acceleration_density})
 
 
 def with_coupling(parameters: Parameters, factor: float) -> Parameters:
@@ -407,20 +402,9 @@ def with_coupling(parameters: Parameters, factor: float) -> Parameters:
 
     One number for how closely body and head follow the motion.
     """
-    coupling, turning = parameters.coupling, parameters.orientation
-    return replace(
-        parameters,
-        coupling=replace(
-            coupling,
-            motion_body_kappa=coupling.motion_body_kappa * factor,
-            head_body_kappa=coupling.head_body_kappa * factor,
-        ),
-        orientation=replace(
-            turning,
-            body_diffusion=turning.body_diffusion / factor,
-            head_diffusion=turning.head_diffusion / factor,
-        ),
-    )
+    powers = {"coupling.motion_body_kappa": 1.0, "coupling.head_body_kappa": 1.0}
+    powers |= {"orientation.body_diffusion": -1.0, "orientation.head_diffusion": -1.0}
+    return parameters.with_values({name: parameters.value(name) * factor**p for name, p in powers.items()})
 
 
 def model_of(preset: str, base: Parameters | None = None) -> Callable[..., Model]:
@@ -428,7 +412,9 @@ def model_of(preset: str, base: Parameters | None = None) -> Callable[..., Model
 
     def make(density: float, factor: float, *head_rate: float) -> Model:
         parameters = with_coupling(with_density(base or Parameters(), density), factor)
-        return Model(preset, with_head_rate(parameters, *head_rate) if head_rate else parameters)
+        return Model(
+            preset, parameters.with_values({"motion.head_rate": head_rate[0]}) if head_rate else parameters
+        )
 
     return make
 

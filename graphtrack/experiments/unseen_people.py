@@ -33,9 +33,9 @@ from graphtrack.experiments.harness import (
 )
 from graphtrack.experiments.strangers import independent_walkers
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model import Model, Parameters
+from graphtrack.learning.fit import Free, with_values
+from graphtrack.model import Model
 from graphtrack.model.model import default_parameters
-from graphtrack.model.parameters import scale_of
 from graphtrack.simulation.crowd import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.smoothing import smooth, track_online
@@ -58,6 +58,7 @@ FITTED = (
 
 Those of outliers are not: no source has gross errors of position.
 """
+FREE = tuple(Free(name) for name in FITTED)
 
 STEP = 0.25
 """By which each is changed to see what it does, on that scale."""
@@ -193,53 +194,23 @@ def estimated(people: TrackSet, model: Model | str) -> Sequence[Track]:
 # -- the fit -------------------------------------------------------------------------------------------------
 
 
-def with_values(parameters: Parameters, values: Mapping[str, float]) -> Parameters:
-    """The parameters with others for some, by ``group.name``."""
-    for key, value in values.items():
-        group, name = key.split(".")
-        parameters = replace(parameters, **{group: replace(getattr(parameters, group), **{name: value})})
-    return parameters
-
-
-def on_scale(parameters: Parameters) -> FloatArray:
-    """The `FITTED` constants as the search moves them."""
-    return np.array([_scaled(key, parameters) for key in FITTED])
-
-
-def _scaled(key: str, parameters: Parameters) -> float:
-    group, name = key.split(".")
-    value = getattr(getattr(parameters, group), name)
-    odds = scale_of(getattr(parameters, group), name) == "log odds"
-    return float(np.log(value / (1.0 - value) if odds else value))
-
-
-def from_scale(point: FloatArray, parameters: Parameters) -> Parameters:
-    """The inverse: the parameters with the constants of a point."""
-    values = {}
-    for key, at in zip(FITTED, np.exp(point).tolist(), strict=True):
-        group, name = key.split(".")
-        odds = scale_of(getattr(parameters, group), name) == "log odds"
-        values[key] = at / (1.0 + at) if odds else at
-    return with_values(parameters, values)
-
-
-def fit(people: Sequence[People], rounds: int, progress: Progress) -> Parameters:
+def fit(people: Sequence[People], rounds: int, progress: Progress) -> Model:
     """Constants of `full` with small errors on all settings of some sources.
 
     Each setting and quantity is a residual: the logarithm of the error over that of the best of `SIMPLER`,
     plus `MARGIN`, or 0. So a source weighs by its settings, and where `full` is worst counts most.
     """
-    start = default_parameters("full")
+    start = Model("full")
     settings = [tracks for source in people for tracks in source.values()]
     best = [np.log(np.min([errors_of(t, estimated(t, p)) for p in SIMPLER], axis=0)) for t in settings]
 
     def residuals(point: FloatArray) -> FloatArray:
-        model = Model("full", from_scale(point, start))
+        model = with_values(start, FREE, point)
         found = [np.log(errors_of(t, estimated(t, model))) - b for t, b in zip(settings, best, strict=True)]
         progress(1)
         return np.maximum(np.concatenate(found) + MARGIN, 0.0)
 
-    origin = on_scale(start)
+    origin = np.array([one.to_scale(one.get(start)) for one in FREE])
     relative = STEP / np.maximum(np.abs(origin), 1e-3)
     result = least_squares(
         residuals,
@@ -249,7 +220,7 @@ def fit(people: Sequence[People], rounds: int, progress: Progress) -> Parameters
         x_scale=1.0,
         max_nfev=rounds,
     )
-    return from_scale(result.x, start)
+    return with_values(start, FREE, result.x)
 
 
 # -- the experiment ------------------------------------------------------------------------------------------
@@ -290,9 +261,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         others = [to_fit[other.name] for other in there if other is not source]
         fitted = fit(others, _rounds(settings), progress)
         models: dict[str, Model | str] = {name: name for name in PRESETS}
-        models["full, fitted without it"] = Model("full", fitted)
+        models["full, fitted without it"] = fitted
         rows += _rows(source.name, source.people(settings, 1), models)
-        values = {key: getattr(getattr(fitted, key.split(".")[0]), key.split(".")[1]) for key in FITTED}
+        values = {key: fitted.parameters.value(key) for key in FITTED}
         constants.append({"left out": source.name, **values})
         progress(1)
     notes = (
@@ -337,11 +308,10 @@ def _summary(rows: Sequence[Mapping[str, Cell]]) -> Records:
 def _spread(constants: Sequence[Mapping[str, Cell]]) -> Records:
     default = default_parameters("full")
     for key in FITTED:
-        group, name = key.split(".")
         values = [float(one[key] or 0.0) for one in constants]
         yield {
             "parameter": key,
-            "default": getattr(getattr(default, group), name),
+            "default": default.value(key),
             "least": min(values),
             "median": float(np.median(values)),
             "greatest": max(values),

@@ -15,6 +15,7 @@ from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, Moti
 from graphtrack.forecasting.paths import EVERY, LAGS, Places, Seen, kernel_means
 from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.saved import real, whole
 
 _WALKING = 0.3  # speed, m/s, at which people half count as walking
@@ -140,6 +141,7 @@ class Forecaster:
     Parameters
     ----------
     parameters : by default those learned
+    walkable : area that no predicted path leaves: a file of GeoJSON or well-known text, or a polygon
 
     Examples
     --------
@@ -151,7 +153,10 @@ class Forecaster:
     ([7], [4.0, 4.5])
     """
 
-    def __init__(self, parameters: ForecastParameters | None = None) -> None:
+    def __init__(
+        self, parameters: ForecastParameters | None = None, walkable: AreaLike | None = None
+    ) -> None:
+        self._area = None if walkable is None else WalkableArea.of(walkable)
         self.parameters = ForecastParameters() if parameters is None else parameters
         self._calibration = Calibration(self.parameters)
         self._places = Places(self.parameters, self._calibration.see)
@@ -315,7 +320,13 @@ class Forecaster:
             random = np.random.default_rng(0) if random is None else random
             drawn = offsets(samples, along, across, expected.direction, self.parameters, random)
             paths = expected.mean[:, None] + drawn
-        return Forecast(self.t, ids, times, _plane(expected.mean), covariance, inner, outer, _plane(paths))
+        mean, drawn_paths = _plane(expected.mean), _plane(paths)
+        if self._area is not None:
+            for k, start in enumerate(_plane(self._position[at])):
+                mean[k] = self._area.confined(mean[k], start)
+                for path in drawn_paths[k]:
+                    path[:] = self._area.confined(path, start)
+        return Forecast(self.t, ids, times, mean, covariance, inner, outer, drawn_paths)
 
     def expected(self, track_id: NDArray[np.int64], ahead: FloatArray) -> Expected:
         """The parts of a forecast of people who were seen in the last seconds."""

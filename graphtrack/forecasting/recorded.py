@@ -17,6 +17,7 @@ from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.walkable import AreaLike
 from graphtrack.io.formats.native import damage_told
 from graphtrack.io.source import Source
 from graphtrack.tracks.track import STATE, Track, TrackSet
@@ -121,6 +122,7 @@ def forecast(
     samples: int = 0,
     parameters: ForecastParameters | str | Path | None = None,
     seed: int = 0,
+    walkable: AreaLike | None = None,
 ) -> Forecasts:
     """Forecast everybody at each time from the frames until then.
 
@@ -134,6 +136,7 @@ def forecast(
     samples : paths to draw for each
     parameters : or the file that they are in; by default those learned
     seed : of the samples
+    walkable : area that no predicted path leaves: a file of GeoJSON or well-known text, or a polygon
 
     Raises
     ------
@@ -149,7 +152,7 @@ def forecast(
     tracks = tracks_of(tracks)
     if isinstance(parameters, str | Path):
         parameters = ForecastParameters.load(parameters)
-    forecaster, random = Forecaster(parameters), np.random.default_rng(seed)
+    forecaster, random = Forecaster(parameters, walkable), np.random.default_rng(seed)
     made: list[tuple[int, Forecast]] = []
     last, rows = -math.inf, 0
     for seen in frames_of(tracks):

@@ -46,7 +46,7 @@ from graphtrack.tracks.display import html_pairs
 
 
 def worked_in(window: Window, observation: Observation, place: int, inserted: bool, template: Step) -> Window:
-    """The window with one more observation, in a step like ``template`` or in place of one; linked anew."""
+    """The window with one more observation, in a step like ``template`` or in place of one; linked again."""
     values = dict(window.values)
     steps = list(window.steps[:place])
     if inserted:

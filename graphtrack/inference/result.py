@@ -32,7 +32,7 @@ class SolverOptions:
         converge quadratically, when the next one promises less than a thousandth of it.
     step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
     restart : where observations contradict each other, a grid of orientations is searched for a better basin,
-        and the descent starts anew from there (with GTSAM too, where every term has compiled kernels)
+        and the descent starts again from there (with GTSAM too, where every term has compiled kernels)
     """
 
     max_iterations: int = 100

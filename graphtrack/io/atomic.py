@@ -241,7 +241,7 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
 
     Notes
     -----
-    The temporary path lies in a hidden folder beside the result, since replacing is atomic only within one
+    The temporary path lies in a hidden folder next to the result, since replacing is atomic only within one
     file system, and keeps the name of ``path``, since many writers choose their format by it. A process that
     is killed leaves that folder behind; the next writing to the same place removes it.
     """
@@ -258,7 +258,7 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
             _flush(temporary)
             _match_mode(temporary, path)
             temporary.replace(path)
-            _flush_entry(path.parent)
+            flush_entry(path.parent)
     except OSError as error:
         found = f"{described(error)} when writing"
         raise InputError(found, "a place that can be written to", path=given) from error
@@ -294,6 +294,8 @@ def _scratch(path: Path) -> Iterator[Path]:
 
 
 def _is_running(process: int) -> bool:
+    if os.name == "nt":  # where signal 0 would end it
+        return True
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -307,11 +309,14 @@ def _flush(path: Path) -> None:
     """Force a file, or a directory with all it holds, to the disk."""
     for child in path.iterdir() if path.is_dir() else ():
         _flush(child)
-    _flush_entry(path)
+    flush_entry(path)
 
 
-def _flush_entry(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
+def flush_entry(path: Path) -> None:
+    """Force a file, or the names in a folder, to the disk; Windows opens no folders."""
+    if path.is_dir() and not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:

@@ -69,7 +69,7 @@ UNSURE_UNIT = (
 )
 """Note on a column of times without a unit in its name."""
 
-_NO_METRES = frozenset(("u", "v", "lat", "lon"))  # columns beside which no other column is taken for metres
+_NO_METRES = frozenset(("u", "v", "lat", "lon"))  # with these columns no other column is taken for metres
 
 
 def plain(name: str) -> tuple[str, str]:

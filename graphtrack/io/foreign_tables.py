@@ -46,7 +46,7 @@ def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
         if missing is not None:
             name = wild[missing].replace(WILD, person)
             have = next(known[person] for known in found.values() if person in known)
-            raise cells.fail("no such column", f"a column {name} beside {have}", None, name)
+            raise cells.fail("no such column", f"a column {name} next to {have}", None, name)
     named = {name for known in found.values() for name in known.values()}
     n = len(next(iter(cells.columns.values())))
     columns = {
@@ -183,7 +183,7 @@ def _on_the_ground(
         elif metres[0] in columns and metres[1] in columns and layout.crs is not None:
             pairs.append((metres, columns[metres[0]], columns[metres[1]], named[metres[0]]))
     if not pairs:
-        raise cells.fail("no position", "columns for lat and lon, or x and y, beside --crs")
+        raise cells.fail("no position", "columns for lat and lon, or x and y, with --crs")
     for _, first, second, name in pairs:
         half = np.isnan(first) != np.isnan(second)
         if half.any():

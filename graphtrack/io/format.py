@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,12 +29,12 @@ class Format:
     name : what ``format=`` calls it
     description : one line for people
     suffixes : endings of file names in lower case; they choose the format on writing
-    looks_like : (first bytes, path) → whether the content is of this format
     read : (source, options) → rows, whose cells are checked
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
     write_columns : (columns of the table, path) → None; for tables, which can do without identities and need
         no ``write``
-    beside : path → the places beside it where the reader looks for more by itself
+    beside : places, as seen from a file's folder, where the reader looks for more by itself; ``{name}`` is
+        the file's
     is_read : False: only written; what it makes is read otherwise, if at all
     takes : options of tables, fields of `ReadOptions`, that the reader itself understands
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
@@ -43,11 +44,10 @@ class Format:
     name: str
     description: str
     suffixes: tuple[str, ...]
-    looks_like: Callable[[bytes, Path], bool]
     read: Callable[[Source, ReadOptions], Rows]
     write: Callable[[TrackSet, Path], None] | None = None
     write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
-    beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
+    beside: tuple[str, ...] = ()
     is_read: bool = True
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
@@ -59,6 +59,12 @@ class Format:
     def _write_table(self, tracks: TrackSet, path: Path) -> None:
         assert self.write_columns is not None
         self.write_columns(restored(to_columns(tracks), tracks.as_read), path)
+
+
+def places_beside(path: Path, places: Iterable[str]) -> tuple[Path, ...]:
+    """Paths of places that are named as seen from a file's folder; see `Format.beside`."""
+    name = path.name.removesuffix(".gz")
+    return tuple(Path(os.path.normpath(path.parent / place.format(name=name))) for place in places)
 
 
 _AMISS = 0.1  # of a frame: how far a time may be from that of its frame

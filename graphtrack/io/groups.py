@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import warnings
 from collections.abc import Mapping
@@ -16,8 +15,10 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.cells import cells_of_csv, numbers
 from graphtrack.io.source import Source
-from graphtrack.io.text import expected_number, parse_number
+from graphtrack.io.text import parse_number
+from graphtrack.tracks.table import check_integers
 from graphtrack.tracks.validation import LARGEST_ID, LARGEST_SECONDS
 
 IntArray = NDArray[np.int64]
@@ -158,7 +159,7 @@ def read_groups(path: str | Path) -> GroupLabels:
         raise InputError("no rows", "groups", path=source.path)
     first = lines[0][1]
     if _names_groups(first):
-        return _read_table(source, lines)
+        return _read_table(source)
     return _read_salsa(source, lines) if "<" in first else _read_lines(source, lines)
 
 
@@ -224,33 +225,22 @@ def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
     return frozenset(group)
 
 
-def _rows_of_table(source: Source, lines: list[tuple[int, str]]) -> tuple[NDArray[np.int64], FloatArray]:
-    """Line, frame, track and group (n, 4) of the rows of a table, and their times (n,) or NaN."""
-    header = [cell.strip() for cell in next(csv.reader([lines[0][1]]))]
-    rows: list[tuple[int, ...]] = []
-    times: list[float] = []
-    for number, line in lines[1:]:
-        cells = next(csv.reader([line]))
-        if len(cells) != len(header):
-            raise InputError(f"{len(cells)} columns", str(len(header)), path=source.path, line=number)
-        of = dict(zip(header, cells, strict=True))
-        rows.append((number, *(_whole(source, number, name, of[name]) for name in _NEEDED)))
-        value = parse_number(of.get("t", "").strip())
-        times.append(np.nan if value is None else value)
-    if not rows:
+def _read_table(source: Source) -> GroupLabels:
+    cells = cells_of_csv(source, header=True)
+    columns = []
+    for name in _NEEDED:
+        values = numbers(cells, name)
+        check_integers(values, name, LARGEST_ID, cells.fail)
+        columns.append(values.astype(np.int64).tolist())
+    if not columns[0]:
         raise InputError("no rows", "at least one row", path=source.path)
-    return np.array(rows, dtype=np.int64), np.array(times)
-
-
-def _read_table(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
     frames: dict[int, dict[int, int]] = {}
     line_of: dict[int, int] = {}
-    for number, frame, person, group in _rows_of_table(source, lines)[0].tolist():
+    for row, (frame, person, group) in enumerate(zip(*columns, strict=True)):
         of_frame = frames.setdefault(frame, {})
-        line_of.setdefault(frame, number)
+        line_of.setdefault(frame, cells.line_of(row))
         if person in of_frame:
-            found = f"person {person} twice in frame {frame}"
-            raise InputError(found, "each person in one group", path=source.path, line=number)
+            raise cells.fail(f"person {person} twice in frame {frame}", "each person in one group", row)
         of_frame[person] = group
     steps = []
     for frame in sorted(frames):
@@ -260,23 +250,6 @@ def _read_table(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
                 members.setdefault(group, set()).add(person)
         steps.append(GroupStep(frame, tuple(frozenset(one) for one in members.values()), line_of[frame]))
     return GroupLabels("frame", tuple(steps), source.path)
-
-
-def _whole(source: Source, line: int, name: str, cell: str) -> int:
-    value = parse_number(cell.strip())
-    if value is None or value != int(value) or abs(value) > LARGEST_ID:
-        expected = "a whole number" if value is not None else expected_number(cell)
-        raise InputError(repr(cell.strip()[:40]), expected, path=source.path, line=line, column=name)
-    return int(value)
-
-
-def read_group_rows(path: str | Path) -> dict[str, np.ndarray]:
-    """The columns frame, t, track_id and group of a table of groups; a missing t is NaN."""
-    source = Source.open(path)
-    lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
-    _read_table(source, lines)
-    rows, times = _rows_of_table(source, lines)
-    return {**dict(zip(_NEEDED, rows[:, 1:].T, strict=True)), "t": times}
 
 
 def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,15 @@ from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
 from graphtrack.tracks.validation import LARGEST_ID
 
+if TYPE_CHECKING:
+    import geopandas
+
+
+OTHER_CLASS = "of another class"
+NOT_FINITE = "with a box that is not finite"
+NO_SIZE = "with a box whose right or lower edge is not beyond the other"
+NOT_FOLLOWED = "not followed by the tracker (id −1)"
+
 
 @dataclass(frozen=True, eq=False)
 class FoundBoxes:
@@ -31,9 +41,10 @@ class FoundBoxes:
     ----------
     box : (n, 4) left, top, width and height in pixels
     confidence : (n,) of the detector, from 0 to 1; None: not known
-    track_id : (n,) from 0 on; None: nobody says who is who
+    track_id : (n,) from 0 on; None: detections without identities
     place : (n,) where they stood among all that was found
     among : how many were found, of any class
+    refused : reason → number of boxes that were left out; ``among == n + sum of these``
     """
 
     box: FloatArray
@@ -41,12 +52,14 @@ class FoundBoxes:
     track_id: NDArray[np.int64] | None
     place: NDArray[np.int64]
     among: int
+    refused: Mapping[str, int]
 
 
 def boxes_of_supervision(detections: Any, person: int | None = 0) -> FoundBoxes:
     """The people of a ``supervision.Detections``, as detectors and the trackers of ``trackers`` give it.
 
-    Left out are other classes, boxes without a size, and those whom a tracker does not follow yet (−1).
+    Refused are other classes, boxes that are not finite or have no size, and those whom a tracker does not
+    follow yet (−1).
 
     Parameters
     ----------
@@ -104,19 +117,28 @@ def _found(
     for name, values in (("confidences", confidence), ("classes", of_class), ("ids", ids)):
         if values is not None and values.size != n:
             raise InputError(f"{values.size} {name} of {n} boxes", "as many as boxes")
-    finite, ordered = np.isfinite(corners).all(axis=1), (corners[:, 2:] > corners[:, :2]).all(axis=1)
-    kept: NDArray[np.bool_] = np.logical_and(finite, ordered)
-    if of_class is not None and person is not None:
-        kept &= of_class.ravel() == person
+    everybody = np.ones(n, dtype=bool)
+    checks = {
+        OTHER_CLASS: everybody if of_class is None or person is None else of_class.ravel() == person,
+        NOT_FINITE: np.isfinite(corners).all(axis=1),
+        NO_SIZE: (corners[:, 2:] > corners[:, :2]).all(axis=1),
+    }
     if ids is not None:
         whole = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
         if not whole.all():
             raise InputError(f"the id {ids[~whole][0]:g}", "whole numbers")
-        kept &= ids.ravel() >= 0.0  # trackers give −1 to those whom they do not follow yet
+        checks[NOT_FOLLOWED] = ids.ravel() >= 0.0
+    kept, refused = everybody, {}
+    for reason, good in checks.items():  # a box that fails several is counted for the first
+        count = int(np.count_nonzero(kept & ~good))
+        if count:
+            refused[reason] = count
+        kept = kept & good
     place = np.flatnonzero(kept)
     box = np.concatenate([corners[place, :2], corners[place, 2:] - corners[place, :2]], axis=1)
     sure = None if confidence is None else np.clip(confidence.ravel()[place], 0.0, 1.0)
-    return FoundBoxes(box, sure, None if ids is None else ids.ravel()[place].astype(np.int64), place, n)
+    track_id = None if ids is None else ids.ravel()[place].astype(np.int64)
+    return FoundBoxes(box, sure, track_id, place, n, refused)
 
 
 def rows_of_supervision(
@@ -145,8 +167,13 @@ def _numbered(given: Iterable[Any] | Mapping[int, Any]) -> Iterable[tuple[int, A
 
 def _rows(found: Mapping[int, FoundBoxes], format: str, options: ReadOptions) -> Rows:
     some = {frame: one for frame, one in found.items() if len(one.box)}
+    refused: Counter[str] = Counter()
+    for one in found.values():
+        refused.update(one.refused)
     if not some:
-        raise InputError(f"nobody in {len(found)} frames", "at least one person")
+        reasons = "; ".join(f"{count} {reason}" for reason, count in refused.items())
+        nobody = f"nobody in {len(found)} frames" + (f" ({reasons} refused)" if reasons else "")
+        raise InputError(nobody, "at least one person")
     of_nobody = [frame for frame, one in some.items() if one.track_id is None]
     if 0 < len(of_nobody) < len(some):
         raise InputError(
@@ -165,13 +192,14 @@ def _rows(found: Mapping[int, FoundBoxes], format: str, options: ReadOptions) ->
         frame,
         channels,
         lambda row: int(frame[row]),
+        refused=dict(refused),
         has_identity=not of_nobody,
     )
     assert options.fps is not None
     return with_scores(placed_boxes(rows, options).with_times(options.fps)).without("box", "confidence")
 
 
-def to_geopandas(tracks: TrackSet) -> Any:
+def to_geopandas(tracks: TrackSet) -> geopandas.GeoDataFrame:
     """Return a GeoDataFrame with a point for each person and frame, which writes GeoPackage and GeoParquet.
 
     The other columns are those of ``tracks.to_table(as_read=True)``; ``time`` has the dates (UTC), where the
@@ -183,7 +211,7 @@ def to_geopandas(tracks: TrackSet) -> Any:
     InputError
         If the package geopandas is not there.
     """
-    geopandas = package("geopandas", "geo")
+    module = package("geopandas", "geo")
     table = tracks.to_table(as_read=True)
     x, y, t = (
         np.concatenate([values(track) for track in tracks]) if len(tracks) else np.empty(0)
@@ -195,8 +223,8 @@ def to_geopandas(tracks: TrackSet) -> Any:
     if time is not None and (time.kind != "number" or time.origin != 0):
         table["time"] = (time.origin + np.rint(t * 1e9).astype(np.int64)).astype("M8[ns]")
     first, second = (x, y) if plane is None else plane.back(x, y)
-    points = geopandas.points_from_xy(first, second)
-    return geopandas.GeoDataFrame(table, geometry=points, crs=None if plane is None else plane.crs).loc[known]
+    points = module.points_from_xy(first, second)
+    return module.GeoDataFrame(table, geometry=points, crs=None if plane is None else plane.crs).loc[known]
 
 
 def _unread(source: Source, options: ReadOptions) -> Rows:
@@ -218,7 +246,7 @@ def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
 
 
 GEOPACKAGE, GEOPARQUET = (
-    Format(name, description, (suffix,), lambda head, path: False, _unread, write, is_read=False)
+    Format(name, description, (suffix,), _unread, write, is_read=False)
     for name, description, suffix, write in (
         ("geopackage", "points of a GeoPackage (extra geo)", ".gpkg", _write_geopackage),
         ("geoparquet", "points as GeoParquet (extra geo)", ".geoparquet", _write_geoparquet),

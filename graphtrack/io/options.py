@@ -6,7 +6,7 @@ import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, TypedDict, Unpack, get_args
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -21,7 +21,7 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 """Metres of each unit of length."""
 
 SHORT = {"id": "track_id", "time": "t"}
-"""Short names of columns, beside those of the native table."""
+"""Short names of columns, in addition to those of the native table."""
 
 WILD = "*"
 """In the name of a column what stands for an identity: a table with columns for each person."""
@@ -130,6 +130,51 @@ def _check_places(columns: Mapping[str, str]) -> None:
 Associate = Literal["auto", "never", "always", "repair"]
 
 
+class ReadingBase(TypedDict, total=False):
+    """Keywords of reading besides camera and frame rate: fields of `ReadOptions`."""
+
+    homography: FloatArray | str | Path | None
+    point_pairs: str | Path | None
+    point_pairs_unit: str
+    point_pairs_rows: str | None
+    calibration: str | Path | None
+    metres_per_pixel: float | None
+    image_scale: float | None
+    nadir: tuple[float, float] | None
+    oxts: str | Path | None
+    ego_calibration: str | Path | None
+    classes: tuple[str, ...]
+    associate: Associate
+    columns: Mapping[str, str] | str | None
+    time_unit: str | None
+    units: str | None
+    crs: str | None
+    delimiter: str | None
+    decimal: str | None
+    encoding: str | None
+    topic: str | None
+    fixed_frame: str | None
+    beside: AsRead | None
+
+
+class Placing(ReadingBase, total=False):
+    """Keywords of reading besides the frame rate."""
+
+    camera: GroundCamera | None
+
+
+class Reading(Placing, total=False):
+    """Keywords of reading: the fields of `ReadOptions`."""
+
+    fps: float | None
+
+
+class FileReading(Reading, total=False):
+    """Keywords of reading files: those of `Reading`, and the format's name."""
+
+    format: str | None
+
+
 @dataclass(frozen=True, eq=False)
 class ReadOptions:
     """Options of reading a file. ``None``: the reader's own rule holds.
@@ -209,6 +254,17 @@ class ReadOptions:
             raise InputError(found, "two different marks, such as --delimiter ';' --decimal ,")
         check_encoding(self.encoding)
         self.layout()
+
+    @classmethod
+    def named(cls, **options: Unpack[Reading]) -> ReadOptions:
+        """Options by their names; an InputError for a name that is none.
+
+        The fields and `Reading` name the same options with the same types.
+        """
+        unknown = ", ".join(name for name in options if name not in cls.__dataclass_fields__)
+        if unknown:
+            raise InputError(f"unknown options {unknown}", f"some of {', '.join(cls.__dataclass_fields__)}")
+        return cls(**options)
 
     def layout(self) -> Layout | None:
         """The columns and units of a table; None: it is the native one.

@@ -1,4 +1,4 @@
-"""`read` and `write`: any format, one file or several, a table or tracks."""
+"""`read_identified` and `write`: any format, one file or several, a table or tracks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,8 @@ from graphtrack.io.atomic import atomic_path, check_read_once, read_errors
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.format import Format
 from graphtrack.io.formats.native import has_moments
-from graphtrack.io.formats.ros_bag import is_bag
-from graphtrack.io.options import Layout, ReadOptions
+from graphtrack.io.options import FileReading, Layout, Reading, ReadOptions
+from graphtrack.io.recognition import is_recording, recognised
 from graphtrack.io.registry import (
     FORMATS,
     detect,
@@ -108,17 +108,17 @@ ToTracks = Callable[[Rows, ReadOptions], TrackSet]
 """Makes tracks of the rows of one file."""
 
 
-def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
+def identified_tracks(rows: Rows, options: ReadOptions) -> TrackSet:
     """The tracks of a file's rows, which have identities."""
     return TrackSet.from_identified_rows(rows)
 
 
-def read(
+def read_identified(
     path: str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any],
     *,
     format: str | None = None,
-    to_tracks: ToTracks = tracks_of_rows,
-    **options: Any,
+    to_tracks: ToTracks = identified_tracks,
+    **options: Unpack[Reading],
 ) -> TrackSet:
     """Read tracks whose rows have identities; `graphtrack.read` also associates rows that have none.
 
@@ -127,12 +127,7 @@ def read(
     path, format, **options : as in `graphtrack.read`
     to_tracks : (rows of a file, options) → tracks
     """
-    try:
-        read_options = ReadOptions(**options)
-    except TypeError as error:
-        known = ReadOptions.__dataclass_fields__
-        unknown = ", ".join(name for name in options if name not in known)
-        raise InputError(f"unknown options {unknown}", f"some of {', '.join(known)}") from error
+    read_options = ReadOptions.named(**options)
     if is_table(path):
         if format is not None:
             raise InputError(f"format {format!r} of a table", "a file, or no format")
@@ -154,7 +149,7 @@ def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
 
 
 def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
-    """The rows of a table in memory; see `read`."""
+    """The rows of a table in memory; see `read_identified`."""
     from graphtrack.io.cells import cells_of_frame
 
     return rows_of_table(cells_of_frame(table), options)
@@ -177,9 +172,9 @@ def read_with(
     paths: Sequence[str | Path],
     format: str | None,
     options: ReadOptions,
-    to_tracks: ToTracks = tracks_of_rows,
+    to_tracks: ToTracks = identified_tracks,
 ) -> TrackSet:
-    """`read`, where the options stand together."""
+    """`read_identified`, where the options stand together."""
     if not paths:
         raise InputError("no paths", "at least one")
     sets: list[TrackSet] = []
@@ -246,7 +241,7 @@ def _chosen(source: Source, format: str | None) -> Format:
 def _opened(path: str | Path, options: ReadOptions) -> Source:
     """A file whose text is UTF-8 with commas and points, as far as the options say; of a bag the place."""
     place = table_in(place_of(path))
-    if is_bag(place):
+    if is_recording(place):
         return Source(place, b"")
     if place.is_dir():
         expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
@@ -299,7 +294,7 @@ def _table_with_synonyms(source: Source, format: str | None, options: ReadOption
 
     known = format
     if known is None:
-        known = next((one.name for one in FORMATS if one.looks_like(source.head, source.path)), "csv")
+        known = recognised(source.head, source.path) or "csv"
     if not source.data or known not in ("csv", "ndjson", "parquet"):
         return None
     names = names_in(source, known)
@@ -327,7 +322,8 @@ def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
     tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
     chosen = format if source.data else format or BAG
     if chosen is None:
-        chosen = next((n for n in tables if format_named(n).looks_like(source.head, source.path)), "csv")
+        known = recognised(source.head, source.path)
+        chosen = known if known in tables else "csv"
     elif format_named(chosen).write_columns is None:
         found = f"columns, units or a crs for the format {chosen}"
         raise InputError(found, "a table: csv, parquet or ndjson")
@@ -381,7 +377,9 @@ def write(
         chosen.write(tracks, temporary)
 
 
-def tracks_of(given: Given, read: Callable[..., TrackSet] = read, **reading: Any) -> TrackSet:
+def tracks_given(
+    given: Given, read: Callable[..., TrackSet] = read_identified, **reading: Unpack[FileReading]
+) -> TrackSet:
     """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
 
     Parameters
@@ -429,7 +427,7 @@ def paired_files(estimates: Sequence[Path], truth: Sequence[Path]) -> dict[str, 
     """Pairs of files by the name of their sequence, which is that of the file without its ending.
 
     One file on either side is a pair, whatever its name. A folder stands for the files in it, without hidden
-    ones, and without what a reader finds beside a file by itself, such as a calibration; but one that is a
+    ones, and without what a reader finds next to a file by itself, such as a calibration; but one that is a
     sequence of MOTChallenge, or is in such a folder, for itself.
 
     Raises

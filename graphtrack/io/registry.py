@@ -1,6 +1,7 @@
 """The list of formats, their detection, and hints to options that would read a table.
 
-A new format is a module with a constant of type `Format` and a line in `FORMATS`.
+A new format is a module with a constant of type `Format`, a line in `FORMATS` and one in
+`recognition.SIGNATURES`.
 """
 
 from __future__ import annotations
@@ -9,9 +10,10 @@ import shlex
 from pathlib import Path
 
 from graphtrack.errors import InputError
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, places_beside
 from graphtrack.io.formats.caviar import CAVIAR
-from graphtrack.io.formats.eth_ucy import ETH, UCY
+from graphtrack.io.formats.coco import COCO
+from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
 from graphtrack.io.formats.kitti import KITTI
 from graphtrack.io.formats.mocap import MOCAP
 from graphtrack.io.formats.mot import MOT
@@ -23,6 +25,7 @@ from graphtrack.io.formats.ros_reading import BAG
 from graphtrack.io.formats.salsa import SALSA
 from graphtrack.io.formats.towncentre import TOWNCENTRE
 from graphtrack.io.libraries import GEOPACKAGE, GEOPARQUET
+from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
 from graphtrack.io.text import other_delimiter, parse_number
 from graphtrack.tracks.time import is_iso
@@ -81,6 +84,8 @@ FORMATS = (
     PARQUET,
     GEOPACKAGE,
     GEOPARQUET,
+    COCO,
+    TRAJNET,
     NDJSON,
     MOVEMENT,
     JUPEDSIM,
@@ -95,12 +100,13 @@ FORMATS = (
     MOT,
     ETH,
 )
-"""All formats, in the order in which they are tried: the most distinctive contents first."""
+"""All formats; `recognition.SIGNATURES` has the order in which they are tried."""
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:
-    """The files beside ``path`` that a reader of some format would read with it."""
-    return tuple(place for known in FORMATS for place in known.beside(path) if place.is_file())
+    """The files next to ``path`` that a reader of some format would read with it."""
+    places = (place for known in FORMATS for place in places_beside(path, known.beside))
+    return tuple(place for place in places if place.is_file())
 
 
 def format_named(name: str) -> Format:
@@ -113,9 +119,9 @@ def format_named(name: str) -> Format:
 
 def detect(source: Source) -> Format:
     """The format of a file by its content."""
-    for candidate in FORMATS:
-        if candidate.looks_like(source.head, source.path):
-            return candidate
+    known = recognised(source.head, source.path)
+    if known is not None:
+        return format_named(known)
     # Content that nothing recognises: the reader that the name asks for can say best what is wrong. The
     # ending ``.txt`` asks for none, since half of the formats have it.
     name = source.path.name.lower().removesuffix(".gz")
@@ -135,10 +141,8 @@ def detect(source: Source) -> Format:
 
 def format_taking(source: Source, name: str | None) -> Format | None:
     """The format of that name, or by the content, if its reader understands options of tables by itself."""
-    able = [one for one in FORMATS if one.takes]
-    if name is not None:
-        return next((one for one in able if one.name == name), None)
-    return next((one for one in able if one.looks_like(source.head, source.path)), None)
+    name = recognised(source.head, source.path) if name is None else name
+    return next((one for one in FORMATS if one.takes and one.name == name), None)
 
 
 def format_for_writing(path: Path) -> Format:

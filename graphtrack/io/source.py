@@ -22,7 +22,7 @@ _MARK = "://"
 
 
 class RemoteFile(type(Path())):  # type: ignore[misc]
-    """The path of a file elsewhere: it is there once it is opened, and nothing lies beside it."""
+    """The path of a file elsewhere: it is there once it is opened, and nothing lies next to it."""
 
     def __new__(cls, url: str) -> RemoteFile:  # noqa: D102
         made = super().__new__(cls, url)
@@ -93,7 +93,7 @@ class Source:
 
     Attributes
     ----------
-    path : where it was read from (for messages and for files that lie beside it)
+    path : where it was read from (for messages and for files that lie next to it)
     data : its content
     """
 

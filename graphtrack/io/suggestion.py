@@ -16,7 +16,7 @@ from graphtrack.io.cells import Cells, is_empty
 from graphtrack.io.column_names import LENGTHS, TIMES, UNSURE_UNIT, meanings, plain, wide
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import cells_of_file, rows_of_file
-from graphtrack.io.registry import FORMATS
+from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
 from graphtrack.io.text import SEP_LINE, as_told, parse_number
 from graphtrack.tracks.display import listed, shortened
@@ -64,8 +64,7 @@ def suggest(path: Path) -> Suggestion:
 
 def _may_be_table(source: Source) -> bool:
     """Return whether options could name columns and marks: no database, and nothing that is only written."""
-    known = next((one for one in FORMATS if one.looks_like(source.head, source.path)), None)
-    return known is None or (known.is_read and not source.head.startswith(b"SQLite format 3"))
+    return recognised(source.head, source.path) != "jupedsim"
 
 
 def _read_options(found: Suggestion) -> ReadOptions:

@@ -17,11 +17,17 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
 
-import numba
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.tracks.track import Track
+
+try:
+    import numba
+except ValueError as error:  # numba reads its settings when it is imported
+    settings = " ".join(f"{name}={value}" for name, value in os.environ.items() if name.startswith("NUMBA_"))
+    expected = f"environment variables that numba takes (“{error}”)"
+    raise InputError(settings or "settings that numba refuses", expected) from error
 
 Function = TypeVar("Function", bound=Callable[..., object])
 

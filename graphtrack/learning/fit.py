@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +17,6 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of
-from graphtrack.io.atomic import atomic_path
 from graphtrack.learning.optimise import (
     PRIOR_STD,
     REACH,
@@ -56,8 +53,7 @@ class Free:
 
     def get(self, model: Model) -> float:
         """Its value in a model."""
-        group, key = self.name.split(".")
-        return float(getattr(getattr(model.parameters, group), key))
+        return model.parameters.value(self.name)
 
     def to_scale(self, value: float) -> float:
         """Logarithm, or log odds of a probability."""
@@ -118,64 +114,8 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
 
 def with_values(model: Model, free: Sequence[Free], x: FloatArray) -> Model:
     """The model with the values at ``x`` (p,), on the parameters' scales."""
-    parameters = model.parameters
-    for one, value in zip(free, x.tolist(), strict=True):
-        group, key = one.name.split(".")
-        changed = replace(getattr(parameters, group), **{key: one.from_scale(value)})
-        parameters = replace(parameters, **{group: changed})
-    return model.with_parameters(parameters)
-
-
-class EvaluationJournal:
-    """Evaluations by their stage and place, appended to a file of JSON lines.
-
-    An evaluation depends on nothing but its place, so that replaying ends where an uninterrupted run does.
-    A file of other data or settings, told by its ``fingerprint``, is begun anew; a last line that was cut
-    off is left aside.
-
-    Parameters
-    ----------
-    path : the file; None: nothing is kept
-    """
-
-    def __init__(self, path: Path | None, fingerprint: str) -> None:
-        self._path = path
-        self._known: dict[tuple[str, tuple[float, ...]], list[float]] = {}
-        if path is None:
-            return
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else []
-        whole = []
-        for line in lines:
-            try:
-                whole.append(json.loads(line))
-            except ValueError:
-                break
-        if not whole or whole[0] != fingerprint:
-            whole = [fingerprint]
-        for entry in whole[1:]:
-            self._known[entry[0], tuple(entry[1])] = entry[2]
-        with atomic_path(path) as temporary:
-            temporary.write_text("".join(json.dumps(entry) + "\n" for entry in whole), encoding="utf-8")
-
-    def __len__(self) -> int:
-        return len(self._known)
-
-    def get(self, stage: str, x: FloatArray) -> FloatArray | None:
-        """Return the values at a place (p,); None if it was not evaluated."""
-        found = self._known.get((stage, tuple(x.tolist())))
-        return None if found is None else np.array(found)
-
-    def put(self, stage: str, x: FloatArray, values: FloatArray) -> None:
-        """Keep what was found."""
-        self._known[stage, tuple(x.tolist())] = values.tolist()
-        if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps([stage, x.tolist(), values.tolist()]) + "\n")
-
-    def remove(self) -> None:
-        """Delete the file, when all is done."""
-        if self._path is not None:
-            self._path.unlink(missing_ok=True)
+    values = {one.name: one.from_scale(value) for one, value in zip(free, x.tolist(), strict=True)}
+    return model.with_parameters(model.parameters.with_values(values))
 
 
 MAX_FRAMES = 20_000  # person-frames that are learned from; of more, tracks are chosen at random
@@ -244,7 +184,6 @@ def fit(
     hold_out: float = 0.25,
     seed: int = 0,
     max_frames: int = MAX_FRAMES,
-    journal: Path | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Fit:
     """Learn the parameters of a model.
@@ -266,7 +205,6 @@ def fit(
     hold_out : share of the tracks that only judge, in [0, 0.9]
     seed : of the choice of tracks
     max_frames : person-frames to learn from at most
-    journal : file that keeps what was found; a run that was interrupted goes on from it
     progress : called after each evaluation with the number so far
     """
     model = Model.named(model)
@@ -283,10 +221,7 @@ def fit(
     usable = _require(usable, model, criterion)
     training, held = _split(usable, hold_out, seed, max_frames)
     free = every = free_parameters(model, training)
-    mark = _fingerprint(training, model, criterion, tracks.camera)
-    search = _Evaluations(
-        training, model, tracks.camera, criterion, EvaluationJournal(journal, mark), progress
-    )
+    search = _Evaluations(training, model, tracks.camera, criterion, progress)
     start = np.array([one.to_scale(one.get(model)) for one in free])
     shown = search.shown_by_data(free, start)
     free = tuple(one for one, good in zip(free, shown, strict=True) if good)
@@ -312,13 +247,12 @@ def fit(
     scores = {"learned from": _score(training, model, best, tracks.camera, criterion)}
     if held:
         scores["held out"] = _score(held, model, best, tracks.camera, criterion)
-    search.journal.remove()
     counts = (len(training), len(held))
-    return Fit(best, model, criterion, tuple(learned), covariance, scores, counts, len(search.journal))
+    return Fit(best, model, criterion, tuple(learned), covariance, scores, counts, search.count)
 
 
 class _Evaluations:
-    """The evaluations of one run, each kept in the journal."""
+    """The evaluations of one run, counted."""
 
     def __init__(
         self,
@@ -326,34 +260,28 @@ class _Evaluations:
         model: Model,
         camera: GroundCamera | None,
         criterion: Criterion,
-        journal: EvaluationJournal,
         progress: Callable[[int], None] | None,
     ) -> None:
-        self.tracks, self.model, self.camera, self.journal = tracks, model, camera, journal
+        self.tracks, self.model, self.camera, self.count = tracks, model, camera, 0
         self._criterion, self._progress = criterion, progress
-        # Blocks of tracks are enough for the sandwich, and keep the journal small.
+        # Blocks of tracks are enough for the sandwich.
         self._blocks = min(BLOCKS, len(tracks))
 
-    def values_about(
-        self, centre: Model, free: Sequence[Free], stage: str
-    ) -> Callable[[FloatArray], FloatArray]:
+    def values_about(self, centre: Model, free: Sequence[Free]) -> Callable[[FloatArray], FloatArray]:
         """Log densities of the blocks, evaluated from the optimum of ``centre``."""
         objective = Objective(self.tracks, centre, self.camera, self._criterion)
 
         def values(x: FloatArray) -> FloatArray:
-            known = self.journal.get(stage, x)
-            if known is None:
-                known = in_blocks(objective(with_values(self.model, free, x)), self._blocks)
-                self.journal.put(stage, x, known)
+            self.count += 1
             if self._progress is not None:
-                self._progress(len(self.journal))
-            return known
+                self._progress(self.count)
+            return in_blocks(objective(with_values(self.model, free, x)), self._blocks)
 
         return values
 
     def shown_by_data(self, free: Sequence[Free], start: FloatArray) -> list[bool]:
         """Return which parameters change the log density at all."""
-        values, found = self.values_about(self.model, free, "shown"), []
+        values, found = self.values_about(self.model, free), []
         middle = values(start).sum()
         for unit in np.log(1.5) * np.eye(len(free)):
             found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > _FLAT)
@@ -366,9 +294,8 @@ class _Evaluations:
 
         A climb from ``near``, another from the optimum it found.
         """
-        names = ",".join(one.name for one in free)
-        x = climb(self.values_about(self.model, free, f"1 {names}"), near, start)
-        values = self.values_about(with_values(self.model, free, x), free, f"2 {names}")
+        x = climb(self.values_about(self.model, free), near, start)
+        values = self.values_about(with_values(self.model, free, x), free)
         x = climb(values, x, start, definite(curvature(values, x, start).total))
         bent = curvature(values, x, start)
         enough = _FEWEST_BLOCKS if self._criterion == "evidence" else 2
@@ -413,20 +340,3 @@ def _score(
     frames = sum(len(track) for track in tracks)
     values = [Objective(tracks, model, camera, criterion)(model).sum() / frames for model in (before, after)]
     return float(values[0]), float(values[1])
-
-
-def _fingerprint(
-    tracks: Sequence[Track], model: Model, criterion: Criterion, camera: GroundCamera | None
-) -> str:
-    terms = [type(term).__qualname__ for term in model.terms]
-    digest = hashlib.sha256(repr((model.preset, model.parameters, terms, criterion)).encode())
-    for track in tracks:
-        for field in fields(track):
-            value = getattr(track, field.name)
-            if isinstance(value, np.ndarray):
-                digest.update(field.name.encode() + np.ascontiguousarray(value).tobytes())
-        for name in sorted(track.inputs):
-            digest.update(name.encode() + np.ascontiguousarray(track.inputs[name]).tobytes())
-    if camera is not None:
-        digest.update(np.ascontiguousarray(camera.homography).tobytes())
-    return digest.hexdigest()

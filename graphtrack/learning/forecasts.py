@@ -11,23 +11,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import JUDGED, Expected, Forecaster, lead, mean_turn, spreads, together
-from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, standing
+from graphtrack.forecasting.forecaster import JUDGED, Expected, Forecaster, lead, mean_turn, spreads
+from graphtrack.forecasting.motion import ComplexArray, ForecastParameters
 from graphtrack.forecasting.paths import EVERY, LAGS
 from graphtrack.forecasting.recorded import SeenFrame, frames_of
 from graphtrack.forecasting.spread import LEVELS, log_density
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.track import Track, TrackSet
-
-_LEAST = np.float32(-40.0)
-"""Logarithm of the least weight: less counts for nothing, and denormal numbers are slow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +34,6 @@ class Recording:
     # of each frame, where its n people were (n, G) at the times ahead, complex; NaN: not known
     actual: tuple[ComplexArray, ...]
     straight: tuple[ComplexArray, ...]  # and where the velocity of the last step would have led them
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """All people at all times `EVERY` seconds apart, in the order of time."""
-
-    t: FloatArray  # (N,) seconds
-    position: ComplexArray  # (N,) of people on their own
-    velocity: ComplexArray  # (N,)
-    actual: ComplexArray  # (N, G) as of a `Recording`
-    straight: ComplexArray  # (N, G)
-    judged: NDArray[np.bool_]  # (N,) whether they had been seen for long enough
 
 
 def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
@@ -98,64 +82,6 @@ def forecasts(
         last = seen.t
         rows = np.searchsorted(seen.track_id, people)
         yield forecaster, people, actual[rows], straight[rows]
-
-
-def rows_of(of: Recording) -> Rows:
-    """A recording's people, filtered.
-
-    Raise InputError if nobody was seen for long enough after a forecast.
-    """
-    alone = replace(ForecastParameters(), stop_speed=0.0, companion_weight=0.0)
-    parts: list[tuple[NDArray[np.complex128] | FloatArray | NDArray[np.bool_], ...]] = []
-    for forecaster, people, actual, straight in forecasts(of, alone, 0.0):
-        position, velocity, _ = forecaster.going(people)
-        judged = np.isin(people, forecaster.people(2.0 * EVERY))
-        t = np.full(len(people), forecaster.t)
-        parts.append((t, position, velocity, actual, straight, judged))
-    found = Rows(*(np.concatenate(one) for one in zip(*parts, strict=True))) if parts else None
-    if found is None or not np.isfinite(found.actual[found.judged]).any():
-        raise InputError("nobody who was seen after a forecast", f"tracks longer than {3 * EVERY:g} s")
-    return found
-
-
-def errors_at_once(of: Rows, parameters: ForecastParameters) -> tuple[float, float]:
-    """`relative_errors` of the means that `Forecaster` gives where everything is kept and no head is seen."""
-    edges = np.append(np.flatnonzero(np.diff(of.t, prepend=-np.inf)), len(of.t))
-    velocity = standing(of.velocity, parameters.stop_speed)
-    for a, b in pairwise(edges.tolist()):
-        velocity[a:b] = together(of.position[a:b], velocity[a:b], np.arange(b - a), parameters)
-    straight = of.position[:, None] + velocity[:, None] * LAGS
-    deviation = of.actual - straight
-    known = np.isfinite(deviation)
-    deviation = np.where(known, deviation, 0.0)
-    outcome = np.concatenate([deviation.real, deviation.imag, known], axis=1).astype(np.float32)
-    near, alike = parameters.place_distance, parameters.place_velocity
-    columns = (of.position.real / near, of.position.imag / near, velocity.real / alike, velocity.imag / alike)
-    where = np.stack(columns, axis=1).astype(np.float32)
-    size, mean = len(LAGS), straight
-    whole = of.judged & (known.all(axis=1) if (of.judged & known.all(axis=1)).any() else known[:, 0])
-    for a, b in pairwise(edges.tolist()):
-        rows = a + np.flatnonzero(whole[a:b])
-        # Of earlier people that is known by now which came before now.
-        ends = np.searchsorted(of.t, of.t[a] - LAGS + 1e-3)
-        first, last = ends[-1], ends[0]
-        if not len(rows) or not last:
-            continue
-        weight = _nearness(where[rows], where[:last])
-        newer = outcome[first:last] * np.tile(np.arange(first, last)[:, None] < ends, 3)
-        total = (weight[:, :first] @ outcome[:first] + weight[:, first:] @ newer).astype(float)
-        real, imaginary, count = total[:, :size], total[:, size : 2 * size], total[:, 2 * size :]
-        mean[rows] += (real + 1j * imaginary) / (count + parameters.place_prior)
-    return relative_errors((of.actual - mean)[whole], (of.actual - of.straight)[whole])
-
-
-def _nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Weights (n, m) of points (m, 4) for points (n, 4): of a Gaussian kernel of width 1."""
-    logs = here @ there.T
-    logs -= 0.5 * (here**2).sum(axis=1)[:, None]
-    logs -= 0.5 * (there**2).sum(axis=1)
-    np.maximum(logs, _LEAST, out=logs)
-    return np.exp(logs, out=logs)
 
 
 def relative_errors(error: ComplexArray, straight: ComplexArray) -> tuple[float, float]:
@@ -312,10 +238,9 @@ def fit_forecast(
     scenes = {name: tracks for name, tracks in scenes.items() if name not in with_heads} or scenes
     recordings = {name: recording(tracks) for name, tracks in scenes.items()}
 
-    rows = [rows_of(one) for one in recordings.values()]
-
     def mean_error(one: ForecastParameters) -> float:
-        return float(np.mean([np.nanmean(errors_at_once(of, one)) for of in rows]))
+        found = [outcomes(of, one) for of in recordings.values()]
+        return float(np.mean([np.nanmean(relative_errors(of.error, of.straight)) for of in found]))
 
     best = _search(START, PLACE_STEPS, mean_error, progress)
     # Heads lead a motion that is found with the parameters of motion.

@@ -27,6 +27,7 @@ from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import MotionParameters, swaying
 from graphtrack.packages import special
+from graphtrack.simulation.degrade import withhold
 from graphtrack.tracks.track import Track
 
 Blocks = Callable[[FloatArray], FloatArray]
@@ -155,16 +156,11 @@ def hidden_frames(track: Track, channel: int, fold: int) -> NDArray[np.bool_]:
 
 def told(track: Track, fold: int) -> Track:
     """The track without what a fold hides."""
-    changes: dict[str, FloatArray] = {}
+    found = track
     for channel, names in enumerate(_CHANNELS):
-        hidden = hidden_frames(track, channel, fold)
-        for name in names:
-            values = getattr(track, name)
-            if values is not None:
-                changes[name] = np.where(hidden.reshape(-1, *[1] * (values.ndim - 1)), np.nan, values)
-    if not np.isfinite(changes["position"]).all(axis=1).any():
-        changes["position"] = track.position
-    return replace(track, **changes)  # type: ignore[arg-type]
+        found = withhold(found, hidden_frames(track, channel, fold), names)
+    nowhere = not np.isfinite(found.position).all(axis=1).any()
+    return replace(found, position=track.position) if nowhere else found
 
 
 def foretold(

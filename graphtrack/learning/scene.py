@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from graphtrack.association.scene import (
     scene_log_density,
 )
 from graphtrack.errors import InputError
+from graphtrack.io.options import FileReading
 from graphtrack.model import Model
 from graphtrack.simulation.detector import FALSE
 from graphtrack.tracks.detections import Detections
@@ -101,8 +102,7 @@ def fit_scene(
     labelled: bool | None = None,
     hold_out: float = 0.25,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    fps: float | None = None,
-    **options: Any,
+    **options: Unpack[FileReading],
 ) -> SceneFit:
     """Learn the parameters of a scene.
 
@@ -119,7 +119,7 @@ def fit_scene(
     labelled : whether the identities that are there are used; None: if there are any
     hold_out : share of the recording, at its end, that only judges, in [0, 0.9]
     progress : called with sweeps done and sweeps in all
-    fps, **options : of reading, as in `associate`
+    **options : of reading, as in `associate`
 
     Returns
     -------
@@ -130,7 +130,7 @@ def fit_scene(
     model = Model.named(model)
     if not 0.0 <= hold_out <= 0.9:
         raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
-    rows = detections if isinstance(detections, Rows) else rows_of(detections, fps=fps, **options)
+    rows = detections if isinstance(detections, Rows) else rows_of(detections, **options)
     labelled = rows.has_identity if labelled is None else labelled
     if labelled and not rows.has_identity:
         expected = "track_id in some rows at least, to learn a scene from labelled tracks"

@@ -191,6 +191,6 @@ def vectors_of(directions: FloatArray | None, classes: FloatArray | None, n: int
         total = classes.sum(axis=1)
         usable = np.isfinite(total) & (total > 0.0)
         weights = classes[usable] / total[usable, None]
-        # Not `@`: its rounding depends on how many rows there are, so a track's on the tracks beside it.
+        # Not `@`: its rounding depends on how many rows there are, so on the tracks that are solved with it.
         vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
     return vectors

@@ -8,6 +8,7 @@ accelerations and turns that last, change covariances alone; see `graphtrack.inf
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
@@ -59,17 +60,18 @@ def scale_of(group: Any, name: str) -> Scale | None:
 
 @dataclass(frozen=True)
 class MotionParameters(_Group):
-    """White-noise acceleration and intentional motion (docs/model.md).
+    """White-noise acceleration and intentional motion (docs/model/motion.md).
 
     Attributes
     ----------
-    acceleration_density : q in m²/s³; Q(Δt) = q·[[Δt³/3, Δt²/2], [Δt²/2, Δt]] on each axis
-    initial_speed_std : m/s, 1-σ of each axis of the velocity where the track begins
-    head_rate : λ in 1/s at which the velocity turns to where the head points, in presets that have it
-    sway_std : metres, 1-σ on each axis of the sway of hips about the path; part of covariances alone
-    sway_rate : steps a second, at which they do
-    lasting_std : m/s², 1-σ on each axis of accelerations that last, which estimates lag behind; likewise
-    lasting_time : seconds for which they last
+    acceleration_density : spectral density q of white-noise acceleration, m²/s³
+    initial_speed_std : 1-σ s of each axis of the first velocity, m/s
+    head_rate : rate λ at which the velocity turns to the direction of the head, 1/s; presets that have it
+    sway_std : 1-σ of gait oscillation of the hips about the path, m on each axis; covariances only
+    sway_rate : steps a second, the rate of gait oscillation, 1/s
+    lasting_std : 1-σ of persistent accelerations, which estimates lag behind, m/s² on each axis;
+        covariances only
+    lasting_time : duration of a persistent acceleration, s
     """
 
     acceleration_density: float = _number(0.15, 1e-5, 1e4, "m²/s³")
@@ -84,15 +86,16 @@ class MotionParameters(_Group):
 
 @dataclass(frozen=True)
 class OrientationParameters(_Group):
-    """Rotational diffusion of body and head (docs/model.md): κ of a step is 1/(diffusion·Δt).
+    """Rotational diffusion of body and head (docs/model/orientation.md): κ of a step is 1/(diffusion·Δt).
 
     Attributes
     ----------
-    body_diffusion, head_diffusion : rad²/s
-    body_white_share, head_white_share : share of the diffusion that is white in truth, 0 to 1; in place of
-        the rest people turn on at rates that last
-    body_turn_rate, head_turn_rate : rad/s, 1-σ of such rates; with the share, part of covariances alone
-    body_turn_time, head_turn_time : seconds for which such a rate lasts
+    body_diffusion : rotational diffusion D_body of the body, rad²/s
+    head_diffusion : rotational diffusion D_head of the head, rad²/s
+    body_white_share, head_white_share : share of the diffusion that is white; the rest are persistent turns;
+        covariances only
+    body_turn_rate, head_turn_rate : 1-σ of the rate of a persistent turn, rad/s; covariances only
+    body_turn_time, head_turn_time : duration of a persistent turn, s
     """
 
     body_diffusion: float = _number(0.24, 1e-6, 1e4, "rad²/s")
@@ -107,21 +110,21 @@ class OrientationParameters(_Group):
 
 @dataclass(frozen=True)
 class CouplingParameters(_Group):
-    """Body follows motion and head follows body (docs/model.md; Chen et al. 2011, eq. 8–10).
+    """Body follows motion and head follows body (docs/model/orientation.md; Chen et al. 2011, eq. 8–10).
 
     Attributes
     ----------
-    motion_body_kappa : κ₁ in (m/s)⁻²; κ(v) = κ₁·max(0, ‖v‖ − τ)²
-    speed_threshold : τ in m/s
-    head_body_kappa : κ₂, dimensionless
-    correlation_time : seconds over which deviations from a coupling persist: a step of Δt counts
-        min(1, Δt/correlation_time) times; 0: each frame counts once, as in Chen et al. 2011
+    motion_body_kappa : κ₁ of the coupling of body to motion, (m/s)⁻²; κ(v) = κ₁·max(0, ‖v‖ − τ)²
+    speed_threshold : speed τ below which the body is not coupled to the motion, m/s
+    head_body_kappa : κ₂ of the coupling of head to body
+    correlation_time : time T over which deviations from a coupling persist, s: a step of Δt counts
+        min(1, Δt/T) times; 0: each frame counts once, as in Chen et al. 2011
     """
 
     motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
     speed_threshold: float = _number(0.13, 0.0, 100.0, "m/s")
     head_body_kappa: float = _number(4.5, 0.0, 1e6)
-    # At one frame rate only κ over this time counts: it is not learned beside κ.
+    # At one frame rate only κ over this time counts: it is not learned together with κ.
     correlation_time: float = _number(0.38, 0.0, 1e3, "s", learned=False)
 
     def weights(self, dt: FloatArray | float | None) -> FloatArray:
@@ -133,32 +136,36 @@ class CouplingParameters(_Group):
 
 @dataclass(frozen=True)
 class GaitParameters(_Group):
-    """Modes of the couplings (docs/model.md, "Modes of the couplings"): aligned, or free with an offset.
+    """Modes of the couplings: aligned, or free with an offset (docs/model/modes.md).
 
     Attributes
     ----------
-    body_aligned : probability, in the long run, that the body faces where the motion goes
-    body_switching : 1/s, the sum of the rates at which the mode changes to and fro
-    body_spread : radians, 1-σ of the offset that an aligned body has all the same
-    body_drift : rad²/s by which an offset between motion and body diffuses
-    body_strength, body_free_strength : κ₁ where the body is aligned, and about an offset, as multiples of
-        ``motion_body_kappa``
-    body_lead : seconds by which the body turns before the motion does
-    head_evidence : how much the head counts, 0 to 1, when the body's mode is judged
-    head_aligned, head_switching, head_spread, head_drift : the same of the head against the body
-    head_strength, head_free_strength : κ₂, as multiples of ``head_body_kappa``
-    head_lead : seconds by which the head turns before the body does
-    body_offset_kappa, head_offset_kappa : concentration about 0 of an offset that is drawn for the free mode;
-        0: any is as likely
-    head_rate_seen : share of the motion's ``head_rate`` that holds where a position is seen, 0 to 1
-    head_class_bias : probability that class likelihoods see somebody's head turned all along
-    head_class_bias_kappa : concentration of such turns about 0
+    body_aligned : long-run probability that the body is aligned with the motion
+    body_switching : rate at which the mode of the body is drawn again, 1/s
+    body_spread : 1-σ of the offset of an aligned body, rad
+    body_drift : diffusion of the offset of a free body, rad²/s
+    body_strength : multiple of κ₁ of an aligned body
+    body_free_strength : multiple of κ₁ about the offset of a free body
+    body_lead : time by which the body turns before the motion, s
+    head_evidence : weight of the head as evidence on the mode of the body
+    head_aligned : long-run probability that the head is aligned with the body
+    head_switching : rate at which the mode of the head is drawn again, 1/s
+    head_spread : 1-σ of the offset of an aligned head, rad
+    head_drift : diffusion of the offset of a free head, rad²/s
+    head_strength : multiple of κ₂ of an aligned head
+    head_free_strength : multiple of κ₂ about the offset of a free head
+    head_lead : time by which the head turns before the body, s
+    body_offset_kappa, head_offset_kappa : concentration about 0 of the offset of a free mode; 0: uniform
+    head_rate_seen : share of ``motion.head_rate`` where a position is observed
+    head_class_bias : probability that a classifier sees a person's head turned persistently
+    head_class_bias_kappa : concentration of these turns about 0
     glance_share : share of the time in which the head glances aside
-    glance_time : seconds that a glance lasts on average
-    glance_kappa : concentration about 0 of the angle of a glance; none is beyond the neck's reach
-    glance_strength : κ₂ about the angle of a glance, as a multiple of ``head_body_kappa``
-    glance_std : radians, 1-σ that is added to that of a head that surely glances aside
-    head_common : share of what the head's modes leave open that all frames have in common, 0 to 1
+    glance_time : mean duration of a glance, s
+    glance_kappa : concentration about 0 of the angle of a glance, which is within the reach of the neck
+    glance_strength : multiple of κ₂ about the angle of a glance
+    glance_std : 1-σ added to that of a head that glances aside, rad; covariances only
+    head_common : share of the uncertainty about the head's modes that all frames have in common; covariances
+        only
     """
 
     body_aligned: float = _share(0.36)
@@ -194,21 +201,21 @@ class GaitParameters(_Group):
 
 @dataclass(frozen=True)
 class LikelihoodParameters(_Group):
-    """Position and orientation likelihoods (docs/model.md).
+    """Position and orientation likelihoods (docs/model/pose.md).
 
     Attributes
     ----------
-    position_std : metres, 1-σ of each axis where the data do not say
-    pixel_std : pixels, 1-σ of each axis of the foot point, where the pixel likelihood is used
+    position_std : 1-σ of each axis of a position without a declared one, m
+    pixel_std : 1-σ of each axis of the foot point in the image, pixels
     image_frame : judge positions in the image (Chen et al. 2011, eq. 12) where the track has pixels and a
         camera
-    robust : "none", "huber" or "cauchy" position likelihood
-    robust_threshold : standard deviations beyond which a position counts less
-    body_kappa, head_kappa : von Mises concentration of observed angles where the data do not say
-    position_scale, body_scale, head_scale : multiples of the 1-σ where the data do say; of an angle κ is
-        divided by their square
-    outlier_probability : ε of an observed angle
-    class_outlier_probability : ε of class likelihoods
+    robust : loss of positions: "none" (square), "huber" or "cauchy"
+    robust_threshold : threshold k of the loss, standard deviations
+    body_kappa, head_kappa : von Mises concentration of an observed angle without a declared one
+    position_scale : multiple of the declared 1-σ of positions
+    body_scale, head_scale : multiple of the declared 1-σ of angles; κ is divided by its square
+    outlier_probability : outlier share ε of observed angles
+    class_outlier_probability : outlier share ε of class likelihoods
     """
 
     position_std: float = _number(0.1, 1e-6, 100.0, "m")
@@ -251,9 +258,9 @@ class PlaceParameters(_Group):
 
     Attributes
     ----------
-    x, y : metres in the world
-    radius : metres over which it matters
-    strength : log density there less that far away; frames count by their ``weights``, as couplings do
+    x, y : centre of the place in the world, m
+    radius : radius over which it acts, m
+    strength : log density at the centre less that far away; negative: people are repelled
     """
 
     x: float = _number(0.0, -1e7, 1e7, "m", learned=False)
@@ -270,11 +277,11 @@ class SocialParameters(_Group):
 
     Attributes
     ----------
-    body_kappa, head_kappa : von Mises concentration of bodies and of heads about the bearing of the o-space
-    outliers : share of members who face elsewhere; with groups that were found, those who are in none
-    correlation_time : seconds over which deviations from the bearing persist: it counts when it is new, and
+    body_kappa, head_kappa : concentration of bodies and of heads about the bearing of the o-space
+    outliers : share ε of members who face elsewhere
+    correlation_time : time over which deviations from the bearing persist, s: it counts when it is new, and
         dt/correlation_time times later on
-    body_hold, head_hold : what a turn of a radian costs: members turn seldom, and then by much
+    body_hold, head_hold : cost λ of a turn, 1/rad: members turn seldom, and then by much
     """
 
     body_kappa: float = _number(5.1, 0.0, 1e4)
@@ -310,6 +317,20 @@ class Parameters:
                 raise InputError(f"the unknown {kind} {table!r}", expected)
             parts[table] = with_table(getattr(start, table), table, values)
         return replace(start, **parts)
+
+    def value(self, name: str) -> float:
+        """Number of a name such as "motion.head_rate"."""
+        group, key = name.split(".")
+        return float(getattr(getattr(self, group), key))
+
+    def with_values(self, values: Mapping[str, float]) -> Parameters:
+        """The same with other numbers, by names such as "motion.head_rate"."""
+        groups: dict[str, dict[str, float]] = {}
+        for name, value in values.items():
+            group, key = name.split(".")
+            groups.setdefault(group, {})[key] = value
+        changed = {group: replace(getattr(self, group), **own) for group, own in groups.items()}
+        return replace(self, **changed)
 
 
 def steady(parameters: Parameters) -> Parameters:

@@ -160,7 +160,7 @@ def _with_frames(
     for person, rows in rows_of_each(people):
         if person not in known:
             raise InputError(f"forecasts of person {person}", "people of the tracks", path=path)
-        t = tracks[person].t
+        t = tracks.by_id(person).t
         after = np.clip(np.searchsorted(t, made[rows]), 1, max(len(t) - 1, 1))
         nearer = abs(t[after - 1] - made[rows]) <= abs(t[after % len(t)] - made[rows])
         near = np.where(nearer, after - 1, after)
@@ -168,7 +168,7 @@ def _with_frames(
         if off.any():
             when = made[rows[np.argmax(off)]]
             raise InputError(f"a forecast of person {person} at {when:g} s", "times of that track", path=path)
-        frame[rows] = tracks[person].frame[near]
+        frame[rows] = tracks.by_id(person).frame[near]
     return {**found, "frame": frame}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Records, Report, Section
+from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Records, Report, Section, records
 from graphtrack.report.html import write_html
 from graphtrack.report.interaction import behaviour_of
 from graphtrack.report.lives import (
@@ -24,7 +24,7 @@ from graphtrack.report.lives import (
     life_of,
     pair_tracks,
 )
-from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
+from graphtrack.report.plots import plot_errors, plot_reliability
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
 from graphtrack.report.style import probability_ellipse
@@ -56,7 +56,6 @@ def tracking_report(
     title: str = "Tracks",
     subtitle: str = "",
     comparison: Records | None = None,
-    consistency: Records | None = None,
     calibration: Records | None = None,
     cards: tuple[Card, ...] = (),
     sections: tuple[Section, ...] = (),
@@ -71,7 +70,6 @@ def tracking_report(
     observations : what it was estimated from, matched by ``track_id``; its summary of the reading is shown
     title, subtitle : str
     comparison : methods against each other, as for `graphtrack.report.plots.plot_errors`
-    consistency : NEES of the methods, as for `graphtrack.report.plots.plot_nees`
     calibration : how often their intervals hold, as for `graphtrack.report.plots.plot_reliability`
     cards : further numbers for the top of the page
     sections : further sections, put at the end
@@ -98,12 +96,8 @@ def tracking_report(
     errors = tuple(person_errors(pair) for pair in pairs)
     lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
     replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour)
-    words = (
-        "The time that people spent where, under everybody's path, and the paths by the way they went; "
-        "a dot is where one ends"
-        if is_crowd(pairs)
-        else "Everybody's path from above, with body and head at regular times"
-    )
+    words = "Everybody's path from above"
+    words += "" if is_crowd(pairs) else ", with body and head at regular times"
     picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
     parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
     extra: tuple[Card, ...] = ()
@@ -118,8 +112,8 @@ def tracking_report(
         Section("People", (people_table(pairs, errors),)),
         Section("From above", (picture,)),
     ]
-    if any(table is not None for table in (comparison, consistency, calibration)):
-        parts.append(_methods_section(comparison, consistency, calibration))
+    if comparison is not None or calibration is not None:
+        parts.append(_methods_section(comparison, calibration))
     summary = (estimates if observations is None else observations).summary
     if summary.rows_read or summary.notes:
         parts.append(Section("What was read", reading_items(summary)))
@@ -202,20 +196,19 @@ def _angles_section(pairs: tuple[Pair, ...]) -> Section:
     return Section("Body and head", (Chart("angles", "Orientation over time", note),))
 
 
-def _methods_section(
-    comparison: Records | None, consistency: Records | None, calibration: Records | None
-) -> Section:
+def _methods_section(comparison: Records | None, calibration: Records | None) -> Section:
     items: list[DataTable | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"
         table = DataTable.from_records("Comparison of methods", comparison)
         items += [Picture(words, plot_errors(comparison)), table]
-    if consistency is not None:
-        words = "Consistency: the mean NEES of each method, and the 95 % band it should lie in"
-        items += [Picture(words, plot_nees(consistency)), DataTable.from_records("Consistency", consistency)]
     if calibration is not None:
         words = "Reliability: how often the truth lies inside an interval, against the probability it states"
-        items.append(Picture(words, plot_reliability(calibration)))
+        rows = [
+            {k: v for k, v in row.items() if k not in ("confidence", "coverage")}
+            for row in records(calibration)
+        ]
+        items += [Picture(words, plot_reliability(calibration)), DataTable.from_records("Reliability", rows)]
     return Section("Methods", tuple(items))
 
 
@@ -263,9 +256,9 @@ def _median_radius(pair: Pair) -> float | None:
     return float(np.median(radius)) if radius.size else None
 
 
-def _median_degrees(std: Any) -> float | None:
-    std = None if std is None else std[np.isfinite(std)]
-    return None if std is None or not std.size else float(np.degrees(np.median(std)))
+def _median_degrees(std: FloatArray) -> float | None:
+    known = std[np.isfinite(std)]
+    return float(np.degrees(np.median(known))) if known.size else None
 
 
 def _is_known(values: FloatArray | None) -> bool:

@@ -14,7 +14,7 @@ from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
 from graphtrack.io.formats.ros_bag import IDS, SECOND, frame_of
 from graphtrack.io.formats.ros_reading import Ground, Humans, Seen, Transforms
-from graphtrack.io.formats.ros_writing import Person, person_of, quantities_of
+from graphtrack.io.formats.ros_writing import Person
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
 from graphtrack.smoothing import OnlineTracker
@@ -195,20 +195,11 @@ def _observations(t: float, columns: dict[str, NDArray[Any]]) -> list[Observatio
 
 
 def _people(found: dict[int, tuple[str, Estimate, float]]) -> list[Person]:
-    rows = [
-        (number, name, estimate, score)
-        for number, (name, estimate, score) in sorted(found.items())
-        if np.isfinite(estimate.position).all()
-    ]
-    if not rows:
-        return []
-    state = []
-    for _, _, one, score in rows:
-        cov = one.covariance
-        spread = (cov[0, 0], cov[0, 1], cov[1, 1], cov[4, 4], cov[5, 5])
-        state.append([*one.position, *one.velocity, one.body, one.head, *spread, score])
-    quantities, known = quantities_of(np.array(state, dtype=float))
-    return [
-        person_of(name, name, number, numbers, flags)
-        for (number, name, _, _), numbers, flags in zip(rows, quantities, known, strict=True)
-    ]
+    people = []
+    for number, (name, one, score) in sorted(found.items()):
+        if np.isfinite(one.position).all():
+            cov = one.covariance
+            spread = (cov[0, 0], cov[0, 1], cov[1, 1], cov[4, 4], cov[5, 5])
+            state = np.array([*one.position, *one.velocity, one.body, one.head, *spread, score], dtype=float)
+            people.append(Person(name, name, number, *state.tolist()))
+    return people

@@ -148,7 +148,8 @@ def _in_order(rows: FloatArray) -> tuple[FloatArray, int]:
     return rows[np.lexsort((rows[:, 1], rows[:, 0]))], len(np.unique(rows[1:, 0][back]))
 
 
-B, R = TypeVar("B"), TypeVar("R")
+B = TypeVar("B")
+R = TypeVar("R")
 
 AHEAD = 2
 """Batches in the hands of the cluster for each of its threads: one that runs and one that waits."""

@@ -18,32 +18,39 @@ from starlette.middleware import Middleware
 from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from graphtrack import __version__
 from graphtrack.errors import InputError
-from graphtrack.service.connections import Connection, Connections, Requests, TrustedOrigin
+from graphtrack.service import description
+from graphtrack.service.connections import Connection, Connections, JsonErrors, Requests, TrustedOrigin
 from graphtrack.service.settings import STREAM_NAME, Metrics, Service
 from graphtrack.service.stream import Stream, open_stream, prepare
 from graphtrack.streaming.saved_state import StateInUse, remove
 
-_NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
+_NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429, 503: 1013}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
 _BROKEN, _NO_TEXT, _UNREAD = 1011, 1007, 1008
 _NOTICED = 2.0
 """Seconds within which it is noticed that a client went."""
 _DROPPED, _TERMINATED = 2.0, 3.0
 """Seconds after which a service that stops drops its connections, and terminates its processes."""
+_STOPPING = "the service is stopping; connect again"
 _PAGE = """graphtrack serve: streams of positions in, estimates out.
 
 POST   /v1/streams/NAME  rows as NDJSON in the body, answers as NDJSON
 WS     /v1/streams/NAME  a row a message, an answer a message
 GET    /v1/streams       names of the open streams
 DELETE /v1/streams/NAME  remove a stream's state
-GET    /health           whether the service is up
+GET    /health           the process runs
+GET    /ready            200 when streams can be opened, else 503
+GET    /version          version of the service
 GET    /metrics          counters for Prometheus
+GET    /openapi.json     these addresses, and JSON Schemas of rows and answers
+GET    /docs             the same as a page
 
   curl --data-binary @rows.ndjson http://HOST:PORT/v1/streams/hall
 
@@ -71,7 +78,7 @@ class Streams:
     def __init__(self, service: Service, metrics: Metrics) -> None:
         self.service, self.metrics = service, metrics
         self.connections = Connections(service.limits.patience)
-        self.stopping = asyncio.Event()
+        self.prepared, self.stopping = asyncio.Event(), asyncio.Event()
         self._running: set[Stream] = set()
         self._open: dict[str, asyncio.Event] = {}
         self._ending: dict[str, asyncio.Event] = {}
@@ -79,6 +86,11 @@ class Streams:
     def names(self) -> list[str]:
         """Return the names of open streams."""
         return sorted(self._open)
+
+    @property
+    def is_ready(self) -> bool:
+        """Return True if streams can be opened: all code is compiled, and the service does not stop."""
+        return self.prepared.is_set() and not self.stopping.is_set()
 
     def check(self, request: HTTPConnection) -> None:
         """Refuse who does not bear the token; browsers, which set no headers, may give it as ``?token=``."""
@@ -99,6 +111,9 @@ class Streams:
     @asynccontextmanager
     async def opened(self, name: str) -> AsyncIterator[Stream]:
         """A stream for one connection; it ends, and what it knows is kept, when the connection is done."""
+        await self.prepared.wait()
+        if self.stopping.is_set():
+            raise Refused(503, _STOPPING)
         await self._left(name)
         if name in self._open:
             raise Refused(409, f"stream {name} has a connection; expected one at a time")
@@ -146,6 +161,7 @@ class Streams:
     def stop(self) -> None:
         """End all streams, and after some seconds those that would not end."""
         self.stopping.set()
+        self.prepared.set()  # who waits for it is refused
         loop = asyncio.get_running_loop()
         loop.call_later(_DROPPED, self.connections.drop)
         loop.call_later(_TERMINATED, self._terminate)
@@ -286,7 +302,7 @@ class Exchange(Response):
             tasks = (outgoing, incoming, gone, stopping)
             try:
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-                reason = "the service is stopping; connect again" if stopping.done() else ""
+                reason = _STOPPING if stopping.done() else ""
                 if incoming.done() and not gone.done():
                     reason = incoming.result() or reason
                 if reason:
@@ -383,6 +399,30 @@ async def health(request: Request) -> Response:
     return JSONResponse({"status": "ok", "streams": len(streams.names())})
 
 
+async def ready(request: Request) -> Response:
+    """Return status 200 if streams can be opened, else 503; needs no token."""
+    streams: Streams = request.app.state.streams
+    if streams.is_ready:
+        return JSONResponse({"status": "ready"})
+    reason = _STOPPING if streams.stopping.is_set() else "the service is compiling; try again"
+    return JSONResponse({"error": reason}, 503)
+
+
+async def version(request: Request) -> Response:
+    """Return the version of the service; needs no token."""
+    return JSONResponse({"version": __version__})
+
+
+async def described(request: Request) -> Response:
+    """Return the OpenAPI document."""
+    return JSONResponse(description.openapi())
+
+
+async def docs(request: Request) -> Response:
+    """Return the OpenAPI document as a page."""
+    return HTMLResponse(description.page())
+
+
 async def metrics(request: Request) -> Response:
     """Counters in Prometheus' text format."""
     streams: Streams = request.app.state.streams
@@ -390,15 +430,12 @@ async def metrics(request: Request) -> Response:
     return Response(streams.metrics.text(), media_type="text/plain; version=0.0.4")
 
 
-def application(streams: Streams, ready: Callable[[], None]) -> Starlette:
-    """Return the service as an ASGI application; it calls `ready` when it takes streams."""
-    service = streams.service
+def application(streams: Streams) -> Starlette:
+    """Return the service as an ASGI application."""
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        await asyncio.to_thread(prepare, service)
         watching = asyncio.create_task(streams.connections.watch())
-        ready()
         yield
         await _cancel(watching)
 
@@ -406,15 +443,20 @@ def application(streams: Streams, ready: Callable[[], None]) -> Starlette:
     routes = [
         Route("/", page),
         Route("/health", health),
+        Route("/ready", ready),
+        Route("/version", version),
+        Route("/openapi.json", described),
+        Route("/docs", docs),
         Route("/metrics", metrics),
         Route("/v1/streams", listed),
         Route(one, by_http, methods=["POST"]),
         Route(one, forgotten, methods=["DELETE"]),
         WebSocketRoute(one, by_websocket),
     ]
-    clients = service.clients
+    clients = streams.service.clients
     middleware = [
         Middleware(Requests),
+        Middleware(JsonErrors),
         Middleware(TrustedHostMiddleware, allowed_hosts=clients.hosts, www_redirect=False),
         Middleware(TrustedOrigin, origins=clients.origins),
     ]
@@ -445,16 +487,40 @@ class Server(uvicorn.Server):
     ----------
     config : of the server
     streams : of the service
+    report : called once streams are taken
     """
 
-    def __init__(self, config: uvicorn.Config, streams: Streams) -> None:
+    def __init__(self, config: uvicorn.Config, streams: Streams, report: Callable[[], None]) -> None:
         super().__init__(config)
-        self._streams = streams
+        self._streams, self._report = streams, report
+        self._preparing: asyncio.Task[None] | None = None
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen, and compile what streams run."""
+        await super().startup(sockets)
+        self._preparing = asyncio.create_task(self._prepare())
+
+    async def _prepare(self) -> None:
+        try:
+            await asyncio.to_thread(prepare, self._streams.service)
+        except BaseException:
+            self.should_exit = True
+            raise
+        self._streams.prepared.set()
+        self._report()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End streams and connections."""
+        """End streams and connections.
+
+        Raises
+        ------
+        Exception
+            The one for which the service could not begin.
+        """
         self._streams.stop()
         await super().shutdown(sockets)
+        if self._preparing is not None and self._preparing.done():
+            self._preparing.result()
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -482,7 +548,7 @@ def run(service: Service, host: str, port: int, report: Callable[[str], None]) -
     logging.getLogger("uvicorn.error").addFilter(_is_ours)
     streams = Streams(service, Metrics())
     config = uvicorn.Config(
-        application(streams, lambda: report(said)),
+        application(streams),
         http=streams.connections.protocol(),
         log_level="warning",
         access_log=False,
@@ -494,7 +560,7 @@ def run(service: Service, host: str, port: int, report: Callable[[str], None]) -
         timeout_graceful_shutdown=_GRACE,
         lifespan="on",
     )
-    Server(config, streams).run(sockets=[listening])
+    Server(config, streams, lambda: report(said)).run(sockets=[listening])
 
 
 def _is_ours(record: logging.LogRecord) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 
 from starlette.datastructures import Headers
 from starlette.responses import JSONResponse
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
@@ -155,6 +155,33 @@ class Requests:
         finally:
             connection.requests -= 1
             connection.idle_since = asyncio.get_running_loop().time()
+
+
+class JsonErrors:
+    """Middleware that gives errors of the libraries, which are plain text, the form ``{"error": …}``."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        status, text = 0, b""  # of an error in plain text
+
+        async def convert(message: Message) -> None:
+            nonlocal status, text
+            if message["type"] == "http.response.start":
+                kind = Headers(raw=message["headers"]).get("content-type", "")
+                if message["status"] >= 400 and kind.startswith("text/plain"):
+                    status = message["status"]
+                    return
+            elif status:
+                text += message.get("body", b"")
+                if not message.get("more_body", False):
+                    await JSONResponse({"error": text.decode()}, status)(scope, receive, send)
+                return
+            await send(message)
+
+        await self.app(scope, receive, convert if scope["type"] == "http" else send)
 
 
 class TrustedOrigin:

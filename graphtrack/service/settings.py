@@ -92,6 +92,14 @@ def is_wildcard(host: str) -> bool:
         return not host
 
 
+def is_loopback(host: str) -> bool:
+    """Return True for an address that only this machine reaches."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
 def clients_of(host: str, hosts: list[str], origins: list[str]) -> Clients:
     """Return the clients of a service that listens on `host`, with names and origins added.
 

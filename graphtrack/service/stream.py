@@ -15,7 +15,8 @@ from contextlib import suppress
 from graphtrack.service.settings import Metrics, Service
 from graphtrack.service.worker import ASIDE, DONE, PIECE, WARM, work
 
-PROCESSES = multiprocessing.get_context("forkserver")
+FORKED = "forkserver" in multiprocessing.get_all_start_methods()  # not on Windows
+PROCESSES = multiprocessing.get_context("forkserver") if FORKED else multiprocessing.get_context("spawn")
 _ERROR = b'"error"'
 _PAUSE = 0.002
 """Seconds in which answers gather while more of them are to come: to look for each costs as much as a row."""
@@ -152,7 +153,8 @@ def prepare(service: Service) -> None:
     """Have the processes' parent ready, with all code loaded; compile what there is none of."""
     os.environ[WARM] = json.dumps(service.answers.model.to_dict())
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are what runs beside each other
-    PROCESSES.set_forkserver_preload([work.__module__])
+    if FORKED:
+        PROCESSES.set_forkserver_preload([work.__module__])
     first = PROCESSES.Process(target=nothing)
     first.start()
     first.join()

@@ -10,7 +10,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction, wrap
-from graphtrack.io.read_write import tracks_of
+from graphtrack.io.read_write import tracks_given
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def add_noise(
         if value is not None and not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"{name} = {value!r}", "a finite number, at least 0")
     kappas = {"body": body_kappa, "head": head_kappa}
-    return tracks_of(tracks).map(lambda track: _noisy(track, position_std, kappas, rng))
+    return tracks_given(tracks).map(lambda track: _noisy(track, position_std, kappas, rng))
 
 
 def _noisy(
@@ -226,7 +226,7 @@ def add_class_likelihoods(
         name: confusion_matrix(n) if given is None else _checked(name, given, n)
         for name, given, n in (("body", body, BODY_CLASSES), ("head", head, HEAD_CLASSES))
     }
-    return tracks_of(tracks).map(lambda track: _classified(track, confusions, rng))
+    return tracks_given(tracks).map(lambda track: _classified(track, confusions, rng))
 
 
 def _checked(name: str, confusion: FloatArray, n_classes: int) -> FloatArray:

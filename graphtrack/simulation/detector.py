@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, wrap
-from graphtrack.io.read_write import tracks_of
+from graphtrack.io.read_write import tracks_given
 from graphtrack.simulation.degrade import OBSERVED, add_noise, motion, withhold
 from graphtrack.tracks.detections import with_those_between
 from graphtrack.tracks.display import counted
@@ -122,7 +122,7 @@ def detect(
     tracks : what is known, in any form that `graphtrack.solve` takes
     every : seconds between the frames, see `sampled`; None: the recording's own frames
     """
-    exact = tracks_of(tracks)
+    exact = tracks_given(tracks)
     if every is not None:
         exact = sampled(exact, every)
     noisy = add_noise(exact, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)

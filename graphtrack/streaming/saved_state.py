@@ -10,12 +10,13 @@ one; a new content replaces the old one in one step, and lines that are appended
 
 from __future__ import annotations
 
-import fcntl
+import contextlib
+import io
 import json
 import os
 import queue
 import re
-import stat
+import shutil
 import threading
 import time
 import zlib
@@ -25,11 +26,15 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Protocol
 
+from filelock import FileLock, Timeout
+
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineSmoother
+from graphtrack.io.atomic import flush_entry
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.model import Model
+from graphtrack.saved import count, damaged
 
 VERSION = 2
 """Version of the format and of the meaning of its lines."""
@@ -52,7 +57,7 @@ class StateInUse(InputError):
         return type(self), (self.path,)
 
 
-def packed(value: Any) -> bytes:
+def line_of(value: Any) -> bytes:
     """A JSON-able value as the text of a line."""
     return encoded(value).encode()
 
@@ -62,17 +67,18 @@ class _Content:
 
     Parameters
     ----------
-    file : descriptor
+    file : unbuffered, to read and write
     digest : of all text in it
     length : bytes, the first line included
     has_rest : the file is longer; the next `append` cuts off the rest
     """
 
     def __init__(
-        self, file: int, digest: Any = None, length: int = _MARK_LENGTH, has_rest: bool = False
+        self, file: io.FileIO, digest: Any = None, length: int = _MARK_LENGTH, has_rest: bool = False
     ) -> None:
         self.file, self.length, self._has_rest = file, length, has_rest
         self._digest = blake2b(digest_size=_DIGEST_LENGTH // 2) if digest is None else digest
+        self._mutex = threading.Lock()  # `flush` writes from another thread
 
     def append(self, texts: Iterable[bytes]) -> None:
         """Write lines at the end, all of them or none."""
@@ -81,11 +87,12 @@ class _Content:
             digest.update(text)
             lines.append(b"%s %s\n" % (digest.hexdigest().encode(), text))
         data = b"".join(lines)
-        if self._has_rest:
-            os.ftruncate(self.file, self.length)
-        self._has_rest = True  # unless all is written
-        _write(self.file, data, self.length)
-        self._has_rest = False
+        with self._mutex:
+            if self._has_rest:
+                self.file.truncate(self.length)
+            self._has_rest = True  # unless all is written
+            _write(self.file, data, self.length)
+            self._has_rest = False
         self._digest, self.length = digest, self.length + len(data)
 
     def mark(self) -> bytes:
@@ -94,8 +101,9 @@ class _Content:
 
     def flush(self, mark: bytes) -> None:
         """Flush the file to the disk, and then state that in the first line."""
-        os.fsync(self.file)
-        _write(self.file, mark, 0)
+        os.fsync(self.file.fileno())
+        with self._mutex:
+            _write(self.file, mark, 0)
 
 
 class StateFile:
@@ -125,17 +133,16 @@ class StateFile:
         self.path, self._every = path, every
         self._final, self._new = _places(path)
         try:
-            file, self._is_there = self._claim()
+            self._lock = _locked(path)
         except OSError as error:
             raise self._failure(error) from error
         try:
-            self.entries, content = self._read(file) if self._is_there else ([], _Content(file))
+            self.entries, self._content = self._read()
         except BaseException as error:
-            os.close(file)
+            _unlock(self._lock)
             if isinstance(error, OSError):
                 raise self._failure(error) from error
             raise
-        self._contents = [content]
         self._mutex = threading.Lock()
         self._since: list[bytes] | None = None
         self._jobs: queue.Queue[list[bytes] | None] = queue.Queue()
@@ -159,12 +166,12 @@ class StateFile:
         InputError
             If that failed, or flushing or replacing has since the last call.
         """
-        text = packed(value)
+        text = line_of(value)
         with self._mutex:
             try:
                 self._raise()
-                for content in self._contents:
-                    content.append([text])
+                if self._content is not None:
+                    self._content.append([text])
             except OSError as error:
                 raise self._failure(error) from error
             self._unsynced = True
@@ -177,7 +184,7 @@ class StateFile:
             self._since = []
 
     def replace(self, texts: list[bytes]) -> None:
-        """Begin to write a new content, `packed`, of what was known at the `mark`."""
+        """Begin to write a new content, lines of `line_of`, of what was known at the `mark`."""
         self._idle.clear()
         self._jobs.put(texts)
 
@@ -196,40 +203,23 @@ class StateFile:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Let go of the file. It stays as it is."""
+        """Close the file and unlock it. It stays as it is."""
         self._jobs.put(None)
         self._thread.join()
-        if not self._is_there:
-            self._new.unlink(missing_ok=True)
-        os.close(self._contents[0].file)
+        if self._content is not None:
+            self._content.file.close()
+        _unlock(self._lock)
 
     # -- the file ------------------------------------------------------------------------------------------
 
-    def _claim(self) -> tuple[int, bool]:
-        """The file, open and locked, and whether it is there; else it is the one that is to become it.
-
-        The lock belongs to the open file and not to its name, so the name is looked at again afterwards.
-        """
-        while True:
-            is_there = self._final.exists()
-            place = self._final if is_there else self._new
-            if is_there and not place.is_file():
-                raise InputError(
-                    "a folder" if place.is_dir() else "a device", "the path of a file", path=self.path
-                )
-            file = _locked(place, self.path, 0 if is_there else os.O_CREAT)
-            if file is None:
-                continue  # gone in between
-            if is_there == self._final.exists():
-                if is_there:
-                    self._new.unlink(missing_ok=True)
-                return file, is_there
-            os.close(file)
-
-    def _read(self, file: int) -> tuple[list[Any], _Content]:
-        """The values of a file, and the file as it goes on."""
-        with os.fdopen(os.dup(file), "rb") as stream:
-            stream.seek(0)
+    def _read(self) -> tuple[list[Any], _Content | None]:
+        """The values of the file, and the file as it goes on; None where it is not there."""
+        if not self._final.exists():
+            return [], None
+        if not self._final.is_file():
+            found = "a folder" if self._final.is_dir() else "a device"
+            raise InputError(found, "the path of a file", path=self.path)
+        with self._final.open("rb") as stream:
             first = stream.read(_MARK_LENGTH)
             mark = _MARK.fullmatch(first)
             if mark is None:
@@ -238,7 +228,7 @@ class StateFile:
             if version != VERSION:
                 expected = f"version {VERSION}; without the file a stream starts from nothing"
                 raise InputError(f"a state of version {version}", expected, path=self.path)
-            flushed, size = int(mark[2]), os.fstat(file).st_size
+            flushed, size = int(mark[2]), os.fstat(stream.fileno()).st_size
             if size < flushed:
                 found = f"a file that was cut off ({size} of at least {flushed} bytes)"
                 raise InputError(found, _REMEDY, path=self.path)
@@ -262,7 +252,8 @@ class StateFile:
                     raise InputError(found, _REMEDY, path=self.path, line=number) from error
         if not entries or not is_confirmed:
             raise InputError("a damaged state (its lines do not fit the first one)", _REMEDY, path=self.path)
-        return entries, _Content(file, digest, length, size > length)
+        self._new.unlink(missing_ok=True)
+        return entries, _Content(_opened(self._final), digest, length, size > length)
 
     def _tend(self) -> None:
         """Write new contents as they come, and flush from time to time, in the thread."""
@@ -287,39 +278,36 @@ class StateFile:
 
     def _flush(self) -> None:
         with self._mutex:
-            if not self._unsynced:
+            if not self._unsynced or self._content is None:
                 return
-            self._unsynced, content = False, self._contents[0]
+            self._unsynced, content = False, self._content
             mark = content.mark()
         content.flush(mark)
 
     def _write_anew(self, texts: list[bytes]) -> None:
-        before = content = self._contents[0]
-        if self._is_there:
-            file = os.open(self._new, os.O_RDWR | os.O_CREAT, 0o666)
-            fcntl.flock(file, fcntl.LOCK_EX)
-            os.fchmod(file, stat.S_IMODE(os.fstat(before.file).st_mode))
-            content = _Content(file)
-        os.ftruncate(content.file, 0)
+        content = _Content(_opened(self._new, "w+"))
+        if self._content is not None:
+            shutil.copymode(self._final, self._new)
         content.append(texts)
         _write(content.file, content.mark(), 0)
-        os.fsync(content.file)
+        os.fsync(content.file.fileno())
         with self._mutex:
             content.append(self._since or ())
             self._since = None
-            # Both have every line while either may have the name, so that `append` need not wait.
-            self._contents = [before, content] if self._is_there else [content]
-        self._new.replace(self._final)
-        with self._mutex:
-            self._contents = [content]
-            self._is_there = self._unsynced = True
-        if before is not content:
-            os.close(before.file)
-        folder = os.open(self._final.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+            # Windows renames no file that is open.
+            kept = self._content
+            for one in (content, kept):
+                if one is not None:
+                    one.file.close()
+            try:
+                self._new.replace(self._final)
+                kept = content
+            finally:
+                if kept is not None:
+                    kept.file = _opened(self._final)
+                self._content = kept
+            self._unsynced = True
+        flush_entry(self._final.parent)
 
     def _raise(self) -> None:
         if self._error is not None:
@@ -342,25 +330,23 @@ def remove(path: Path) -> bool:
         If it cannot be deleted.
     """
     final, new = _places(path)
-    found = False
-    for place in (final, new):
-        if place.exists() and not place.is_file():
+    if not final.parent.is_dir():
+        return False
+    lock = _locked(path)
+    try:
+        if not final.exists():
+            return False
+        if not final.is_file():
             raise InputError("no file", _EXPECTED, path=path)
-        file = _locked(place, path, 0) if place.exists() else None
-        if file is None:
-            continue
-        try:
-            # A link may lead to any file. One that is being made has no first line yet.
-            first = os.pread(file, _MARK_LENGTH, 0)
-            if place == final and not first.startswith(_BEGINNING):
+        with final.open("rb") as stream:  # a link may lead to any file
+            if stream.read(len(_BEGINNING)) != _BEGINNING:
                 raise InputError("no saved state", _EXPECTED, path=path)
-            place.unlink()
-            if place == final:
-                found = True
-                path.unlink(missing_ok=True)  # a link
-        finally:
-            os.close(file)
-    return found
+        final.unlink()
+        new.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)  # a link
+        return True
+    finally:
+        _unlock(lock)
 
 
 def _places(path: Path) -> tuple[Path, Path]:
@@ -369,40 +355,31 @@ def _places(path: Path) -> tuple[Path, Path]:
     return final, final.with_name(final.name + ".new")
 
 
-def _locked(place: Path, path: Path, flags: int) -> int | None:
-    """A file, open and locked; None if it is gone.
-
-    The lock belongs to the open file and not to its name, so the name is compared again afterwards.
-    """
+def _locked(path: Path) -> FileLock:
+    """The lock of a state file: a hidden file alongside it for as long as a process holds it."""
+    final, _ = _places(path)
+    lock = FileLock(final.with_name(f".{final.name}.lock"), timeout=0, thread_local=False)
     try:
-        file = os.open(place, os.O_RDWR | flags, 0o666)
-    except FileNotFoundError:
-        if flags:
-            raise
-        return None
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(file)
+        lock.acquire()
+    except Timeout as error:
         raise StateInUse(path) from error
-    if not _is_at(file, place):
-        os.close(file)
-        return None
-    return file
+    return lock
 
 
-def _is_at(file: int, place: Path) -> bool:
-    """Return True if an open file still has this name."""
-    try:
-        return os.path.samestat(os.fstat(file), place.stat())
-    except FileNotFoundError:
-        return False
+def _unlock(lock: FileLock) -> None:
+    with contextlib.suppress(OSError):  # Windows deletes it on release
+        Path(lock.lock_file).unlink()
+    lock.release()
 
 
-def _write(file: int, data: bytes, at: int) -> None:
+def _opened(path: Path, mode: str = "r+") -> io.FileIO:
+    return io.FileIO(path, mode)
+
+
+def _write(file: io.FileIO, data: bytes, at: int) -> None:
+    file.seek(at)
     while data:
-        written = os.pwrite(file, data, at)
-        data, at = data[written:], at + written
+        data = data[file.write(data) :]
 
 
 class Answering(Protocol):
@@ -509,7 +486,7 @@ class Saving:
                 if track_id in self._packed:
                     raise ValueError(f"two states of {track_id!r}")
                 people.members[track_id] = restore(track_id, state)
-                self._packed[track_id] = packed(entry)
+                self._packed[track_id] = line_of(entry)
             for entry in entries[first_row:]:
                 rows = _rows_of(entry, people.rows, people.line)
                 if not rows:  # all rows so far were answered
@@ -559,8 +536,7 @@ class Saving:
         except InputError as error:
             raise InputError(error.found, error.expected, path=self._file.path) from error
         except Exception as error:  # what a value of a wrong type leads to cannot be listed
-            found = f"a damaged state ({error!r})"
-            raise InputError(found, "what 'graphtrack track -' wrote", path=self._file.path) from error
+            raise damaged(error, "what 'graphtrack track -' wrote", self._file.path) from error
 
     def _begin(self) -> None:
         people = self._people
@@ -568,7 +544,7 @@ class Saving:
         self._left = {track_id: None for track_id in people.members if track_id in due}
         self._changed.clear()
         self._members = list(people.members)
-        self._header = packed(
+        self._header = line_of(
             {
                 "settings": self._settings,
                 "rows": people.rows,
@@ -581,7 +557,7 @@ class Saving:
     def _pack(self, track_id: Any) -> None:
         assert self._left is not None
         state = self._left.pop(track_id) or self._people.members[track_id].state
-        self._packed[track_id] = packed({"track_id": track_id, "state": state()})
+        self._packed[track_id] = line_of({"track_id": track_id, "state": state()})
 
     def _hand_over(self) -> None:
         self._left = None
@@ -598,15 +574,11 @@ class Saving:
         self._changed.add(track_id)
 
 
-def _is_count(value: Any) -> bool:
-    return type(value) is int and value >= 0
-
-
 def _header_of(entries: list[Any]) -> dict[str, Any]:
     """The first value of a state file; ValueError if it has another form or the states are fewer."""
     header: dict[str, Any] = entries[0]
-    counts = [header[name] for name in ("rows", "line", "people")]
-    if not all(map(_is_count, counts)) or counts[1] < counts[0] or not isinstance(header["settings"], dict):
+    counts = [count(header[name]) for name in ("rows", "line", "people")]
+    if counts[1] < counts[0] or not isinstance(header["settings"], dict):
         raise ValueError(f"a header with rows, line, people = {counts}")
     if counts[2] > len(entries) - 1:
         raise ValueError(f"{counts[2]} states of people in {len(entries) - 1} lines")
@@ -635,7 +607,7 @@ def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
         return []
     found = []
     for number, text in entry if isinstance(entry[0], list) else [entry]:
-        if not _is_count(number) or number <= line or not isinstance(text, str):
+        if count(number) <= line or not isinstance(text, str):
             raise ValueError(f"a row {str(number)[:60]} after row {line}")
         found.append((number, text.encode("utf-8", "surrogateescape")))
         line = number

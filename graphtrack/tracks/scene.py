@@ -17,27 +17,26 @@ class SceneParameters:
 
     Attributes
     ----------
-    acceleration_density : q of white-noise acceleration, m²/s³
-    speed_std : of a velocity that nothing is known of, m/s on each axis
-    position_std : of detections that do not say how noisy they are, m
-    jump_probability : that a detection is further off than that, or its person has jumped or turned abruptly
-    jump_std : how far, on each axis, m
-    detection_probability : of a person in view, in a frame
-    occlusion_probability : that a frame is the last one before somebody is hidden
-    occlusion_seconds : that one is hidden for, on average
-    clutter_density : false detections a frame and square metre
-    duplicate_rate : further detections of somebody who was detected, a frame
-    duplicate_spread : standard deviation of their places about the first one, on each axis, m
-    birth_density : people who come into view, a second and square metre
-    death_rate : 1/s at which people leave
-    longest_gap : seconds after which nobody is found again
-    body_std, head_std : of observed angles, rad
-    body_turn, head_turn : what bodies and heads turn, rad/√s
-    body_outliers, head_outliers : share of observed angles that have nothing to do with the person; 1: angles
-        say nothing of who is who
-    heading_std, gaze_std : of the body and the head from where the person goes, rad
-    longest_filled : gaps of so many seconds are filled with where the person must have been
-    look_ahead : detections of a track after a cut that say whose they are
+    acceleration_density : spectral density q of white-noise acceleration, m²/s³
+    speed_std : 1-σ of each axis of a new person's velocity, m/s
+    position_std : 1-σ of each axis of a detection without a declared one, m
+    jump_probability : probability that a detection is an outlier, or that its person turned abruptly
+    jump_std : 1-σ of each axis of such an outlier, m
+    detection_probability : probability that a person in view is detected in a frame
+    occlusion_probability : probability that an occlusion begins after a frame
+    occlusion_seconds : mean duration of an occlusion, s
+    clutter_density : false detections a frame, 1/m²
+    duplicate_rate : further detections of a detected person, a frame
+    duplicate_spread : 1-σ of each axis of duplicates about the first detection, m
+    birth_density : rate at which people come into view, 1/(m² s)
+    death_rate : rate at which people leave, 1/s
+    longest_gap : time after which nobody is found again, s
+    body_std, head_std : 1-σ of observed angles, rad
+    body_turn, head_turn : rate of turning of bodies and heads, rad/√s
+    body_outliers, head_outliers : share of observed angles that carry no information about identities; 1: all
+    heading_std, gaze_std : 1-σ of body and head about the direction of travel, rad
+    longest_filled : duration of gaps up to which they are filled, s
+    look_ahead : number of detections after a cut that are evidence on identities
     """
 
     acceleration_density: float = number(0.1, 1e-4, 100.0, "m²/s³")

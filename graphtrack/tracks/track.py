@@ -11,13 +11,14 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
+from operator import index
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.errors import InputError, InputWarning, UnknownTrackError
+from graphtrack.errors import InputError, InputWarning, TrackIndexError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
 from graphtrack.tracks.schema import COLUMNS, INPUT_NAME, Column, input_columns, is_input_name, numeric
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
 
 __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet", "to_columns"]
+
+_PLACE = "a place from 0 to one less than that (by_id takes an id)"
 
 _ABSENT = dict.fromkeys(SHAPES)
 _KEPT = {"t", "identity_p", "observed", "true_position", "true_body", "true_head"}
@@ -297,8 +300,8 @@ class Track:
         attributes["inputs"] = {name: own for name, own in self.inputs.items() if name != APPEARANCE}
         return track
 
-    def std(self, name: str) -> FloatArray | None:
-        """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.
+    def std(self, name: str) -> FloatArray:
+        """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,); NaN where there is no covariance.
 
         Raises
         ------
@@ -308,7 +311,7 @@ class Track:
         if name not in STATE:
             raise InputError(f"quantity {name!r}", f"one of {', '.join(STATE)}")
         if self.covariance is None:
-            return None
+            return np.full(len(self), np.nan)
         i = STATE.index(name)
         return np.sqrt(self.covariance[:, i, i])
 
@@ -321,6 +324,9 @@ class Track:
 @dataclass(frozen=True, eq=False)
 class TrackSet:
     """People of one scene: tracks with distinct ids, the camera if it is known, and the reading's summary.
+
+    It is a sequence of tracks: ``tracks[0]`` is the first, ``tracks[:2]`` a set of the first two.
+    ``tracks.by_id(7)`` is the track of an id, ``tracks.select("anna", "*walk*")`` those of labels or ids.
 
     Of a table with other names and units than the native one ``as_read`` keeps them for what is written.
     """
@@ -374,18 +380,43 @@ class TrackSet:
         return len(self.tracks)
 
     @overload
-    def __getitem__(self, key: int) -> Track: ...
+    def __getitem__(self, place: int) -> Track: ...
     @overload
-    def __getitem__(self, key: slice) -> TrackSet: ...
-    def __getitem__(self, key: int | slice) -> Track | TrackSet:
-        """The track of an id; a slice stands for places: ``tracks[:2]`` are the first two, a set."""
-        if isinstance(key, slice):
-            return self.with_tracks(self.tracks[key])
+    def __getitem__(self, place: slice) -> TrackSet: ...
+    def __getitem__(self, place: int | slice) -> Track | TrackSet:
+        """The track at a place, from 0, as in a list; of a slice a set. `by_id` is the track of an id.
+
+        Raises
+        ------
+        IndexError
+            For a place beyond the last track.
+        InputError
+            For what is no whole number, such as a label: `select` takes those.
+        """
+        if isinstance(place, slice):
+            return self.with_tracks(self.tracks[place])
+        try:
+            number = index(place)
+        except TypeError:
+            expected = "a place from 0 or a slice; by_id takes an id, select a label or a pattern"
+            raise InputError(f"tracks[{place!r}]", expected) from None
+        if not -len(self) <= number < len(self):
+            raise TrackIndexError(f"tracks[{number}] of {counted(len(self), 'track')}", _PLACE)
+        return self.tracks[number]
+
+    def by_id(self, track_id: int) -> Track:
+        """The track of an id.
+
+        Raises
+        ------
+        UnknownTrackError
+            If no track has it; a `KeyError` too.
+        """
         for track in self.tracks:
-            if track.track_id == key:
+            if track.track_id == track_id:
                 return track
         known = listed(track.track_id for track in self.tracks)
-        raise UnknownTrackError(f"no track {key!r}", f"one of the ids {known}" if known else "a track")
+        raise UnknownTrackError(f"no track {track_id!r}", f"one of the ids {known}" if known else "a track")
 
     @property
     def n_frames(self) -> int:

@@ -181,12 +181,11 @@ class ShownPeople:
         values: dict[str, FloatArray | None] = {"x": track.position[:, 0], "y": track.position[:, 1]}
         speed = track.velocity
         values["speed"] = None if speed is None else np.hypot(speed[:, 0], speed[:, 1])
-        std = {"x": track.std("x"), "y": track.std("y"), "speed": None}
+        std: dict[str, FloatArray | None] = {"x": track.std("x"), "y": track.std("y"), "speed": None}
         for name in ANGLE_COLOURS:
             angle = observed_angle(track, name)
             values[name] = None if angle is None else np.degrees(_unwrapped(angle, known.angles, name))
-            spread = track.std(name)
-            std[name] = None if spread is None else np.degrees(spread)
+            std[name] = np.degrees(track.std(name))
         for name, value in values.items():
             if value is None or not np.isfinite(value).any():
                 continue

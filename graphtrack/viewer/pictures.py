@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.read_write import boxes_of_file, read
+from graphtrack.io.read_write import boxes_of_file, read_identified
 from graphtrack.tracks.display import person_colour, rgb
 from graphtrack.tracks.track import TrackSet
 from graphtrack.viewer.layout import VIDEO
@@ -188,7 +188,7 @@ def _of_report(folder: Path) -> PersonBoxes | None:
     if rows is None:
         return None
     frame, who, box = [], [], []
-    for track in read(observations):
+    for track in read_identified(observations):
         number = track.inputs.get(_NUMBER)
         if number is None:
             continue

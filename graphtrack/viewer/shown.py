@@ -68,7 +68,7 @@ def view(
     if not placed:
         raise InputError("no position", "tracks with positions in metres")
     chosen = person if person is not None else max(placed, key=len).track_id
-    tracks[chosen]  # or an error that says whom there are
+    tracks.by_id(chosen)  # or an error that says whom there are
     given = behaviour_of(tracks, groups=groups, forecast=forecast)
     frames = None if video is None else open_frames(Path(video))
     where = Extent.of(np.concatenate([track.position for track in placed]))
@@ -117,6 +117,6 @@ def _names(tracks: TrackSet) -> Mapping[int, str]:
 
 def _series(tracks: TrackSet, person: int) -> list[str]:
     """Which series of somebody are known."""
-    track = tracks[person]
+    track = tracks.by_id(person)
     angles = [name for name in ("body", "head") if observed_angle(track, name) is not None]
     return ["x", "y", *([] if track.velocity is None else ["speed"]), *angles]

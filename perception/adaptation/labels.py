@@ -5,7 +5,7 @@ People who walk face where they go.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, feet_of, heights_of, standing_in, upright_picture
-from perception.images.frames import Frame
+from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
 from perception.pose.features import LENGTH, Projection, describe, light_of
 
@@ -105,15 +105,9 @@ def looks_of(
     ``refuse`` is told of frames that cannot be decoded and of boxes that hold nothing.
     """
     looks, usable = np.zeros((len(boxes), LENGTH), np.uint8), np.zeros(len(boxes), bool)
-    of_frame = _by_frame(boxes)
-    for frame in frames:
-        if frame.image is None:
-            refuse(frame.reason)
-            continue
-        inside = [k for k in of_frame.get(frame.number, []) if _is_inside(boxes[k], frame.image, refuse)]
-        if inside:
-            pictures = [crop(frame.image, boxes[k].box) for k in inside]
-            looks[inside], usable[inside] = describe(pictures, light_of(frame.image)), True
+    for image, inside in _in_frames(frames, boxes, refuse):
+        pictures = [crop(image, boxes[k].box) for k in inside]
+        looks[inside], usable[inside] = describe(pictures, light_of(image)), True
     return looks, usable
 
 
@@ -128,32 +122,34 @@ def patches_in(
     Who leans in a ``view`` is turned upright.
     """
     found: dict[int, Image] = {}
-    of_frame = _by_frame(boxes)
+    for image, inside in _in_frames(frames, boxes, refuse):
+        for k in inside:
+            box = boxes[k].box
+            found[k] = patch_of(*upright_picture(image, box, standing_in(view, box)))
+    return found
+
+
+def _in_frames(
+    frames: Iterable[Frame], boxes: Sequence[PersonBox], refuse: Callable[[str], object]
+) -> Iterator[tuple[Image, list[int]]]:
+    """Yield the image of each frame with the places of the boxes in it, where there are any."""
+    of_frame: dict[int, list[int]] = {}
+    for k, item in enumerate(boxes):
+        of_frame.setdefault(item.frame, []).append(k)
     for frame in frames:
         if frame.image is None:
             refuse(frame.reason)
             continue
+        inside = []
         for k in of_frame.get(frame.number, []):
-            if _is_inside(boxes[k], frame.image, refuse):
-                box = boxes[k].box
-                found[k] = patch_of(*upright_picture(frame.image, box, standing_in(view, box)))
-    return found
-
-
-def _by_frame(boxes: Sequence[PersonBox]) -> dict[int, list[int]]:
-    found: dict[int, list[int]] = {}
-    for k, item in enumerate(boxes):
-        found.setdefault(item.frame, []).append(k)
-    return found
-
-
-def _is_inside(item: PersonBox, image: Image, refuse: Callable[[str], object]) -> bool:
-    try:
-        checked_box(item.box, image.shape)
-    except InputError as error:
-        refuse(f"frame {item.frame}, box {item.track_id}: {error}")
-        return False
-    return True
+            try:
+                checked_box(boxes[k].box, frame.image.shape)
+            except InputError as error:
+                refuse(f"frame {frame.number}, box {boxes[k].track_id}: {error}")
+            else:
+                inside.append(k)
+        if inside:
+            yield frame.image, inside
 
 
 def check_camera(camera: GroundCamera, size: tuple[int, int]) -> None:
@@ -182,24 +178,11 @@ def check_camera(camera: GroundCamera, size: tuple[int, int]) -> None:
 _ROW = "row"
 
 
-@dataclass(frozen=True)
-class LabelParameters:
-    """Thresholds for people who surely walk.
-
-    Attributes
-    ----------
-    least_speed : metres a second
-    largest_std : radians, of the smoothed direction of travel
-    least_boxes : of a track
-    least_height : pixels; of smaller people nothing is seen
-    least_way : metres between the ends of a stretch of sure boxes; who stands may be labelled here and there
-    """
-
-    least_speed: float = 0.5
-    largest_std: float = float(np.deg2rad(25.0))
-    least_boxes: int = 4
-    least_height: float = 20.0
-    least_way: float = 1.0
+# Who surely walks.
+_LEAST_SPEED, _LARGEST_STD = 0.5, float(np.deg2rad(25.0))  # metres a second; radians, of the direction
+_LEAST_BOXES, _LEAST_HEIGHT = 4, 20.0  # boxes of a track; pixels: of smaller people nothing is seen
+_LEAST_WAY = 1.0
+"""Metres between the ends of a stretch of sure boxes; who stands may be labelled here and there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +227,7 @@ def walking_labels(
     boxes: Sequence[PersonBox],
     looks: NDArray[np.uint8] | None,
     camera: GroundCamera,
-    fps: float,
-    parameters: LabelParameters = LabelParameters(),
+    clock: float | Clock,
     view: LeaningView | None = None,
 ) -> WalkingLabels:
     """The boxes of people who surely walk, with the directions of travel.
@@ -255,7 +237,7 @@ def walking_labels(
     boxes : without identities they are associated
     looks : (n, `LENGTH`) what the people in the boxes look like, for that; None: not known
     camera : over the ground
-    fps : frames a second
+    clock : times of the frames, or frames a second
     view : where people lean in the picture, so that their feet are not where their boxes end
     """
     pixel = feet_of(boxes, view)
@@ -266,7 +248,7 @@ def walking_labels(
     frame = np.array([item.frame for item in boxes])[usable]
     table: dict[str, Any] = {
         "frame": frame,
-        "t": frame / fps,
+        "t": seconds(frame, clock),
         "x": position[usable, 0],
         "y": position[usable, 1],
         f"input_{_ROW}": usable.astype(float),
@@ -282,25 +264,25 @@ def walking_labels(
             of_looks = Projection.fitted(known)(known)
             table |= {f"appearance_{k}": column for k, column in enumerate(of_looks.T)}
         tracks = associate({**table, "track_id": np.full(len(usable), -1)})
-    found = _of_walkers(tracks, camera, parameters)
+    found = _of_walkers(tracks, camera)
     height = heights_of([boxes[k] for k in found.box.tolist()], view)
-    return found.taken(np.flatnonzero(height >= parameters.least_height))
+    return found.taken(np.flatnonzero(height >= _LEAST_HEIGHT))
 
 
-def _of_walkers(tracks: TrackSet, camera: GroundCamera, parameters: LabelParameters) -> WalkingLabels:
+def _of_walkers(tracks: TrackSet, camera: GroundCamera) -> WalkingLabels:
     found: list[tuple[NDArray[Any], ...]] = []
-    long = tracks.with_tracks(track for track in tracks if len(track) >= parameters.least_boxes)
+    long = tracks.with_tracks(track for track in tracks if len(track) >= _LEAST_BOXES)
     for seen, track in zip(long, smooth(long, "position") if len(long) else (), strict=True):
         assert track.velocity is not None and track.covariance is not None
         speed = np.maximum(np.linalg.norm(track.velocity, axis=1), 1e-9)
         aside = np.column_stack([-track.velocity[:, 1], track.velocity[:, 0]]) / speed[:, None]
         variance = np.einsum("ni,nij,nj->n", aside, track.covariance[:, 2:4, 2:4], aside)
         deviation = np.sqrt(variance) / speed
-        sure = (speed > parameters.least_speed) & (deviation < parameters.largest_std)
+        sure = (speed > _LEAST_SPEED) & (deviation < _LARGEST_STD)
         rows = seen.inputs[_ROW].reshape(-1)
         sure &= np.isfinite(rows)
-        sure &= _leads_away(sure, track.position, parameters.least_way)
-        if int(np.isfinite(rows).sum()) < parameters.least_boxes:
+        sure &= _leads_away(sure, track.position, _LEAST_WAY)
+        if int(np.isfinite(rows).sum()) < _LEAST_BOXES:
             continue
         angle = camera.image_angle(direction(track.velocity), track.position)
         found.append((rows[sure], np.full(int(sure.sum()), track.track_id), angle[sure], deviation[sure]))

@@ -53,8 +53,9 @@ from perception.adaptation.labels import (
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, feet_of, standing_in, upright_picture
-from perception.images.frames import Frame, FrameSource, Progress, told_frames
+from perception.images.frames import Clock, Frame, FrameSource, Progress, seconds, told_frames
 from perception.images.pixels import Image, crop
+from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.head_detection import HeadLocaliser, select_along_track
 from perception.storage import ModelCard
@@ -195,6 +196,11 @@ class PackageModels:
     body_pose: FeatureClassifier
     head_pose: FeatureClassifier
 
+    @classmethod
+    def load(cls) -> PackageModels:
+        """Load them."""
+        return cls(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
+
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
@@ -241,7 +247,7 @@ def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingL
 def learn(
     patches: Sequence[Image],
     labels: WalkingLabels,
-    seconds: float,
+    length: float,
     size: tuple[int, int],
     package: PackageModels,
     rng: np.random.Generator,
@@ -255,7 +261,7 @@ def learn(
     ----------
     patches : n, as from `patch_of`
     labels : n, each person's in the order of frames
-    seconds : of the recording
+    length : of the recording, in seconds
     size : columns and rows of its frames
     package : models to begin with
     advance : is told when one of `stages` is done
@@ -298,7 +304,7 @@ def learn(
         known = heads[some]
         advance(1)
     figures |= _figures(best, labels, "")
-    card = _card(labels, seconds, best, figures, aligned=templates is not None)
+    card = _card(labels, length, best, figures, aligned=templates is not None)
     return CameraModels(templates, place, best.body, best.head, size, card)
 
 
@@ -407,16 +413,16 @@ def _figures(found: _Attempt, labels: WalkingLabels, of: str) -> dict[str, float
 
 
 def _card(
-    labels: WalkingLabels, seconds: float, best: _Attempt, figures: dict[str, float], *, aligned: bool
+    labels: WalkingLabels, length: float, best: _Attempt, figures: dict[str, float], *, aligned: bool
 ) -> ModelCard:
     people = len(np.unique(labels.person))
-    said = f"the directions of travel of {people} people who surely walk, in {seconds / 60.0:.1f} minutes"
+    said = f"the directions of travel of {people} people who surely walk, in {length / 60.0:.1f} minutes"
     walked = seen_directions(CLASSES.index(labels.angle), labels.person)
     parts = [best.body_out.log_likelihood, best.head_out.log_likelihood]
     outliers = class_outlier_probability(parts, labels.angle, labels.person, labels.count)
     parameters: dict[str, Any] = {
         "people": people,
-        "minutes": seconds / 60.0,
+        "minutes": length / 60.0,
         "aligned": aligned,
         OUTLIERS: outliers,
     }
@@ -438,12 +444,12 @@ class Recording:
     Attributes
     ----------
     people : with identities or without
-    rate : frames a second
+    clock : times of the frames, or frames a second
     """
 
     frames: FrameSource
     people: Sequence[PersonBox]
-    rate: float
+    clock: float | Clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -492,7 +498,7 @@ def adapted(
     used = [one for one in recordings if one.people]
     labels = thinned(joined(walking), parameters)
     few = len(np.unique(labels.person)) < parameters.many_people
-    taken, parts, seconds, places = [], [], 0.0, []
+    taken, parts, length, places = [], [], 0.0, []
     recording = np.searchsorted(_ends(walking), labels.person, side="right")
     for number, one in enumerate(used):
         whose = np.flatnonzero(recording == number)
@@ -509,13 +515,14 @@ def adapted(
         places += scenery.places(rng)
         parts.append(whose[there])  # boxes of frames that did not come are gone
         taken += [found[k] for k in there.tolist()]
-        seconds += (max(p.frame for p in one.people) - min(p.frame for p in one.people) + 1) / one.rate
+        numbers = [item.frame for item in one.people]
+        length += float(np.diff(seconds([min(numbers), max(numbers) + 1], one.clock))[0])
     order = np.concatenate(parts)
     left = labels.taken(order)
     kept = thinned(replace(left, box=np.arange(len(left))), parameters)
     patches = [taken[k] for k in kept.box.tolist()]
     with progress(stages(parameters), "rounds") as advance:
-        models = learn(patches, kept, seconds, size, package, rng, parameters, advance, places)
+        models = learn(patches, kept, length, size, package, rng, parameters, advance, places)
     models.upright = view is not None
     return Adapted(models, labels)
 
@@ -546,4 +553,4 @@ def _labels(
         wanted = {item.frame for item in people}
         with told_frames(frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
             looks, _ = looks_of(decoded, people, refuse)
-    return walking_labels(people, looks, camera, recording.rate, view=view)
+    return walking_labels(people, looks, camera, recording.clock, view=view)

@@ -18,16 +18,21 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, print_table, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.options import CameraOptions, VideoOrFolder, check_places, print_skipped
+from perception.cli.options import (
+    CameraOptions,
+    VideoOrFolder,
+    check_places,
+    print_skipped,
+    read_given_boxes,
+)
 from perception.cli.searching import PeopleSearch, search_journals
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.adaptation.learning import PackageModels
     from perception.adaptation.models import CameraModels
     from perception.detection.boxes import PersonBox
     from perception.ground.calibration import FoundView
-    from perception.images.frames import FrameSource
+    from perception.images.frames import Clock, FrameSource
     from perception.storage import ModelCard
 
 
@@ -50,46 +55,37 @@ def calibrate(
 
     Parameters
     ----------
-    boxes : MOT text or CAVIAR XML with people's boxes, with identities or without.
+    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, with identities or without.
     output : Calibration to write (.ci).
     """
     from perception.detection.boxes import read_boxes
-    from perception.ground.calibration import CalibrationParameters, found_view
+    from perception.ground.calibration import found_view
     from perception.images.frames import FrameSource
 
     check_places({"--output": output}, None, source, {"--boxes": boxes})
     frames = FrameSource.open(source)
     refused: dict[str, None] = {}
     people = read_boxes(boxes, refused.setdefault)
-    parameters = CalibrationParameters(person_height=person_height)
-    found = found_view(people, frames.size(), np.random.default_rng(seed), parameters)
+    found = found_view(people, frames.size(), np.random.default_rng(seed), person_height)
     found.write(output)
-    print_skipped(list(refused))
-    print_view(found)
+    print_skipped(refused)
+    emit(described(found))
+    for note in found.notes:
+        emit(f"  note: {note}")
     emit(f"wrote {output}")
 
 
-def print_view(found: FoundView) -> None:
-    """Print the view of the camera on the ground, with its uncertainty."""
+def described(found: FoundView) -> str:
+    """The view of a camera on the ground in words, with its uncertainty."""
     view, std = found.view, found.std
-    emit(
-        f"from {found.boxes} boxes of {found.people} people, of which {100 * found.inliers:.0f} % agree:\n"
-        f"  focal length {view.focal:.0f} ± {std['focal']:.0f} pixels, "
+    return (
+        f"from {found.boxes} boxes of {found.people} people, of which {100 * found.inliers:.0f} % agree: "
+        f"focal length {view.focal:.0f} ± {std['focal']:.0f} pixels, "
         f"{np.degrees(view.tilt):.1f} ± {np.degrees(std['tilt']):.1f}° down, "
         f"roll {np.degrees(view.roll):.1f} ± {np.degrees(std['roll']):.1f}°, "
-        f"{view.height:.2f} ± {std['height']:.2f} m above the ground\n"
-        f"  distances on the ground ± {100 * found.distance_std:.0f} %"
+        f"{view.height:.2f} ± {std['height']:.2f} m above the ground; distances on the ground "
+        f"± {100 * found.distance_std:.0f} %"
     )
-    for note in found.notes:
-        emit(f"  note: {note}")
-
-
-def package_models() -> PackageModels:
-    """The package's models that look while a camera teaches itself."""
-    from perception.adaptation.learning import PackageModels
-    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
-
-    return PackageModels(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
 
 
 def teach(
@@ -98,7 +94,7 @@ def teach(
     frames: FrameSource,
     people: Sequence[PersonBox],
     camera: GroundCamera,
-    rate: float,
+    clock: Clock,
     refuse: Callable[[str], object],
     *,
     seed: int = 0,
@@ -108,7 +104,7 @@ def teach(
     None, where too few people surely walk. What is learned is written to ``path``, and taken from there when
     it was learned with the same ``key`` before.
     """
-    from perception.adaptation.learning import Recording, TooFewWalkers, adapted
+    from perception.adaptation.learning import PackageModels, Recording, TooFewWalkers, adapted
     from perception.adaptation.models import CameraModels
 
     if path.is_file():
@@ -117,8 +113,8 @@ def teach(
             return known, _sentence(known)
     rng = np.random.default_rng(seed)
     try:
-        recordings = [Recording(frames, people, rate)]
-        models = adapted(recordings, camera, package_models(), rng, progress_bar, refuse).models
+        recordings = [Recording(frames, people, clock)]
+        models = adapted(recordings, camera, PackageModels.load(), rng, progress_bar, refuse).models
     except TooFewWalkers as error:
         sentence = f"the camera does not teach itself, the package's models look: {error.found}"
         emit(f"  note: {sentence}")
@@ -138,12 +134,6 @@ def check_adapt(streamed: bool, camera: Path | None, models: Sequence[object]) -
         raise InputError("--adapt without a camera", "--calibration or --homography")
     if any(model is not None for model in models):
         raise InputError("--adapt beside models that are given", "one of them")
-
-
-def forget(taught: Path, adapt: bool) -> None:
-    """Remove what this run has learned, and needs no more."""
-    if adapt:
-        taught.unlink(missing_ok=True)
 
 
 def stamp_of_camera(camera: GroundCamera | None) -> object:
@@ -179,15 +169,14 @@ def adapt(
     ----------
     sources : Videos or folders of images, all of one camera.
     output : Model file to write (.npz).
-    boxes : MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for each
-        recording in their order; without it people are detected.
+    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for
+        each recording in their order; without it people are detected.
     write_model : Write the graph's model file (.toml) that goes with these models, for `graphtrack smooth
         --model`.
     """
     from graphtrack.model import Model
     from perception.adaptation.labels import check_camera
-    from perception.adaptation.learning import Recording, adapted
-    from perception.detection.boxes import read_boxes
+    from perception.adaptation.learning import PackageModels, Recording, adapted
     from perception.images.frames import FrameSource
 
     if output.suffix != ".npz":
@@ -217,18 +206,18 @@ def adapt(
     recordings = []
     with ExitStack() as searches:
         for frames, place, of_recording in zip(opened, places, given, strict=True):
-            rate = camera.rate(frames)
+            clock = camera.clock(frames)
             if of_recording is None:
-                search = PeopleSearch(frames, on_ground, rate, place, camera.stamps, one_size=True)
-                people = searches.enter_context(search).people(refuse)
+                search = PeopleSearch(frames, on_ground, clock, place, camera.stamps)
+                people, _ = searches.enter_context(search.people(refuse))
             else:
-                people = read_boxes(of_recording, refuse)
-            recordings.append(Recording(frames, people, rate))
-        found = adapted(recordings, on_ground, package_models(), rng, progress_bar, refuse)
+                people = read_given_boxes(of_recording, frames, None, refuse)
+            recordings.append(Recording(frames, people, clock))
+        found = adapted(recordings, on_ground, PackageModels.load(), rng, progress_bar, refuse)
         found.models.save(output)
         if write_model is not None:
             found.models.graph(Model.named(None)).save(write_model)
-    print_skipped(list(refused))
+    print_skipped(refused)
     emit(
         f"learned from {len(found.labels)} boxes of {found.people} people who "
         f"surely walk, of {counted(found.labels.tracks, 'track')}"

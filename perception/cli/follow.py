@@ -87,7 +87,7 @@ def follow(
     check_places({"--output": output}, render, source, {**camera.files, **never})
     box = None if init is None else following.parse_box(init)
     frames = FrameSource.open(source)
-    rate, ground = camera.rate(frames), camera.on_ground()
+    clock, ground = camera.clock(frames), camera.on_ground()
     parameters = parameters_of(tracker, as_in_the_paper=as_in_the_paper)
     if pan_limit is not None and hasattr(parameters, "pan_limit"):
         parameters = replace(parameters, pan_limit=math.radians(pan_limit))
@@ -103,12 +103,12 @@ def follow(
     def guide(first: Box) -> GraphGuide:
         from perception.follow.guidance import GraphGuide
 
-        return GraphGuide(on_ground(first), follower.pan_classes, fps=rate)
+        return GraphGuide(on_ground(first), follower.pan_classes, clock=clock)
 
     refused: list[str] = []
     with (
         progress_bar(frames.count, "frames") as advance,
-        nullcontext() if render is None else pictures(render, rate) as write,
+        nullcontext() if render is None else pictures(render, clock.rate) as write,
     ):
         begun = time.perf_counter()
 
@@ -128,7 +128,7 @@ def follow(
         seconds = time.perf_counter() - begun
         first = next(item.estimate.box for item in found if item.estimate.found)
         track = following.to_track(
-            found, on_ground(first), follower.pan_classes, rate, filtered=head_pose == "filtered"
+            found, on_ground(first), follower.pan_classes, clock, filtered=head_pose == "filtered"
         )
         following.write_boxes(found, track, output)
     print_skipped(refused)

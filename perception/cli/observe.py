@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit
+from graphtrack.cli.console import emit, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import check_adapt, forget, stamp_of_camera, teach
+from perception.cli.adapt import check_adapt, stamp_of_camera, teach
 from perception.cli.options import (
     Boxes,
     CameraOptions,
+    FirstFrame,
     Render,
     VideoOrFolder,
     check_places,
@@ -26,6 +28,7 @@ from perception.cli.options import (
     print_camera_note,
     print_skipped,
     print_written,
+    read_given_boxes,
     stamp_of,
 )
 from perception.cli.searching import (
@@ -33,14 +36,12 @@ from perception.cli.searching import (
     OwnNetworks,
     PeopleSearch,
     find_keypoints,
-    key_of,
-    say_how_far,
+    look_at_people,
     search_journals,
-    with_their_keypoints,
 )
+from perception.storage import key_of
 
 if TYPE_CHECKING:
-    from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
     from perception.observe.live import LiveObserver
@@ -115,6 +116,7 @@ def observe(
     network: NetworkOptions,
     model: ModelOptions,
     boxes: Boxes = None,
+    boxes_first_frame: FirstFrame = None,
     write_boxes_to: Annotated[Path | None, typer.Option("--write-boxes")] = None,
     render: Render = None,
     causal: Annotated[bool | None, typer.Option("--causal/--whole-track")] = None,
@@ -131,14 +133,13 @@ def observe(
     ----------
     output : File to write: .csv, .csv.gz, .parquet or .ndjson; - for NDJSON rows on standard output, frame by
         frame.
-    write_boxes_to : Write the detected boxes here, as MOT text.
+    write_boxes_to : Write the detected boxes here, as MOT text, whose frames count from 1.
     causal : Choose heads from what came before alone, or along whole tracks, and find people by each frame
         alone, or by what all frames teach; the former with -o -, else the latter.
     appearance : Write what people look like (appearance_0 ...), by which they are told apart; on for boxes
         without identities, else off.
     """
     from graphtrack.io.read_write import check_table_name
-    from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
     from perception.observe.live import LiveObserver
 
@@ -167,19 +168,34 @@ def observe(
     frames = FrameSource.open(source)
     refused: dict[str, None] = {}  # what cannot be decoded may be told twice
     networks = network.load(frames)
-    given = None if boxes is None else read_boxes(boxes, refused.setdefault)
+    if boxes is None and boxes_first_frame is not None:
+        raise InputError("--boxes-first-frame without --boxes", "both, or neither")
+    given = None if boxes is None else read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
     identified = given is not None and (not given or given[0].identified)
     if not (identified or streamed):
         check_table_name(output)
     looks = not identified if appearance is None else appearance
     models = model.load(appearance=looks, has_keypoints=networks.has_keypoints)
-    ground, rate = camera.on_ground(), camera.rate(frames)
+    ground = camera.on_ground()
     models = models.seeing(ground, frames.size)
     if streamed:
-        _stream(frames, given, LiveObserver(models, ground, rate, identified=identified), refused, networks)
-    else:
-        run = _Run(frames, rate, ground, output, networks, given, identified, bool(causal), render, refused)
-        run.observe(models, model, camera, write_boxes_to)
+        observer = LiveObserver(models, ground, camera.clock(frames), identified=identified)
+        _stream(frames, given, observer, refused, networks)
+        return
+    _observe_file(
+        frames,
+        given,
+        models,
+        networks,
+        model,
+        camera,
+        output,
+        identified=identified,
+        causal=bool(causal),
+        render=render,
+        write_boxes_to=write_boxes_to,
+        refused=refused,
+    )
 
 
 def _places(output: Path) -> list[Path]:
@@ -187,115 +203,82 @@ def _places(output: Path) -> list[Path]:
     return [output.with_name(f"{output.name}.{name}") for name in ("keypoints", "journal", "camera.npz")]
 
 
-@dataclass
-class _Run:
-    """A run on a whole recording; what it knows so far stays beside the output."""
+def _observe_file(
+    frames: FrameSource,
+    people: list[PersonBox] | None,
+    models: Models,
+    networks: OwnNetworks,
+    chosen: ModelOptions,
+    options_of_camera: CameraOptions,
+    output: Path,
+    *,
+    identified: bool,
+    causal: bool,
+    render: Path | None,
+    write_boxes_to: Path | None,
+    refused: dict[str, None],
+) -> None:
+    """Find people, look at them, and write the table; what is known so far stays beside the output."""
+    from graphtrack.io.read_write import write_table
+    from perception.detection.boxes import Detections, write_boxes
+    from perception.images.pixels import is_video
+    from perception.observe.journal import FrameJournal, while_unfinished
+    from perception.observe.pipeline import SeenFrame
+    from perception.observe.tables import to_detections, to_tracks
 
-    frames: FrameSource
-    rate: float
-    camera: GroundCamera | None
-    output: Path
-    networks: OwnNetworks
-    given: list[PersonBox] | None
-    identified: bool
-    causal: bool
-    render: Path | None
-    refused: dict[str, None]
-
-    def observe(
-        self, models: Models, model: ModelOptions, camera: CameraOptions, write_boxes_to: Path | None
-    ) -> None:
-        """Find people, look at them, and write the table."""
-        from perception.detection.boxes import Detections, write_boxes
-        from perception.images.pixels import is_video
-        from perception.observe import pipeline
-        from perception.observe.journal import FrameJournal
-        from perception.observe.tables import to_detections, to_tracks
-
-        frames, refuse = self.frames, self.refused.setdefault
-        points_place, frames_place, taught_place = _places(self.output)
-        one_size = self.render is not None and is_video(self.render)
-        search = PeopleSearch(
-            frames,
-            self.camera,
-            self.rate,
-            self.output,
-            (*camera.stamps, self.networks.asked),
-            causal=self.causal,
-            one_size=one_size,
-            detector=self.networks.detector,
-        )
-        to, of = Detections.to_record, Detections.from_record
-        points = FrameJournal(points_place, key_of(frames.stamp(), self.networks.asked), to, of)
-        people = self.given
-        if people is None and not self.networks.makes_boxes:  # else boxes are made of keypoints
-            people = search.people(refuse)
-        if self.networks.has_keypoints:
-            numbers = None if people is None else {item.frame for item in people}
-            found = find_keypoints(frames, self.networks, numbers, points, refuse, one_size=one_size)
-            people = with_their_keypoints(people, found, refuse)
+    refuse, given = refused.setdefault, people is not None
+    camera, clock = options_of_camera.on_ground(), options_of_camera.clock(frames)
+    points_place, frames_place, taught_place = _places(output)
+    one_size = render is not None and is_video(render)
+    searched: frozenset[int] = frozenset()
+    with ExitStack() as unfinished:
+        if people is None and not networks.makes_boxes:  # else boxes are made of keypoints
+            asked = (*options_of_camera.stamps, networks.asked)
+            search = PeopleSearch(frames, camera, clock, output, asked, causal, one_size, networks.detector)
+            people, searched = unfinished.enter_context(search.people(refuse))
+        if networks.has_keypoints:
+            key = key_of(frames.stamp(), networks.asked)
+            points = unfinished.enter_context(FrameJournal(points_place, key, Detections))
+            people = find_keypoints(frames, networks, people, points, refuse, one_size=one_size)
+            searched |= frozenset(points)
         assert people is not None
         if write_boxes_to is not None:
-            write_boxes(people, write_boxes_to)
-        own: list[object] = [stamp_of(path) for path in (*model.parts, model.camera_models)]
-        if model.adapt and self.camera is not None:
-            asked = key_of(frames.stamp(), self.rate, people, stamp_of_camera(self.camera))
-            taught, _ = teach(taught_place, asked, frames, people, self.camera, self.rate, refuse)
-            models, own = replace(models, of_camera=taught).seeing(self.camera, frames.size), [asked]
+            write_boxes(people, write_boxes_to, first=frames.first)
+        own: list[object] = [stamp_of(path) for path in (*chosen.parts, chosen.camera_models)]
+        if chosen.adapt and camera is not None:
+            unfinished.enter_context(while_unfinished(taught_place))
+            own = [key_of(frames.stamp(), clock, people, stamp_of_camera(camera))]
+            taught, _ = teach(taught_place, str(own[0]), frames, people, camera, clock, refuse)
+            models = replace(models, of_camera=taught).seeing(camera, frames.size)
         looked = time.perf_counter()
-        leaning = None if models.view is None else stamp_of_camera(self.camera)
-        asked_of = (model.head_pose, own, people, models.appearance, self.networks.has_keypoints, leaning)
+        leaning = None if models.view is None else stamp_of_camera(camera)
+        asked_of = (chosen.head_pose, own, people, models.appearance, networks.has_keypoints, leaning)
         key = key_of(frames.stamp(), *asked_of)
-        journal = FrameJournal(
-            frames_place, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
-        )
-        journal.open()
-        say_how_far(journal)
+        journal = unfinished.enter_context(FrameJournal(frames_place, key, SeenFrame))
         # Where people were detected, nothing new is to be found in frames without any.
-        looked_at = search.found.keys() | points.frames.keys()
-        empty = set() if self.given is not None else looked_at - {item.frame for item in people}
-        known = frozenset(journal.frames.keys() | empty)
-        seen = journal.frames, models.head_classes, self.camera, self.rate
-        try:
-            left = frames.count - len(known)
-            with decoded_frames(frames, lambda k: k not in known, left, one_size=one_size) as decoded:
-                count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
-            drawn = self.identified or self.render is not None
-            observed = to_tracks(*seen, causal=self.causal) if drawn else None
-            alone = None if self.identified else to_detections(*seen, causal=self.causal)
-        except InputError:  # the same command would end in the same way
-            for one in (journal, search, points):
-                one.close(remove=True)
-            forget(taught_place, model.adapt)
-            raise
-        finally:
-            journal.close(remove=False)
+        empty = frozenset() if given else searched - {item.frame for item in people}
+        count = look_at_people(frames, people, models, journal, refuse, empty, one_size=one_size)
         seconds = time.perf_counter() - looked
-        if self.render is not None:  # what is drawn stays in memory
-            assert observed is not None
-            _render(frames, observed, journal.frames, self.render, self.rate)
-        if alone is not None:
-            from graphtrack.io.read_write import write_table
-
-            write_table(alone.columns, self.output)
+        seen = journal, models.head_classes, camera, clock
+        drawn = identified or render is not None
+        observed = to_tracks(*seen, causal=causal) if drawn else None
+        if not identified:
+            alone = to_detections(*seen, causal=causal)
+            write_table(alone.columns, output)
             left_out, said = alone.refused, counted(len(alone.number), "detection")
-        else:
-            from graphtrack.io import write
-
-            assert observed is not None
-            people_seen = observed.tracks
-            write(people_seen, self.output)
-            left_out = people_seen.summary.refused
-            said = f"{counted(people_seen.n_frames, 'person-frame')} in {counted(len(people_seen), 'track')}"
-        for one in (journal, search, points):
-            one.close(remove=True)
-        forget(taught_place, model.adapt)
-        print_skipped(list(self.refused))
-        for reason, times in left_out.items():
-            emit(f"  refused {times}: {reason}")
-        print_camera_note(self.camera)
-        emit(f"observed {said}; {in_time(count, seconds)}")
-        print_written(self.output, self.render)
+        if observed is not None and render is not None:
+            _render(frames, observed, journal, render, clock.rate)
+        if observed is not None and identified:
+            tracks = observed.tracks
+            write_tracks(tracks, output)
+            left_out = tracks.summary.refused
+            said = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
+    print_skipped(refused)
+    for reason, times in left_out.items():
+        emit(f"  refused {times}: {reason}")
+    print_camera_note(camera)
+    emit(f"observed {said}; {in_time(count, seconds)}")
+    print_written(output, render)
 
 
 def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -> None:
@@ -332,7 +315,7 @@ def _stream(
             find = boxes_with_keypoints(find, networks.look)
     for row in observe_live(frames.where(lambda number: True), find, observer, refused.setdefault):
         give(row)
-    print_skipped(list(refused))
+    print_skipped(refused)
     print_camera_note(observer.camera)
 
 

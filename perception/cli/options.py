@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,8 @@ from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.images.frames import Frame, FrameSource
+    from perception.detection.boxes import PersonBox
+    from perception.images.frames import Clock, Frame, FrameSource
 
 _SHOWN = 5
 _FPS = 25.0
@@ -28,10 +29,18 @@ VideoOrFolder = Annotated[
 Boxes = Annotated[
     Path | None,
     typer.Option(
-        help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
-        "people are detected.",
+        help="People's boxes as MOT text, COCO JSON or CAVIAR XML, or a detector's, whose ids are -1; "
+        "without it people are detected.",
         exists=True,
         dir_okay=False,
+    ),
+]
+FirstFrame = Annotated[
+    int | None,
+    typer.Option(
+        "--boxes-first-frame",
+        help="Number that --boxes gives the recording's first frame: by default 1 in MOT text (0 where it "
+        "has a frame 0), and in other formats that of the recording.",
     ),
 ]
 Render = Annotated[
@@ -64,9 +73,11 @@ class CameraOptions:
         """Identity of the files' contents: path, size and time."""
         return stamp_of(self.homography), stamp_of(self.calibration)
 
-    def rate(self, frames: FrameSource) -> float:
-        """Frames a second: those that are asked for, or else the video's."""
-        return self.fps or frames.fps or _FPS
+    def clock(self, frames: FrameSource) -> Clock:
+        """Return the times of frames: by the rate that is asked for, or else by the video."""
+        from perception.images.frames import Clock
+
+        return Clock(self.fps) if self.fps is not None else frames.clock(frames.fps or _FPS)
 
     def on_ground(self) -> GroundCamera | None:
         """The camera; None if the options name none."""
@@ -80,6 +91,20 @@ class CameraOptions:
         if self.homography is None:
             return None
         return GroundCamera.from_homography(read_homography(self.homography))
+
+
+def read_given_boxes(
+    boxes: Path, frames: FrameSource, named: int | None, refuse: Callable[[str], object]
+) -> list[PersonBox]:
+    """Boxes of a file with the frames of a recording; a note is printed on how they belong together.
+
+    ``named``: number that the file gives the recording's first frame; None: see `read_boxes`
+    """
+    from perception.detection.boxes import read_boxes
+
+    return read_boxes(
+        boxes, refuse, first=frames.first, named=named, note=lambda line: emit(f"  note: {line}")
+    )
 
 
 def stamp_of(path: Path | None) -> object:
@@ -146,12 +171,17 @@ def in_time(count: int, seconds: float) -> str:
     return f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)"
 
 
-def print_skipped(reasons: Sequence[str]) -> None:
-    """Say what was left out: the first few reasons, and how many more there are."""
-    for reason in reasons[:_SHOWN]:
-        emit(f"  skipped: {reason}")
-    if len(reasons) > _SHOWN:
-        emit(f"  skipped: {len(reasons) - _SHOWN} more")
+def skipped(reasons: Iterable[str]) -> list[str]:
+    """What was left out in words: the first few reasons, and how many more there are."""
+    every = [f"skipped: {reason}" for reason in reasons]
+    more = len(every) - _SHOWN
+    return [*every[:_SHOWN], f"skipped: {more} more"] if more > 0 else every
+
+
+def print_skipped(reasons: Iterable[str]) -> None:
+    """Print what was left out."""
+    for line in skipped(reasons):
+        emit(f"  {line}")
 
 
 def print_camera_note(camera: GroundCamera | None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -14,20 +13,27 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import PersonHeight, stamp_of_camera, teach
+from perception.cli.adapt import PersonHeight, described, stamp_of_camera, teach
 from perception.cli.observe import ModelOptions
-from perception.cli.options import Boxes, CameraOptions, VideoOrFolder, decoded_frames
+from perception.cli.options import (
+    Boxes,
+    CameraOptions,
+    FirstFrame,
+    VideoOrFolder,
+    decoded_frames,
+    read_given_boxes,
+    skipped,
+)
+from perception.cli.searching import PeopleSearch, look_at_people
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.tracks.track import TrackSet
     from perception.detection.boxes import PersonBox
-    from perception.images.frames import FrameSource
+    from perception.images.frames import Clock, FrameSource
     from perception.report import ReportFolder
 
 _STAGES = 7
-_SHOWN = 10
-"""Things that were left out, which are told; of more the number."""
 
 
 def report(
@@ -36,6 +42,7 @@ def report(
     camera: CameraOptions,
     showing: options.Showing,
     boxes: Boxes = None,
+    boxes_first_frame: FirstFrame = None,
     adapt: Annotated[bool, typer.Option("--adapt/--no-adapt")] = True,
     method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: PersonHeight = 1.7,
@@ -58,7 +65,6 @@ def report(
     """
     from graphtrack.io.atomic import check_distinct
     from perception.adaptation.labels import check_camera
-    from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
     from perception.report import FILES, STAGES, ReportFolder, check_folder
 
@@ -78,12 +84,17 @@ def report(
     known = camera.on_ground()
     if known is not None:
         check_camera(known, frames.size())
-    given = None if boxes is None else read_boxes(boxes)
+    if boxes is None and boxes_first_frame is not None:
+        raise InputError("--boxes-first-frame without --boxes", "both, or neither")
+    refused: dict[str, None] = {}
+    given = None
+    if boxes is not None:
+        given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
     folder = ReportFolder(output, _STAGES, lambda words: emit(words))
     folder.open()
-    run = _Run(folder, frames, camera.rate(frames), known, person_height, seed)
-    run.assumed.append(_of_rate(frames, run.rate, camera.fps))
-    run.find_people(boxes, given)
+    run = _Run(folder, frames, camera.clock(frames), known, person_height, seed)
+    run.assumed.append(_of_rate(frames, run.clock, camera.fps))
+    run.find_people(boxes, given, list(refused))
     run.find_ground(camera.calibration or camera.homography)
     run.teach(adapt)
     run.observe()
@@ -98,9 +109,11 @@ def report(
         run.view(showing)
 
 
-def _of_rate(frames: FrameSource, rate: float, fps: float | None) -> str:
+def _of_rate(frames: FrameSource, clock: Clock, fps: float | None) -> str:
     source = "as given" if fps else "as the video says" if frames.fps else "assumed, since nothing says it"
-    return f"{counted(frames.count, 'frame')}, {rate:g} a second ({source})"
+    if clock.stamps is not None:
+        source = "on average; times are the video's time stamps"
+    return f"{counted(frames.count, 'frame')}, {clock.rate:g} a second ({source})"
 
 
 @dataclass
@@ -109,7 +122,7 @@ class _Run:
 
     folder: ReportFolder
     frames: FrameSource
-    rate: float
+    clock: Clock
     known: GroundCamera | None
     person_height: float
     seed: int
@@ -118,8 +131,8 @@ class _Run:
     to_scale: bool = False
     assumed: list[str] = field(default_factory=list)
 
-    def find_people(self, boxes: Path | None, given: list[PersonBox] | None) -> None:
-        """Stage 1: boxes, of a file or detected."""
+    def find_people(self, boxes: Path | None, given: list[PersonBox] | None, left_out: list[str]) -> None:
+        """Stage 1: boxes, detected or ``given`` by a file, of which some rows were ``left_out``."""
         from perception.detection.boxes import read_boxes, write_boxes
 
         detected = self.folder.file("boxes")
@@ -127,16 +140,19 @@ class _Run:
         def work(key: str) -> list[str]:
             refused: dict[str, None] = {}
             if given is not None:
-                read_boxes(boxes or detected, refused.setdefault)
                 detected.unlink(missing_ok=True)
-                return [f"{len(given)} boxes of {boxes}", *_told(refused)]
-            found = found_people(self.frames, self.known, self.rate, detected, refused.setdefault)
-            if not found:
-                raise InputError("a recording in which nobody is found", "people, or their boxes (--boxes)")
-            write_boxes(found, detected)
-            return [f"{len(found)} boxes of people who were detected", *_told(refused)]
+                return [f"{len(given)} boxes of {boxes}", *skipped(dict.fromkeys(left_out))]
+            search = PeopleSearch(
+                self.frames, self.known, self.clock, detected, (stamp_of_camera(self.known),)
+            )
+            with search.people(refused.setdefault) as (found, _):
+                if not found:
+                    nobody = "a recording in which nobody is found"
+                    raise InputError(nobody, "people, or their boxes (--boxes)")
+                write_boxes(found, detected, first=self.frames.first)
+            return [f"{len(found)} boxes of people who were detected", *skipped(refused)]
 
-        asked = self.frames.stamp(), stamp_of_camera(self.known), self.rate, given
+        asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given
         self.assumed += self.folder.stage("people", asked, () if given else ("boxes",), work)
         self.people = read_boxes(detected) if given is None else given
         if not self.people:
@@ -148,7 +164,7 @@ class _Run:
         """Stage 2: the camera, as given or found out."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
-        from perception.ground.calibration import CalibrationParameters, ViewUnknown, found_view
+        from perception.ground.calibration import ViewUnknown, found_view
 
         place = self.folder.file("calibration")
 
@@ -156,10 +172,9 @@ class _Run:
             place.unlink(missing_ok=True)
             if self.known is not None:
                 return [f"the camera is that of {given}"]
-            parameters = CalibrationParameters(person_height=self.person_height)
             rng = np.random.default_rng(self.seed)
             try:
-                found = found_view(self.people, self.frames.size(), rng, parameters)
+                found = found_view(self.people, self.frames.size(), rng, self.person_height)
             except ViewUnknown as error:
                 height = self.person_height
                 return [
@@ -167,14 +182,7 @@ class _Run:
                     f"median box is {height:g} m high, with no regard to perspective; directions are rough"
                 ]
             found.write(place)
-            view = found.view
-            return [
-                f"the camera is found from {found.boxes} boxes: focal length {view.focal:.0f} ± "
-                f"{found.std['focal']:.0f} pixels, {np.degrees(view.tilt):.1f} ± "
-                f"{np.degrees(found.std['tilt']):.1f}° down, {view.height:.2f} ± {found.std['height']:.2f} m "
-                f"high; distances ± {100 * found.distance_std:.0f} %",
-                *found.notes,
-            ]
+            return [f"the camera is found {described(found)}", *found.notes]
 
         asked = (stamp_of_camera(self.known), str(given), self.person_height, self.seed)
         self.assumed += self.folder.stage("ground", asked, (), work)
@@ -200,19 +208,19 @@ class _Run:
                 return [f"{said}: {'as asked' if not adapt else 'no ground is known'}"]
             refuse, seed = refused.setdefault, self.seed
             models, said = teach(
-                place, key, self.frames, self.people, self.camera, self.rate, refuse, seed=seed
+                place, key, self.frames, self.people, self.camera, self.clock, refuse, seed=seed
             )
             if models is None:
                 place.unlink(missing_ok=True)
             return [said]
 
-        self.assumed += self.folder.stage("models", (adapt, self.rate, self.seed), (), work)
+        self.assumed += self.folder.stage("models", (adapt, self.clock, self.seed), (), work)
 
     def observe(self) -> None:
         """Stage 4: what is seen of everybody, and who is who."""
         from graphtrack.io import write
-        from perception.observe import pipeline
         from perception.observe.journal import FrameJournal
+        from perception.observe.pipeline import SeenFrame
         from perception.observe.tables import associated, numbered, to_detections, to_tracks
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
@@ -223,36 +231,22 @@ class _Run:
             chosen = ModelOptions(camera_models=taught if taught.is_file() else None)
             models = chosen.load(appearance=not identified, has_keypoints=False)
             models = models.seeing(self.camera, self.frames.size)
-            encode, decode = pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
-            journal = FrameJournal(place.with_name(f"{place.name}.journal"), key, encode, decode)
-            journal.open()
-            if journal.frames:
-                emit(f"  going on after {counted(len(journal.frames), 'frame')}")
-            known = frozenset(journal.frames)
-            count = self.frames.count - len(known)
-            try:
-                with decoded_frames(self.frames, lambda k: k not in known, count, one_size=True) as decoded:
-                    pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
-                classes, camera = models.head_classes, self.camera
+            with FrameJournal(place.with_name(f"{place.name}.journal"), key, SeenFrame) as journal:
+                look_at_people(self.frames, self.people, models, journal, refused.setdefault)
+                seen = journal, models.head_classes, self.camera, self.clock
                 if identified:
-                    observed = to_tracks(journal.frames, classes, camera, self.rate).tracks
+                    observed = to_tracks(*seen).tracks
                     beyond = observed.summary.refused
                     tracks = numbered(observed, self.people)
                 else:
-                    found = to_detections(journal.frames, classes, camera, self.rate)
+                    found = to_detections(*seen)
                     beyond = found.refused
                     tracks = associated(found.columns, found.number, self.people)
-            except InputError:  # the same command would end in the same way
-                journal.close(remove=True)
-                raise
-            finally:
-                journal.close(remove=False)
-            write(tracks, place)
-            journal.close(remove=True)
+                write(tracks, place)
             left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
-            return [*tracks.summary.notes, *left_out, *_told(refused)]
+            return [*tracks.summary.notes, *left_out, *skipped(refused)]
 
-        self.assumed += self.folder.stage("observations", self.rate, ("observations",), work)
+        self.assumed += self.folder.stage("observations", self.clock, ("observations",), work)
 
     def estimate(self, method: str) -> None:
         """Stage 5: where everybody is, how they move and point."""
@@ -284,10 +278,10 @@ class _Run:
             count, place = self.frames.count, self.folder.file("video")
             unit = "frames drawn"
             with decoded_frames(self.frames, lambda k: True, count, unit=unit, one_size=True) as decoded:
-                write_video(place, decoded, people, self.camera, self.rate)
+                write_video(place, decoded, people, self.camera, self.clock)
             return []
 
-        self.folder.stage("video", self.rate, ("video",), work)
+        self.folder.stage("video", self.clock, ("video",), work)
 
     def write_page(self, title: str) -> None:
         """Stage 7: the page, the view from above, and what was assumed."""
@@ -328,29 +322,6 @@ class _Run:
             emit(f"wrote {showing.save}; to see it: rerun {showing.save}")
 
     def _read(self, name: str) -> TrackSet:
-        from graphtrack.io import read
+        from graphtrack.io import read_identified
 
-        return read(self.folder.file(name))
-
-
-def found_people(
-    frames: FrameSource,
-    camera: GroundCamera | None,
-    rate: float,
-    output: Path,
-    refuse: Callable[[str], object],
-) -> list[PersonBox]:
-    """People who are detected, as `perception observe` does; a search that was broken off goes on."""
-    from perception.cli.adapt import stamp_of_camera
-    from perception.cli.searching import PeopleSearch
-
-    asked = (stamp_of_camera(camera),)
-    with PeopleSearch(frames, camera, rate, output, asked, one_size=True) as search:
-        return search.people(refuse)
-
-
-def _told(refused: Sequence[str] | dict[str, None]) -> list[str]:
-    """List the first few reasons, and how many more there are."""
-    reasons = list(refused)
-    more = [f"skipped: {len(reasons) - _SHOWN} more"] if len(reasons) > _SHOWN else []
-    return [f"skipped: {reason}" for reason in reasons[:_SHOWN]] + more
+        return read_identified(self.folder.file(name))

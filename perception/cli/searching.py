@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -18,17 +18,18 @@ from graphtrack.cli.console import emit
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.options import decoded_frames, in_time, stamp_of
+from perception.storage import key_of
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.detection.background import Backgrounds
     from perception.detection.boxes import Detections, Detector, PersonBox
     from perception.detection.ground_search import Candidates, GroundSearch
     from perception.detection.rescoring import PersonProbability
     from perception.detection.yolo import NetworkParameters, YoloNetwork
-    from perception.images.frames import Frame, FrameSource
+    from perception.images.frames import Clock, Frame, FrameSource
     from perception.images.pixels import Image
     from perception.observe.journal import FrameJournal
+    from perception.observe.pipeline import Models, SeenFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,61 +135,72 @@ class NetworkOptions:
         return NetworkParameters(size, self.person_class, self.least_score)
 
 
+Refuse = Callable[[str], object]
+"""Takes the reason why a frame or a box is left out."""
+
+
+def searched(
+    frames: FrameSource,
+    journal: FrameJournal[Detections],
+    detect: Callable[[int, Image], Detections],
+    refuse: Refuse,
+    numbers: set[int] | None = None,
+    *,
+    unit: str = "frames searched",
+    one_size: bool,
+) -> int:
+    """Detect people in the frames that the journal has not, into it; return the number of these frames.
+
+    Parameters
+    ----------
+    refuse : takes frames that cannot be decoded
+    numbers : of the frames that may hold somebody; None: all
+    """
+    known, count = frozenset(journal), 0
+
+    def wanted(number: int) -> bool:
+        return number not in known and (numbers is None or number in numbers)
+
+    left = max((frames.count if numbers is None else len(numbers)) - len(known), 0)
+    with decoded_frames(frames, wanted, left, unit=unit, one_size=one_size) as decoded:
+        for frame in decoded:
+            if frame.image is None:
+                refuse(frame.reason)
+            else:
+                journal.add(frame.number, detect(frame.number, frame.image))
+                count += 1
+    return count
+
+
 def say_how_far(journal: FrameJournal[Any]) -> None:
-    """Say how much of it is known, if anything is."""
-    if journal.frames:
-        emit(f"going on after {counted(len(journal.frames), 'frame')}")
+    """Report how many frames are known, if any are."""
+    if journal:
+        emit(f"going on after {counted(len(journal), 'frame')}")
 
 
 def find_keypoints(
     frames: FrameSource,
     networks: OwnNetworks,
-    numbers: set[int] | None,
+    people: list[PersonBox] | None,
     journal: FrameJournal[Detections],
-    refuse: Callable[[str], object],
+    refuse: Refuse,
     *,
     one_size: bool,
-) -> Mapping[int, Detections]:
-    """Keypoints by frame; frames that the journal has are not looked at again.
-
-    Parameters
-    ----------
-    numbers : of the frames that hold somebody; None: any may
-    """
-    if networks.known is not None:
-        return networks.known
-    assert networks.pose is not None
-    start, count = time.perf_counter(), 0
-    try:
-        journal.open()
-        say_how_far(journal)
-        left = (frames.count if numbers is None else len(numbers)) - len(journal.frames)
-
-        def wanted(number: int) -> bool:
-            return number not in journal.frames and (numbers is None or number in numbers)
-
-        with decoded_frames(frames, wanted, left, one_size=one_size) as decoded:
-            for frame in decoded:
-                if frame.image is None:
-                    refuse(frame.reason)
-                else:
-                    journal.add(frame.number, networks.pose.detect(frame.image))
-                    count += 1
-    finally:
-        journal.close(remove=False)
-    emit(f"looked for keypoints in {in_time(count, time.perf_counter() - start)}")
-    return journal.frames
-
-
-def with_their_keypoints(
-    people: list[PersonBox] | None, found: Mapping[int, Detections], refuse: Callable[[str], object]
 ) -> list[PersonBox]:
-    """The same people with their keypoints; where no boxes are known, those of the keypoints.
+    """Return the people with their keypoints; where no boxes are known, those of the keypoints.
 
-    ``refuse`` is told how many have none.
+    ``refuse`` takes how many have none. Frames that the journal has are not looked at again.
     """
     from perception.detection.boxes import boxes_of, with_keypoints
 
+    found = networks.known
+    if found is None:
+        start = time.perf_counter()
+        say_how_far(journal)
+        numbers = None if people is None else {item.frame for item in people}
+        count = searched(frames, journal, networks.look, refuse, numbers, unit="frames", one_size=one_size)
+        emit(f"looked for keypoints in {in_time(count, time.perf_counter() - start)}")
+        found = journal
     if people is None:
         return boxes_of(found, refuse)
     pointed = with_keypoints(people, found)
@@ -198,120 +210,97 @@ def with_their_keypoints(
     return pointed
 
 
-Refuse = Callable[[str], object]
+def look_at_people(
+    frames: FrameSource,
+    people: Iterable[PersonBox],
+    models: Models,
+    journal: FrameJournal[SeenFrame],
+    refuse: Refuse,
+    empty: frozenset[int] = frozenset(),
+    *,
+    one_size: bool = True,
+) -> int:
+    """Look at everybody in the frames that the journal has not, into it; return the number of these frames.
 
+    Parameters
+    ----------
+    empty : frames in which nobody is
+    """
+    from perception.observe import pipeline
 
-def key_of(*asked: object) -> str:
-    """Key of a run, from all that its result depends on."""
-    return hashlib.sha256(repr(asked).encode()).hexdigest()
+    say_how_far(journal)
+    known = frozenset(journal) | empty
+    left = frames.count - len(known)
+    with decoded_frames(frames, lambda number: number not in known, left, one_size=one_size) as decoded:
+        return pipeline.observe(decoded, people, models, journal, refuse=refuse)
 
 
 def search_journals(output: Path) -> list[Path]:
-    """The files beside an output that know how far the search for it came."""
+    """Return the files beside an output that know how far the search for it came."""
     return [output.with_name(f"{output.name}.{name}") for name in ("detections", "taught")]
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class PeopleSearch:
-    """Looks for people in a recording; what is known goes to journals beside the output.
+    """A search for people in a recording.
 
     Attributes
     ----------
     frames : the recording
     camera : over the ground; None: people may have any size
-    fps : frames a second
-    output : of the command
+    clock : times of the frames
+    output : of the command; what is known goes to journals beside it
     asked : what the result depends on besides the frames
     causal : whether a detection depends on its frame alone: without a background, and nothing is learned
     one_size : whether frames of several sizes are refused, as they are with a camera
     detector : of the user's own, for every frame; None: the package's
-    found : by frame, what was found so far
     """
 
     frames: FrameSource
     camera: GroundCamera | None
-    fps: float
+    clock: Clock
     output: Path
     asked: tuple[object, ...] = ()
     causal: bool = False
-    one_size: bool = False
+    one_size: bool = True
     detector: Detector | None = None
-    _journals: list[FrameJournal[Any]] = field(default_factory=list)
 
-    @property
-    def found(self) -> Mapping[int, Detections]:
-        """By frame, what was found so far."""
-        return self._journals[0].frames if self._journals else {}
+    @contextmanager
+    def people(self, refuse: Refuse) -> Iterator[tuple[list[PersonBox], frozenset[int]]]:
+        """Detect people, without identities; and the frames that were searched.
 
-    def people(self, refuse: Refuse) -> list[PersonBox]:
-        """Detect people, without identities; frames that a journal has are not searched again.
-
-        ``refuse`` is told of frames that cannot be decoded.
+        The journals stay where the run is broken off within this context; then frames that they have are not
+        searched again. ``refuse`` takes frames that cannot be decoded.
         """
         from perception.detection.boxes import Detections, boxes_of
+        from perception.detection.hog import PeopleDetector
         from perception.detection.rescoring import PersonProbability
         from perception.observe.journal import FrameJournal
 
-        key = key_of(self.frames.stamp(), self.fps, self.causal, *self.asked)
-        detections, taught = search_journals(self.output)
-        journal = FrameJournal(detections, key, Detections.to_record, Detections.from_record)
-        known = FrameJournal(taught, key, PersonProbability.to_record, PersonProbability.from_record)
-        self._journals = [journal, known]
+        key = key_of(self.frames.stamp(), self.clock, self.causal, *self.asked)
+        of_detections, of_taught = search_journals(self.output)
         started, before = time.process_time(), time.perf_counter()
-        try:
-            journal.open()
+        with ExitStack() as journals:
+            journal = journals.enter_context(FrameJournal(of_detections, key, Detections))
+            taught = journals.enter_context(FrameJournal(of_taught, key, PersonProbability))
             say_how_far(journal)
-            count = len(journal.frames)
-            if self.detector is not None or self.camera is None:
-                self._frame_by_frame(journal, refuse)
+            count = len(journal)
+            if self.detector is None and self.camera is not None:
+                self._on_ground(self.camera, journal, taught, refuse)
             else:
-                self._on_ground(self.camera, journal, known, refuse)
-        except InputError:  # the same command would end in the same way
-            self.close(remove=True)
-            raise
-        finally:
-            self.close(remove=False)
-        count = len(journal.frames) - count
-        spent = (time.process_time() - started) / max(count, 1)
-        emit(
-            f"looked for people in {in_time(count, time.perf_counter() - before)}, "
-            f"{spent:.2f} s of processor time each"
-        )
-        return boxes_of(journal.frames)
+                detector = self.detector or PeopleDetector()
 
-    def __enter__(self) -> Self:
-        return self
+                def find(number: int, image: Image) -> Detections:
+                    return detector.detect(image)
 
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        """The journals stay only where the run was broken off: the same command would refuse as it did."""
-        self.close(remove=kind is None or issubclass(kind, InputError))
-
-    def close(self, *, remove: bool) -> None:
-        """End writing; ``remove`` when the run is complete."""
-        for journal in self._journals:
-            journal.close(remove=remove)
-
-    def _frame_by_frame(self, journal: FrameJournal[Detections], refuse: Refuse) -> None:
-        from perception.detection.hog import PeopleDetector
-
-        detector = self.detector or PeopleDetector()
-        for frame in self._unknown(journal, one_size=self.one_size):
-            if frame.image is None:
-                refuse(frame.reason)
-            else:
-                journal.add(frame.number, detector.detect(frame.image))
-
-    def _unknown(self, journal: FrameJournal[Detections], *, one_size: bool) -> Iterator[Frame]:
-        """The frames that the journal has not, with a progress bar; and where a video ends too early."""
-        known = frozenset(journal.frames)
-        with decoded_frames(
-            self.frames,
-            lambda number: number not in known,
-            max(self.frames.count - len(known), 0),
-            unit="frames searched",
-            one_size=one_size,
-        ) as decoded:
-            yield from decoded
+                searched(self.frames, journal, find, refuse, one_size=self.one_size)
+            count = len(journal) - count
+            spent = (time.process_time() - started) / max(count, 1)
+            emit(
+                f"looked for people in {in_time(count, time.perf_counter() - before)}, "
+                f"{spent:.2f} s of processor time each"
+            )
+            yield boxes_of(journal), frozenset(journal)
 
     def _on_ground(
         self,
@@ -320,71 +309,57 @@ class PeopleSearch:
         known: FrameJournal[PersonProbability],
         refuse: Refuse,
     ) -> None:
-        from perception.detection.rescoring import GroundDetector, PersonProbability
+        from perception.detection.background import Backgrounds, background_samples
+        from perception.detection.rescoring import GroundDetector, PersonProbability, learning_frames
 
-        numbers = self.frames.numbers()
-        rest = set(numbers) - set(journal.frames)
-        backgrounds = self._backgrounds(numbers if rest else [])
-        known.open()
-        probability = known.frames.get(0)
+        numbers, rate = self.frames.numbers(), self.clock.rate
+        rest = set(numbers) - set(journal)
+        samples = [] if self.causal or not rest else background_samples(numbers, rate)
+        wanted = {number for part in samples for number in part}
+        with self._some(wanted, "frames for the background") as decoded:
+            backgrounds = Backgrounds.of(decoded, samples, numbers if rest else [])
         search: GroundSearch | None = None
+
+        def searching(image: Image) -> GroundSearch:
+            nonlocal search
+            search = search or ground_search(camera, image)
+            return search
+
         candidates: dict[int, Candidates] = {}
+        probability = known.get(0)
         if probability is None and rest and not self.causal:
-            search, candidates = self._candidates(camera, numbers, backgrounds, refuse)
+            with self._some(set(learning_frames(numbers, rate)), "frames to learn from") as decoded:
+                for frame in decoded:
+                    if frame.image is None:
+                        refuse(frame.reason)
+                    else:
+                        background = backgrounds.at(frame.number)
+                        candidates[frame.number] = searching(frame.image).candidates(frame.image, background)
             probability = self._taught(camera, candidates)
-        if probability is None:
-            probability = PersonProbability.untaught(foreground=bool(backgrounds.parts))
-        if not known.frames:
+        probability = probability or PersonProbability.untaught(foreground=bool(backgrounds.parts))
+        if not known:
             known.add(0, probability)
         if search is not None:
             detector = GroundDetector(search, probability)
             for number, of_frame in candidates.items():
-                if number not in journal.frames:
+                if number not in journal:
                     journal.add(number, detector.chosen(of_frame))
-        for frame in self._unknown(journal, one_size=True):
-            if frame.image is None:
-                refuse(frame.reason)
-            else:
-                search = search or ground_search(camera, frame.image)
-                detector = GroundDetector(search, probability, backgrounds.at(frame.number))
-                journal.add(frame.number, detector.detect(frame.image))
 
-    def _backgrounds(self, numbers: list[int]) -> Backgrounds:
-        from perception.detection.background import Backgrounds, background_samples
+        def detect(number: int, image: Image) -> Detections:
+            return GroundDetector(searching(image), probability, backgrounds.at(number)).detect(image)
 
-        samples = [] if self.causal else background_samples(numbers, self.fps)
-        wanted = {number for part in samples for number in part}
+        searched(self.frames, journal, detect, refuse, one_size=True)
+
+    def _some(self, wanted: set[int], unit: str) -> AbstractContextManager[Iterator[Frame]]:
+        """Decode some frames, with a progress bar; none at all, if none are wanted."""
         if not wanted:
-            return Backgrounds.of((), samples, numbers)
-        with decoded_frames(
-            self.frames, wanted.__contains__, len(wanted), unit="frames for the background", one_size=True
-        ) as decoded:
-            return Backgrounds.of(decoded, samples, numbers)
+            return nullcontext(iter(()))
+        return decoded_frames(self.frames, wanted.__contains__, len(wanted), unit=unit, one_size=True)
 
-    def _candidates(
-        self, camera: GroundCamera, numbers: list[int], backgrounds: Backgrounds, refuse: Refuse
-    ) -> tuple[GroundSearch | None, dict[int, Candidates]]:
-        """Candidates for people in the frames that are learned from."""
-        from perception.detection.rescoring import learning_frames
-
-        wanted = frozenset(learning_frames(numbers, self.fps))
-        search: GroundSearch | None = None
-        found: dict[int, Candidates] = {}
-        with decoded_frames(
-            self.frames, wanted.__contains__, len(wanted), unit="frames to learn from", one_size=True
-        ) as decoded:
-            for frame in decoded:
-                if frame.image is None:
-                    refuse(frame.reason)
-                    continue
-                search = search or ground_search(camera, frame.image)
-                found[frame.number] = search.candidates(frame.image, backgrounds.at(frame.number))
-        return search, found
-
-    def _taught(self, camera: GroundCamera, candidates: dict[int, Candidates]) -> PersonProbability | None:
+    def _taught(self, camera: GroundCamera, candidates: Mapping[int, Candidates]) -> PersonProbability | None:
         from perception.detection.rescoring import taught
 
-        found = taught(candidates, camera, self.fps, np.random.default_rng(0))
+        found = taught(candidates, camera, self.clock, np.random.default_rng(0))
         if found is None:
             emit(
                 "  note: too few people surely walk: detections are not taught by this recording, and their "
@@ -396,7 +371,7 @@ class PeopleSearch:
 
 
 def ground_search(camera: GroundCamera, image: np.ndarray) -> GroundSearch:
-    """The search in images like this one; a calibration of another size is refused."""
+    """Return the search in images like this one; a calibration of another size is refused."""
     from perception.adaptation.labels import check_camera
     from perception.detection.ground_search import GroundSearch
 

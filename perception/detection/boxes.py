@@ -14,12 +14,12 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import atomic_path
 from graphtrack.io.cameras import with_scores
-from graphtrack.io.formats.caviar import CAVIAR
-from graphtrack.io.formats.caviar import read_boxes as read_caviar_boxes
-from graphtrack.io.formats.mot import read_boxes as read_mot_boxes
+from graphtrack.io.formats.mot import FROM_ZERO, MOT, SHIFTED
 from graphtrack.io.libraries import FoundBoxes, array_of, boxes_of_supervision, boxes_of_ultralytics
-from graphtrack.io.source import Source
-from graphtrack.tracks.table import check_rows
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.read_write import boxes_of_file
+from graphtrack.io.registry import FORMATS
+from graphtrack.tracks.table import Rows, check_rows
 from perception.images.pixels import Image, intersection_over_union
 from perception.pose.keypoints import (
     ANKLES,
@@ -59,13 +59,26 @@ class PersonBox:
     keypoints: Points | None = None
 
 
-def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: None) -> list[PersonBox]:
-    """Boxes of a MOT file or of CAVIAR's ground truth, in their order.
+def read_boxes(
+    path: str | Path,
+    refuse: Callable[[str], object] = lambda reason: None,
+    *,
+    first: int | None = None,
+    named: int | None = None,
+    note: Callable[[str], object] = lambda line: None,
+) -> list[PersonBox]:
+    """Boxes of a file of any format that has some (MOT text, COCO, CAVIAR, Town Centre), in their order.
 
     Where all ids are −1, as those of detections, each box is numbered, from 1 on.
 
-    Rows that the file itself says to leave out (marked to be ignored, of other classes than pedestrians), and
-    those without a box, are counted to ``refuse``.
+    Parameters
+    ----------
+    refuse : receives the counts of rows that the file itself says to leave out (marked to be ignored, of
+        other classes than pedestrians), and of those without a box
+    first : number of the first frame of the recording to which the boxes belong; None: frames are the file's
+    named : number that the file gives that frame; None: 1 in MOT text, unless it has a frame 0, and ``first``
+        in all other formats
+    note : receives a sentence on how the frames of file and recording belong together
 
     Raises
     ------
@@ -73,15 +86,20 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
         With line and column of the first cell that cannot be used, such as a box of zero size or an id of −1
         beside others; and with the line of a person's second box in a frame.
     """
-    source = Source.open(path)
-    of_caviar = CAVIAR.looks_like(source.head, source.path)
-    rows = read_caviar_boxes(source) if of_caviar else read_mot_boxes(source)
+    rows = boxes_of_file(path, None, ReadOptions())
+    if rows is None:
+        formats = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
+        raise InputError("a format of which no boxes are read", f"one of {formats}", path=path)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     if not rows.has_identity:
         rows = replace(with_scores(rows), track_id=np.arange(1, len(rows) + 1))
     check_rows(rows)
     for reason, count in rows.refused.items():
-        refuse(f"{source.path}: {count} {reason}")
+        refuse(f"{rows.path}: {count} {reason}")
+    if first is not None:
+        ahead, line = _numbering(rows, first, named)
+        rows = replace(rows, frame=rows.frame - ahead)
+        note(f"{rows.path}: {line}")
     boxes = rows.channels["box"].tolist()
     sure = rows.channels.get("confidence", np.ones(len(rows))).tolist()
     scores = rows.channels["score"].tolist() if "score" in rows.channels else [None] * len(rows)
@@ -93,19 +111,40 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
     ]
 
 
-def write_boxes(boxes: Iterable[PersonBox], path: str | Path) -> None:
-    """Write MOT text that `read_boxes` and any MOT tool read.
+def _numbering(rows: Rows, first: int, named: int | None) -> tuple[int, str]:
+    """By how much frames of a file are ahead of the recording's, and a sentence on why."""
+    if named is not None:
+        return named - first, f"frame {named} is the first of the recording, as asked for"
+    if SHIFTED in rows.notes:
+        return 0, SHIFTED
+    if rows.format != MOT.name:
+        return 0, "frames are those of the recording"
+    if (rows.frame == 0).any():
+        return 0, "frames begin at 0, not at 1 as in MOT text, and are taken to be those of the recording"
+    if first == 0:
+        return 1, "frame 1 of MOT text is the first of the recording, which is numbered 0"
+    return 0, "frames of MOT text are those of the numbered images"
+
+
+def write_boxes(boxes: Iterable[PersonBox], path: str | Path, *, first: int = 0) -> None:
+    """Write MOT text that `read_boxes` and any MOT tool read: its frames are numbered from 1.
+
+    Parameters
+    ----------
+    first : number of the recording's first frame; of one that begins at 0 frames are written as one more,
+        with the mark `FROM_ZERO` by which readers here know it
 
     Raises
     ------
     InputError
         If the place cannot be written to.
     """
+    ahead, z = (1, FROM_ZERO) if first == 0 else (0, "-1")
     with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
         for item in boxes:
             cells = ",".join(f"{value:.2f}" for value in (*item.box, item.confidence))
             number = item.track_id if item.identified else -1
-            stream.write(f"{item.frame},{number},{cells},-1,-1,-1\n")
+            stream.write(f"{item.frame + ahead},{number},{cells},-1,-1,{z}\n")
 
 
 def boxes_by_frame(boxes: Iterable[PersonBox]) -> dict[int, list[PersonBox]]:
@@ -139,21 +178,6 @@ class Detections:
 
     def __len__(self) -> int:
         return len(self.scores)
-
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        record = {"boxes": self.boxes.tolist(), "scores": self.scores.tolist()}
-        return record if self.points is None else record | {"points": self.points.round(3).tolist()}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Detections:
-        """Invert `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        scores = np.array(values["scores"], float).reshape(-1)
-        boxes = np.array(values["boxes"], float).reshape(len(scores), 4)
-        points = None
-        if "points" in values:
-            points = np.array(values["points"], float).reshape(len(scores), N_POINTS, 3)
-        return cls(boxes, scores, points)
 
 
 class Detector(Protocol):
@@ -292,7 +316,13 @@ def points_of(item: PersonBox) -> FloatArray:
 
 
 def from_supervision(
-    detections: Any, frame: int, *, person: int | None = 0, keypoints: Any = None, first: int = 1
+    detections: Any,
+    frame: int,
+    *,
+    person: int | None = 0,
+    keypoints: Any = None,
+    first: int = 1,
+    refuse: Callable[[str], object] = lambda reason: None,
 ) -> list[PersonBox]:
     """The people of a ``supervision.Detections``, with its tracker's ids where it has any.
 
@@ -303,6 +333,7 @@ def from_supervision(
     person : the class of people; None: all are people
     keypoints : a ``supervision.KeyPoints`` of the same people in the same order
     first : number of the first detection without an id; give other numbers to other frames
+    refuse : receives a sentence for each reason for which boxes are left out, with their number
 
     Raises
     ------
@@ -316,11 +347,16 @@ def from_supervision(
         said = array_of(keypoints, "keypoint_confidence")
         sure = said if said is not None else array_of(keypoints, "confidence")
         points = _joined(places, None if sure is None or sure.ndim != 2 else sure, found.among)
-    return _boxes(found, points, frame, first)
+    return _boxes(found, points, frame, first, refuse)
 
 
 def from_ultralytics(
-    results: Any, frame: int, *, person: int | None = None, first: int = 1
+    results: Any,
+    frame: int,
+    *,
+    person: int | None = None,
+    first: int = 1,
+    refuse: Callable[[str], object] = lambda reason: None,
 ) -> list[PersonBox]:
     """The people of Ultralytics' ``Results`` of one image, with ids and keypoints where it has any.
 
@@ -328,7 +364,7 @@ def from_ultralytics(
     ----------
     results : with ``boxes`` (``xyxy``, ``conf``, ``cls``, ``id``) and perhaps ``keypoints``
     person : the class of people; None: the one that ``results.names`` calls "person", or else 0
-    frame, first : as in `from_supervision`
+    frame, first, refuse : as in `from_supervision`
 
     Raises
     ------
@@ -341,7 +377,7 @@ def from_ultralytics(
     if keypoints is not None and getattr(keypoints, "xy", None) is not None:
         places = array_of(keypoints, "xy", "keypoints with xy")
         points = _joined(places, array_of(keypoints, "conf"), found.among)
-    return _boxes(found, points, frame, first)
+    return _boxes(found, points, frame, first, refuse)
 
 
 def _joined(places: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArray:
@@ -359,7 +395,15 @@ def _joined(places: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArr
     return in_coco_order(np.concatenate([places, sure[..., None]], axis=2), BY_NUMBER[places.shape[1]])
 
 
-def _boxes(found: FoundBoxes, points: FloatArray | None, frame: int, first: int) -> list[PersonBox]:
+def _boxes(
+    found: FoundBoxes,
+    points: FloatArray | None,
+    frame: int,
+    first: int,
+    refuse: Callable[[str], object],
+) -> list[PersonBox]:
+    for reason, count in found.refused.items():
+        refuse(f"frame {frame}: {count} {reason}")
     boxes: list[PersonBox] = []
     identified = found.track_id is not None
     for k, (left, top, width, height) in enumerate(found.box.tolist()):

@@ -6,7 +6,6 @@ not seen the frame.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -32,6 +31,7 @@ from perception.detection.ground_search import (
     strongest,
 )
 from perception.detection.hog import foot_boxes
+from perception.images.frames import Clock, seconds
 from perception.images.pixels import Image
 
 _PARTS = 3  # every third frame is left out at a time
@@ -66,18 +66,6 @@ class Certainty:
         """Probabilities (n,) of log odds (n,), in the same order."""
         beyond = log_odds - np.clip(log_odds, self.said[0], self.said[-1])
         return np.asarray(expit(np.interp(log_odds, self.said, self.found) + _ORDER * beyond), float)
-
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        return {"said": self.said.tolist(), "found": self.found.tolist()}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Self:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        said, found = (np.array(values[name], float) for name in ("said", "found"))
-        if said.ndim != 1 or not len(said) or said.shape != found.shape:
-            raise ValueError("log odds of other shapes")
-        return cls(said, found)
 
 
 def judged_by_other_frames(
@@ -156,32 +144,14 @@ def _without(
 _FRAMES, _RUNS, _STEP = 150, 3, 0.4  # frames to learn from, pieces of the recording, seconds between frames
 
 
-@dataclass(frozen=True)
-class TeachingParameters:
-    """Whom a recording learns from.
-
-    Attributes
-    ----------
-    least_score : of the first filter, for a detection to be associated
-    least_boxes, least_way : detections of a track, and metres from its first to its last place, for it to be
-        surely a person's
-    hit, miss : metres; a candidate so near to a sure track may be that person, one so far from all tracks
-        is nobody
-    least_people : sure tracks, for anything to be learned
-    folds : parts into which people are divided
-    strength : freedom of the weights
-    components : principal components that they act on
-    """
-
-    least_score: float = 1.0
-    least_boxes: int = 5
-    least_way: float = 1.5
-    hit: float = 0.5
-    miss: float = 0.8
-    least_people: int = 6
-    folds: int = 3
-    strength: float = 0.05
-    components: int = 120
+LEAST_BOXES, LEAST_PEOPLE = 5, 6
+"""Detections of a track for it to be surely a person's; such tracks for anything to be learned."""
+_LEAST_SCORE = 1.0  # of the first filter, for a detection to be associated
+_LEAST_WAY = 1.5  # metres from a track's first to its last place, for it to be surely a person's
+_HIT, _MISS = 0.5, 0.8
+"""Metres; a candidate so near to a sure track may be that person, one so far from all tracks is nobody."""
+_FOLDS = 3  # parts into which people are divided
+_STRENGTH, _COMPONENTS = 0.05, 120  # freedom of the weights; principal components that they act on
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,26 +185,6 @@ class PersonProbability:
         """A model of no recording: even where the first filter's scores are 0, or 1 with a background."""
         return cls(np.zeros(FEATURES, np.float32), 0.0, 2.0, 0.0, -2.0 if foreground else 0.0)
 
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        names = ("bias", "first", "taught", "offset", "people", "boxes")
-        weight = base64.b64encode(self.weight.astype("<f4").tobytes()).decode()
-        certainty = None if self.certainty is None else self.certainty.to_record()
-        return {name: getattr(self, name) for name in names} | {"weight": weight, "certainty": certainty}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> PersonProbability:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        weight = np.frombuffer(base64.b64decode(values["weight"], validate=True), "<f4").astype(np.float32)
-        if len(weight) != FEATURES:
-            raise ValueError("weights of another number")
-        bias, first, taught, offset = (float(values[k]) for k in ("bias", "first", "taught", "offset"))
-        known = values["certainty"]
-        certainty = None if known is None else Certainty.from_record(known)
-        return cls(
-            weight, bias, first, taught, offset, int(values["people"]), int(values["boxes"]), certainty
-        )
-
     def of(self, candidates: Candidates) -> FloatArray:
         """Probabilities (n,)."""
         linear = candidates.features.astype(np.float32) @ self.weight + self.bias
@@ -245,9 +195,8 @@ class PersonProbability:
 def taught(
     frames: Mapping[int, Candidates],
     camera: GroundCamera,
-    fps: float,
+    clock: float | Clock,
     rng: np.random.Generator,
-    parameters: TeachingParameters = TeachingParameters(),
 ) -> PersonProbability | None:
     """Learn to tell this camera's people from its background; None where too few surely walk.
 
@@ -265,31 +214,31 @@ def taught(
     )
     place = camera.image_to_ground(foot)
     found = _best_of_frames(numbers, foot, height, score)
-    found = found[score[found] >= parameters.least_score]
+    found = found[score[found] >= _LEAST_SCORE]
     if not len(found):
         return None
     table: dict[str, Any] = {
         "frame": numbers[found],
-        "t": numbers[found] / fps,
+        "t": seconds(numbers[found], clock),
         "x": place[found, 0],
         "y": place[found, 1],
         "score": expit(score[found]),
         "track_id": np.full(len(found), -1),
     }
     tracks = associate(table)
-    label, person = _labels(numbers, place, score, smooth(tracks, "position"), parameters)
+    label, person = _labels(numbers, place, score, smooth(tracks, "position"))
     people = np.unique(person[person >= 0])
-    if len(people) < parameters.least_people or not (label == 0).any():
+    if len(people) < LEAST_PEOPLE or not (label == 0).any():
         return None
     # What is nobody's stays: neighbouring frames show the same, and go to the same part.
     at = np.searchsorted(order, numbers)
-    fold = (at * 10 // (at.max() + 1)) % parameters.folds
-    part = rng.permutation(np.arange(len(people)) % parameters.folds)
+    fold = (at * 10 // (at.max() + 1)) % _FOLDS
+    part = rng.permutation(np.arange(len(people)) % _FOLDS)
     fold[person >= 0] = part[np.searchsorted(people, person[person >= 0])]
     known = np.flatnonzero(np.isfinite(label))
     truth = label[known] == 1
     features = np.vstack([frames[k].features for k in order])[known]
-    weights, biases = zip(*_linear(features, truth, fold[known], parameters), strict=True)
+    weights, biases = zip(*_linear(features, truth, fold[known]), strict=True)
     del features
     # By models that have not seen the person, nor the place at about that time.
     said = np.vstack([frames[k].features.astype(np.float32) @ np.transpose(weights[:-1]) for k in order])
@@ -299,9 +248,9 @@ def taught(
         numbers[best],
         places,
         tracks,
-        radius=parameters.hit,
-        least_boxes=parameters.least_boxes,
-        least_way=parameters.least_way,
+        radius=_HIT,
+        least_boxes=LEAST_BOXES,
+        least_way=_LEAST_WAY,
     )
     sure = np.isfinite(right)
     both = np.column_stack([score, linear])
@@ -342,7 +291,6 @@ def _labels(
     place: FloatArray,
     score: FloatArray,
     tracks: TrackSet,
-    parameters: TeachingParameters,
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Labels of n candidates (1 person, 0 nobody, NaN not known), and the people's tracks, or −1."""
     label, person = np.full(len(numbers), np.nan), np.full(len(numbers), -1)
@@ -351,7 +299,7 @@ def _labels(
     for one in tracks:
         detected = one.observed if one.observed is not None else np.ones(len(one), bool)
         way = float(np.linalg.norm(one.position[-1] - one.position[0]))
-        ways.append(int(detected.sum()) >= parameters.least_boxes and way >= parameters.least_way)
+        ways.append(int(detected.sum()) >= LEAST_BOXES and way >= _LEAST_WAY)
         for frame, position in zip(one.frame.tolist(), one.position, strict=True):
             of_frame.setdefault(frame, []).append((len(ways) - 1, position))
     for number in np.unique(numbers).tolist():
@@ -361,9 +309,9 @@ def _labels(
             label[of] = 0.0
             continue
         away = np.linalg.norm(place[of][:, None] - np.array([at for _, at in there]), axis=2)
-        label[of[away.min(axis=1) > parameters.miss]] = 0.0
+        label[of[away.min(axis=1) > _MISS]] = 0.0
         for column, (track, _) in enumerate(there):
-            near = np.flatnonzero(away[:, column] < parameters.hit)
+            near = np.flatnonzero(away[:, column] < _HIT)
             if ways[track] and len(near):
                 best = of[near[np.argmax(score[of[near]] - 2.0 * away[near, column])]]
                 label[best], person[best] = 1.0, track
@@ -374,19 +322,18 @@ def _linear(
     features: NDArray[np.float16],
     truth: NDArray[np.bool_],
     fold: NDArray[np.int64],
-    parameters: TeachingParameters,
 ) -> Sequence[tuple[FloatArray, float]]:
     """Weights (d,) and bias without each part, and of all."""
     from sklearn.decomposition import PCA
 
     values = features.astype(np.float32)
-    count = min(parameters.components, *(length - 1 for length in values.shape))
+    count = min(_COMPONENTS, *(length - 1 for length in values.shape))
     components = PCA(count, random_state=0, svd_solver="randomized").fit(values)
     reduced = components.transform(values)
     found = []
-    for k in [*range(parameters.folds), None]:
+    for k in [*range(_FOLDS), None]:
         kept = np.ones(len(truth), bool) if k is None else fold != k
-        coefficients = _logistic(reduced[kept], truth[kept], parameters.strength)
+        coefficients = _logistic(reduced[kept], truth[kept], _STRENGTH)
         weight = coefficients[:-1] @ components.components_
         found.append((weight, float(coefficients[-1] - weight @ components.mean_)))
     return found

@@ -20,7 +20,7 @@ from graphtrack.evaluation.identities import score
 from graphtrack.experiments.harness import Cell, Progress, Table, quietly
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io import read
+from graphtrack.io import read_identified
 from graphtrack.io.cameras import read_calibration
 from graphtrack.io.formats.caviar import FPS, lobby_camera
 from graphtrack.smoothing import smooth
@@ -38,8 +38,7 @@ from perception.adaptation.learning import (
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
-from perception.images.frames import FrameSource
-from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+from perception.images.frames import Clock, FrameSource
 from perception.observe.pipeline import Models, SeenPerson, by_frame, observe_frame
 from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
 
@@ -91,10 +90,6 @@ def _sequence(path: Path, folder: Path) -> LobbySequence:
     return LobbySequence(path.stem, Recording(frames, people, FPS), gaze)
 
 
-def _package() -> PackageModels:
-    return PackageModels(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
-
-
 def _ignore(*values: object) -> None:
     """Report neither progress nor boxes that hold nothing."""
 
@@ -105,7 +100,7 @@ def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int]
 
 def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
     """Errors in each sequence by what the others taught."""
-    package = _package()
+    package = PackageModels.load()
     rows = []
     for one in sequences:
         others = [other.recording for other in sequences if other is not one]
@@ -122,7 +117,7 @@ def _sequence_errors(
     camera, recording = lobby_camera(), sequence.recording
     people = recording.people
     view = LeaningView.of(camera, recording.frames.size())
-    labels = walking_labels(people, None, camera, recording.rate, view=view)
+    labels = walking_labels(people, None, camera, recording.clock, view=view)
     walking = {
         (people[k].frame, people[k].track_id): angle
         for k, angle in zip(labels.box.tolist(), labels.angle.tolist(), strict=True)
@@ -145,7 +140,7 @@ def _sequence_errors(
                 head[key] = float(looking.head_classes.mean_pan(seen.pan[:1])[0])
         said[name] = body, head
         if of_camera is not None:
-            smoothed = _smoothed(everybody, of_camera, recording.rate)
+            smoothed = _smoothed(everybody, of_camera, recording.clock)
     body, head = said["taught"]
     return {
         "judged on": sequence.name,
@@ -163,10 +158,12 @@ def _sequence_errors(
     }
 
 
-def _smoothed(seen: list[SeenPerson], models: CameraModels, rate: float) -> dict[tuple[int, int], float]:
+def _smoothed(
+    seen: list[SeenPerson], models: CameraModels, clock: float | Clock
+) -> dict[tuple[int, int], float]:
     """The body as the graph has it, which knows how people move besides, radians in the image frame."""
     camera = lobby_camera()
-    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, rate).tracks
+    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, clock).tracks
     found: dict[tuple[int, int], float] = {}
     for track in estimated(tracks, camera, "smoother", _ignore, models.graph)[0]:
         if track.body is None:
@@ -215,7 +212,7 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
     part_of = np.zeros(len(people), np.int64)
     part_of[labels.box] = fold
     seconds = len(frames.numbers()) / RATE
-    package = _package()
+    package = PackageModels.load()
     seen: list[SeenPerson] = []
     shares: list[float] = []
     for part in range(PARTS):
@@ -239,7 +236,7 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
 def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
     """Position, body and head of those who walk, and identities, by every method of `perception report`."""
     tracks, camera, share = observed_by_others(folder, seed, progress)
-    truth = read(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
+    truth = read_identified(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
     reference = _travel(truth)
     rows = []
     for method in methods:
@@ -300,7 +297,7 @@ def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
                 error = float(np.abs(difference(angle[k], ways[j])))
                 errors[name].append(error)
                 std = track.std(name)
-                if std is not None and np.isfinite(std[k]):
+                if np.isfinite(std[k]):
                     inside[name].append(error <= _BAND * std[k])
     row: dict[str, Cell] = {"rows": len(away), "position (m)": float(np.median(away))}
     for name, values in errors.items():

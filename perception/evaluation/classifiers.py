@@ -10,21 +10,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
-from scipy.special import log_softmax
 
+from graphtrack.experiments.harness import Cell, Table
 from graphtrack.geometry.angles import FloatArray, difference
 from perception.images.pixels import Image
+from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+from perception.pose.boosting import Weak
 from perception.pose.classes import PoseClasses
-from perception.pose.classifier import FeatureClassifier, PoseScores, evaluate, reliability
+from perception.pose.classifier import FeatureClassifier, PoseScores, evaluate
 from perception.pose.deep_belief import DeepBelief
 from perception.pose.exemplars import Density, Exemplars
 from perception.pose.head_detection import HeadLocaliser
-from perception.pose.keypoints import BODY, HEAD, KeypointPose
+from perception.pose.keypoints import KeypointPose
 from perception.synthetic import make_pedestrians
 from perception.synthetic.heads import HeadSet, HeadVariation, make_heads
 from perception.synthetic.people import Appearance, random_appearance
@@ -35,7 +36,14 @@ from perception.synthetic.skeletons import (
     make_skeletons,
     perceived,
 )
-from perception.training import FOUND_AS_WALKING, PUBLISHED, localisation_figures, train_on_rendered
+from perception.training import (
+    FAR,
+    FOUND_AS_WALKING,
+    PUBLISHED,
+    keypoint_figures,
+    localisation_figures,
+    train_on_rendered,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -181,37 +189,22 @@ def softmax_layer(
 
     ``penalty`` is that of the squared weights, for standardised inputs.
     """
+    from sklearn.linear_model import LogisticRegression
+
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
     x = (np.asarray(inputs, float) - mean) / spread
-    rows, size = np.arange(len(labels)), x.shape[1] * n_classes
-
-    def loss(values: FloatArray) -> tuple[float, FloatArray]:
-        weight, bias = values[:size].reshape(-1, n_classes), values[size:]
-        log_p = log_softmax(x @ weight + bias, axis=1)
-        slope = np.exp(log_p)
-        slope[rows, labels] -= 1.0
-        slope /= len(labels)
-        gradient = np.concatenate([(x.T @ slope + penalty * weight).ravel(), slope.sum(axis=0)])
-        return -float(log_p[rows, labels].mean()) + 0.5 * penalty * float(np.sum(weight**2)), gradient
-
-    start = np.zeros(size + n_classes)
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x
-    weight = found[:size].reshape(-1, n_classes) / spread[:, None]
-    return weight, np.asarray(found[size:] - mean @ weight, float)
+    found = LogisticRegression(C=1.0 / (penalty * len(labels)), max_iter=300, tol=1e-5).fit(x, labels)
+    slopes, constants = found.coef_, found.intercept_
+    if len(found.classes_) == 2:  # of which scikit-learn has the difference alone
+        slopes, constants = (np.concatenate([-part, part]) / 2.0 for part in (slopes, constants))
+    weight, bias = np.zeros((x.shape[1], n_classes)), np.full(n_classes, -np.inf)
+    weight[:, found.classes_] = slopes.T / spread[:, None]
+    bias[found.classes_] = constants - mean @ weight[:, found.classes_]
+    return weight, bias
 
 
 ALIGNED = HeadVariation(size=(64, 64), offset=0.0, scale=0.0, roll=0.0, elevation=(0.0, 0.0), shoulders=0.05)
 """Heads as in a studio: tight boxes at the camera's height, tilt set by the caller."""
-
-
-@dataclass(frozen=True)
-class RecognitionRow:
-    """One cell of Ba & Odobez's Tables 1 and 3: recognition rate (mean and 1-σ over the repetitions)."""
-
-    exemplars: int
-    density: Density
-    rate: float
-    deviation: float
 
 
 def recognition_table(
@@ -221,7 +214,7 @@ def recognition_table(
     *,
     repetitions: int = 1,
     as_published: bool = False,
-) -> tuple[list[RecognitionRow], FloatArray]:
+) -> tuple[list[dict[str, Cell]], FloatArray]:
     """Ba & Odobez's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits), rendered.
 
     With ``as_published`` the exemplars are those of `Exemplars.as_published`.
@@ -230,7 +223,8 @@ def recognition_table(
 
     Returns
     -------
-    The rows, and the confusion matrix (9, 9) in percent (Ba & Odobez's Table 2) of two exemplars (or the
+    The rows, with mean and 1-σ of the rate over the repetitions, and the confusion matrix (9, 9) in percent
+    (Ba & Odobez's Table 2) of two exemplars (or the
     last number asked for) with the saturated density, over all repetitions.
     """
     classes = PoseClasses.half_circle()
@@ -253,8 +247,35 @@ def recognition_table(
             rates.setdefault((count, density), []).append(float(np.mean(found == labels[judged])))
             if (count, density) == (shown, "saturated"):
                 np.add.at(confusion, (labels[judged], found), 1.0)
-    rows = [RecognitionRow(*cell, float(np.mean(r)), float(np.std(r))) for cell, r in rates.items()]
+    rows: list[dict[str, Cell]] = [
+        {
+            "exemplars": number,
+            "density": name,
+            "rate_percent": 100.0 * float(np.mean(of_splits)),
+            "deviation": 100.0 * float(np.std(of_splits)),
+        }
+        for (number, name), of_splits in rates.items()
+    ]
     return rows, 100.0 * confusion / confusion.sum(axis=1, keepdims=True)
+
+
+def recognition_tables(rng: np.random.Generator) -> Iterator[Table]:
+    """Yield Ba & Odobez's Tables 1 to 3 on rendered heads."""
+    for title, people, exemplars, repetitions in (
+        ("34 people train, 34 test (Ba & Odobez 2003, Table 1)", 68, (1, 2), 1),
+        ("70 people train, 70 test, 5 splits (Ba & Odobez 2003, Table 3)", 140, (1, 2, 3, 4), 5),
+    ):
+        rows, confusion = recognition_table(people, exemplars, rng, repetitions=repetitions)
+        yield Table.of(f"Recognition of 9 pans: {title}", rows)
+        if repetitions == 1:
+            pans = [f"{degree:g}" for degree in np.arange(-90.0, 91.0, 22.5)]
+            yield Table.of(
+                "Confusion in percent, 2 exemplars, saturated (Ba & Odobez 2003, Table 2)",
+                [
+                    {"true_deg": pan, **dict(zip(pans, row.tolist(), strict=True))}
+                    for pan, row in zip(pans, confusion, strict=True)
+                ],
+            )
 
 
 def _one_of_each(
@@ -280,60 +301,36 @@ _NETWORKS = {
 }
 
 
-def keypoint_table(model: KeypointPose, count: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Rows of errors in degrees and calibration errors: sizes of people, and kinds of networks.
+def keypoint_table(model: KeypointPose, count: int, rng: np.random.Generator) -> Table:
+    """Errors in degrees and calibration errors: sizes of people, and kinds of networks.
 
     Parameters
     ----------
     count : rendered people of each size
     """
-    rows = []
+    rows: list[dict[str, Cell]] = []
+    usual = NetworkErrors()
+
+    def judge(name: str, people: Skeletons, errors: NetworkErrors) -> None:
+        points = perceived(people.points, people.visibility, people.height, rng, errors)
+        rows.append({"people": name, **keypoint_figures(model, points, people.body, people.head)})
+
     sets = [make_rendered_skeletons(count, rng, size) for size in _SIZES]
     for (least, most), people in zip(_SIZES, sets, strict=True):
-        rows.append(_row(f"rendered, {least:g}-{most:g} pixels", model, people, NetworkErrors(), rng))
-    for name, errors in _NETWORKS.items():
-        rows.append(_row(f"rendered, all sizes: {name}", model, joined(sets), errors, rng))
-    drawn = make_skeletons(3 * count, rng, (_SIZES[0][0], _SIZES[-1][1]))
-    rows.append(_row("skeletons as in training", model, drawn, NetworkErrors(), rng))
-    return rows
-
-
-def joined(sets: list[Skeletons]) -> Skeletons:
-    """All people together."""
+        judge(f"rendered, {least:g}-{most:g} pixels", people, usual)
     names = ("points", "visibility", "height", "body", "head")
-    return Skeletons(*(np.concatenate([getattr(people, name) for people in sets]) for name in names))
-
-
-def _row(
-    name: str, model: KeypointPose, people: Skeletons, errors: NetworkErrors, rng: np.random.Generator
-) -> dict[str, Any]:
-    points = perceived(people.points, people.visibility, people.height, rng, errors)
-    found: dict[str, Any] = {"people": name}
-    parts = (("body", BODY, model.body, people.body), ("head", HEAD, model.head, people.head))
-    for part, classes, layers, angle in parts:
-        of_part = _figures(classes, layers.log_likelihoods(points), angle)
-        found |= {f"{part}_{figure}": value for figure, value in of_part}
-    return found
-
-
-def _figures(
-    classes: PoseClasses, log_likelihood: FloatArray, angle: FloatArray
-) -> Iterator[tuple[str, float]]:
-    error = np.degrees(np.abs(difference(classes.mean_pan(log_likelihood), angle)))
-    yield "mean_deg", float(error.mean())
-    yield "median_deg", float(np.median(error))
-    yield "beyond_90_percent", 100.0 * float((error > 90.0).mean())
-    curve = reliability(log_likelihood, classes.index(angle))
-    yield "calibration_error", curve.expected_calibration_error
+    every = Skeletons(*(np.concatenate([getattr(people, name) for people in sets]) for name in names))
+    for name, errors in _NETWORKS.items():
+        judge(f"rendered, all sizes: {name}", every, errors)
+    judge("skeletons as in training", make_skeletons(3 * count, rng, (_SIZES[0][0], _SIZES[-1][1])), usual)
+    return Table.of(f"Body and head by keypoints, {count} rendered people of each size", rows)
 
 
 FORMS = {"ours": False, "as printed": True}
 
 
-def published_beside_ours(
-    train: int, count: int, rng: np.random.Generator, *, seed: int = 0
-) -> dict[str, list[dict[str, str | float]]]:
-    """Rows of figures by model: head localiser, body pose and templates in both forms.
+def published_tables(train: int, count: int, rng: np.random.Generator, *, seed: int = 0) -> Iterator[Table]:
+    """Yield figures of the head localiser, body pose and templates in both forms.
 
     Parameters
     ----------
@@ -344,24 +341,78 @@ def published_beside_ours(
     """
     people = make_pedestrians(count, rng)
     exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
-    rows: dict[str, list[dict[str, str | float]]] = {name: [] for name in PUBLISHED}
+    heads = {
+        "heads of 16-32 pixels": (exact.images, exact.pan),
+        "heads as they are found": (found.images, found.pan),
+    }
+    bodies = {"people of 70-140 pixels": (people.images, people.body)}
     for name in PUBLISHED:
-        for form, as_published in FORMS.items():
-            model = train_on_rendered(
-                name, images=train, test_images=50, seed=seed, as_published=as_published
-            )
+        rows: list[dict[str, Cell]] = []
+        for form, printed in FORMS.items():
+            model = train_on_rendered(name, images=train, test_images=50, seed=seed, as_published=printed)
             if isinstance(model, HeadLocaliser):
-                rows[name].append({"form": form, **localisation_figures(model, people)})
+                rows.append({"form": form, **localisation_figures(model, people)})
                 continue
             assert isinstance(model, FeatureClassifier)
-            if name == "body_pose":
-                sets = {"people of 70-140 pixels": (people.images, people.body)}
-            else:
-                sets = {
-                    "heads of 16-32 pixels": (exact.images, exact.pan),
-                    "heads as they are found": (found.images, found.pan),
-                }
-            for what, (images, angle) in sets.items():
+            for what, (images, angle) in (bodies if name == "body_pose" else heads).items():
                 figures = evaluate(model, images, angle).figures()
-                rows[name].append({"form": form, "images": what, **figures})
-    return rows
+                rows.append({"form": form, "images": what, **figures})
+        title = f"{name}: ours and Chen et al.'s as printed, both trained on {train} rendered images"
+        yield Table.of(title, rows)
+
+
+def localisation_table(count: int, train: int, rng: np.random.Generator) -> Table:
+    """Chen et al.'s Table 1: ``count`` people, by localisers of ``train`` others and the package's."""
+    people, judged = make_pedestrians(train, rng), make_pedestrians(count, rng)
+    models = {"the package's (differential)": load_head_localiser()}
+    kinds: tuple[Weak, ...] = ("differential", "fisher")
+    for weak in kinds:
+        model = HeadLocaliser(weak)
+        models[f"{weak}, trained on {train}"] = model.fit(people.images, people.head_box)
+    rows: list[dict[str, Cell]] = [
+        {"head localiser": name, **localisation_figures(model, judged)} for name, model in models.items()
+    ]
+    for printed in (
+        ("differential, paper (real pictures)", 0.60, 0.64, 2.3),
+        ("Fisher, paper (real pictures)", 0.58, 0.65, 3.0),
+    ):
+        rows.append(dict(zip(rows[0], printed, strict=True)))
+    return Table.of(f"Head localisation on {count} rendered people (Chen et al. 2011, Table 1)", rows)
+
+
+def pose_tables(count: int, rng: np.random.Generator) -> tuple[list[Table], Figure]:
+    """Errors and calibration of all classifiers on ``count`` rendered images each, and their reliability.
+
+    Also the confusion and the rates of the network (Baxter et al. 2014, Fig. 3).
+    """
+    exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
+    near, far = make_pedestrians(count, rng), make_pedestrians(count, rng, FAR)
+    sets: list[tuple[str, str, list[Image], FloatArray]] = []
+    for name in HEAD_POSE:
+        sets += [(name, "heads of 16-32 pixels", exact.images, exact.pan)]
+        sets += [(name, "heads as they are found", found.images, found.pan)]
+    sets += [("body_pose", "people of 70-140 pixels", near.images, near.body)]
+    sets += [("body_pose", "people of 24-80 pixels", far.images, far.body)]
+    rows: list[dict[str, Cell]] = []
+    scores: dict[str, PoseScores] = {}
+    degrees: dict[str, FloatArray] = {}
+    for name, what, images, angle in sets:
+        model = load_classifier(name)
+        result = evaluate(model, images, angle)
+        scores.setdefault(name, result)
+        degrees.setdefault(name, np.rad2deg(model.classes.pan))
+        rows.append({"classifier": name, "images": what, **result.figures()})
+    confusion, names = scores["deep_belief"].confusion, degrees["deep_belief"]
+    percent = (100 * confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1)).round()
+    confused: list[dict[str, Cell]] = [
+        {
+            "true_deg": f"{degree:.0f}",
+            **{f"{other:.0f}": int(value) for other, value in zip(names, row, strict=True)},
+            "TPR": float(hit),
+            "FPR": float(false_alarm),
+        }
+        for degree, row, hit, false_alarm in zip(names, percent, *class_rates(confusion), strict=True)
+    ]
+    title = "deep_belief, heads of 16-32 pixels: confusion in percent and rates (Baxter et al. 2014, Fig. 3)"
+    errors = Table.of(f"Errors and calibration on {count} rendered images each", rows)
+    return [errors, Table.of(title, confused)], reliability_figure(scores, degrees)

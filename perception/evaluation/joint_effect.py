@@ -9,13 +9,15 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
-from graphtrack.experiments.chen_joint import ANGLES, WITH_FULL, Scores, most_likely_error
+from graphtrack.experiments.chen_joint import ANGLES, PAPER, WITH_FULL, Scores, most_likely_error
+from graphtrack.experiments.harness import Cell, Table
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import Track, TrackSet
+from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import (
     Models,
     SeenPerson,
@@ -26,7 +28,7 @@ from perception.observe.pipeline import (
     observe_frame,
 )
 from perception.observe.tables import to_tracks
-from perception.synthetic.clips import Clip
+from perception.synthetic.clips import Clip, walking_clip
 
 LAG = 2.0
 """Seconds that the online graphs keep open, as `graphtrack track` does."""
@@ -141,14 +143,14 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     for track in causal.tracks:
         if len(track) < LEAST_FRAMES:
             continue
-        key, truth = track.track_id, clip.truth[track.track_id]
+        key, truth = track.track_id, clip.truth.by_id(track.track_id)
         heads = causal.heads[key]
         of_track = sorted((item for item in seen if item.track_id == key), key=lambda item: item.frame)
         items = [item for item in of_track if is_on_ground(item, clip.camera)]
         found.append(
             ObservedPerson(
                 track,
-                whole[key],
+                whole.by_id(key),
                 Track(key, **channels_of(items, heads, classes, clip.camera, clip.fps, in_image=True)),
                 truth[np.searchsorted(truth.frame, track.frame)],
                 clip.camera,
@@ -194,7 +196,7 @@ def _errors(person: ObservedPerson, method: Method, model: Model) -> FloatArray:
     return np.asarray(np.degrees(np.mean(of_seeds, axis=0)), float)
 
 
-def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, str | float]]:
+def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, Cell]]:
     """Mean errors in degrees of body and head over the people of clips, with their standard errors.
 
     Returns
@@ -203,10 +205,10 @@ def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, str | 
     track; then one for each method of `METHODS` with each of its presets.
     """
     found = joint_scores("clips", [person for clip in clips for person in people_of(clip, models)])
-    rows: list[dict[str, str | float]] = []
+    rows: list[dict[str, Cell]] = []
     for preset, name in dict.fromkeys(key[:2] for key in found.errors):
         per_frame = preset == "observation"
-        row: dict[str, str | float] = {
+        row: dict[str, Cell] = {
             "estimate": "per frame" if per_frame else name,
             "model": ("heads of the whole track" if name else "") if per_frame else preset,
             "group": ("offline" if name else "online") if per_frame else METHODS[name].group,
@@ -217,3 +219,16 @@ def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, str | 
             row[f"{angle} ±"] = float(errors.std() / np.sqrt(len(errors)))
         rows.append({**row, "people": found.people})
     return rows
+
+
+def joint_table(clips: int, head_pose: str, rng: np.random.Generator) -> Table:
+    """Chen et al.'s Table 2 on rendered clips, with heads by a classifier of the package."""
+    models = Models(load_head_localiser(), load_classifier("body_pose"), load_classifier(head_pose))
+    rows = joint_effect((walking_clip(rng) for _ in range(clips)), models)
+    for name, values in PAPER.items():
+        of_paper = dict(zip(("body_deg", "head_deg"), values, strict=True))
+        rows.append(
+            {**dict.fromkeys(rows[0], ""), "estimate": f"paper, {name}", "group": "online", **of_paper}
+        )
+    title = f"Mean errors on {clips} rendered clips, heads by {head_pose} (Chen et al. 2011, Table 2)"
+    return Table.of(title, rows)

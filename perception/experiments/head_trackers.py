@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +21,7 @@ from graphtrack.io.formats.towncentre import FPS
 from graphtrack.model import Model
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
-from perception.evaluation.classifiers import RecognitionRow, recognition_table
+from perception.evaluation.classifiers import recognition_table
 from perception.experiments.street_heads import STEP, WALKING, head_boxes, labelled_runs
 from perception.follow.following import Followed, follow, to_track
 from perception.follow.ground import PERSON_IN_HEADS, BoxCamera
@@ -32,7 +33,7 @@ from perception.pose.exemplars import Density
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
-from perception.trackers.mixed_state import ColourMemory, MixedStateParameters, MixedStateTracker
+from perception.trackers.mixed_state import MEMORY, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal, Tracker
 
 
@@ -118,14 +119,12 @@ SEQUENTIAL, REMEMBERED = "colour, then pose", "colour with memory, then pose"
 JOINT, AS_PRINTED = "mixed-state", "mixed-state, as in the paper"
 OUR_EXEMPLARS = "mixed-state, as in the paper with our exemplars"
 
-_MEMORY = ColourMemory().rate
-
 METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
     SEQUENTIAL: lambda exemplars, seed: ColourTracker(
         ColourParameters.of_the_paper(), exemplars=exemplars, seed=seed
     ),
     REMEMBERED: lambda exemplars, seed: ColourTracker(
-        ColourParameters(rate=_MEMORY), exemplars=exemplars, seed=seed
+        ColourParameters(rate=MEMORY), exemplars=exemplars, seed=seed
     ),
     AS_PRINTED: lambda exemplars, seed: MixedStateTracker(MixedStateParameters.of_the_paper(), seed=seed),
     OUR_EXEMPLARS: lambda exemplars, seed: MixedStateTracker(
@@ -224,7 +223,7 @@ def followed(tracker: Tracker, clip: HeadClip, *, guided: bool = False) -> list[
     left, top, width, height = (float(value) for value in clip.boxes[0])
 
     def guide(first: Box) -> GraphGuide:
-        return GraphGuide(BoxCamera.from_box(first, PERSON_IN_HEADS), tracker.pan_classes, fps=clip.fps)
+        return GraphGuide(BoxCamera.from_box(first, PERSON_IN_HEADS), tracker.pan_classes, clock=clip.fps)
 
     frames = (Frame(k, image) for k, image in enumerate(clip.images))
     box = (left, top, width, height)
@@ -442,8 +441,8 @@ exemplars."""
 _EXEMPLARS = {68: (1, 2), 140: (1, 2, 3, 4)}
 
 
-def still_heads(settings: Settings) -> tuple[Table, Table, FloatArray]:
-    """Tables 1 and 3 in one, Table 2, and our confusion matrix (9, 9) in per cent, in the order of `PANS`."""
+def still_heads(settings: Settings) -> tuple[Table, Table]:
+    """Tables 1 and 3 in one, and Table 2."""
     splits = 2 if settings.quick else 10
     records: list[dict[str, Cell]] = []
     confusion = np.zeros((len(PANS), len(PANS)))
@@ -458,17 +457,17 @@ def still_heads(settings: Settings) -> tuple[Table, Table, FloatArray]:
         if k == 0:
             confusion = found[::-1, ::-1]
     named = Table.of("Identification of nine pans (Ba & Odobez 2003, Tables 1 and 3)", records)
-    return named, _confusions(confusion), confusion
+    return named, _confusions(confusion)
 
 
-def _record(people: int, row: RecognitionRow, printed: RecognitionRow) -> dict[str, Cell]:
+def _record(people: int, row: Mapping[str, Any], printed: Mapping[str, Any]) -> dict[str, Cell]:
     return {
         "people learned from": people // 2,
-        "exemplars a pose": row.exemplars,
-        "density": row.density,
-        "paper (%)": _PAPER.get((people, row.density, row.exemplars)),
-        "ours (%)": f"{100.0 * row.rate:.1f} ± {100.0 * row.deviation:.1f}",
-        "as printed (%)": f"{100.0 * printed.rate:.1f} ± {100.0 * printed.deviation:.1f}",
+        "exemplars a pose": row["exemplars"],
+        "density": row["density"],
+        "paper (%)": _PAPER.get((people, row["density"], row["exemplars"])),
+        "ours (%)": f"{row['rate_percent']:.1f} ± {row['deviation']:.1f}",
+        "as printed (%)": f"{printed['rate_percent']:.1f} ± {printed['deviation']:.1f}",
     }
 
 

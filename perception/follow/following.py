@@ -17,7 +17,7 @@ from graphtrack.tracks.schema import BOX_COLUMNS, TILT_COLUMN
 from graphtrack.tracks.track import HEAD_CLASSES, Track, TrackSet, to_columns
 from perception.detection.hog import PeopleDetector
 from perception.follow.ground import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
-from perception.images.frames import Frame, FrameSource, of_one_size
+from perception.images.frames import Clock, Frame, FrameSource, of_one_size, seconds
 from perception.images.pixels import Image, as_uint8, crop
 from perception.models import load_head_localiser
 from perception.pose.classes import PoseClasses
@@ -195,7 +195,7 @@ def to_track(
     found: Sequence[Followed],
     boxes: BoxCamera,
     pan_classes: PoseClasses | None,
-    fps: float,
+    clock: float | Clock,
     *,
     filtered: bool = False,
     track_id: int = 0,
@@ -208,6 +208,7 @@ def to_track(
     Parameters
     ----------
     pan_classes : of the tracker; None for one without pans
+    clock : times of the frames, or frames a second
     filtered : whether the likelihoods are the tracker's own distribution of the pan, rather than what each
         frame says by itself, to which the graph adds what comes before and after; see `BoxCamera.sighting`
     """
@@ -223,7 +224,7 @@ def to_track(
     return Track(
         track_id,
         frame,
-        frame / fps,
+        seconds(frame, clock),
         position,
         position_std=std,
         pixel=pixel,

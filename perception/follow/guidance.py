@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from graphtrack.model import Model, Observation, Parameters
 from graphtrack.model.parameters import MotionParameters, steady
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from perception.follow.ground import BoxCamera
+from perception.images.frames import Clock, seconds
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal
 
@@ -25,69 +25,49 @@ two seconds. The package's own models expect people who turn and run, and soon s
 _WIDEST = 1e4  # pixels: a prediction that is less sure than that says nothing
 
 
-@dataclass(frozen=True)
-class DoubtParameters:
-    """When an estimate is not believed.
-
-    Attributes
-    ----------
-    forget : box widths that the target had to go when it is lost; what was said since is forgotten
-    forget_at_most : seconds
-    deviations : an estimate is doubted when the log-odds of its confidence (the median of some frames) are
-        so many standard deviations below what they were
-    least_deviation : the standard deviation is taken to be at least this
-    memory, recent : seconds over which those log-odds and the newest frames go
-    warm_up : seconds at the beginning that are believed and not learned from, since the first box is the
-        tracker's own pattern
-    regain : seconds through which a target that was lost must be found before it is believed
-    gate : it must then be where it is expected, and have moved as expected, within so many deviations
-    patience : seconds after which what is found is believed, whatever it is
-    """
-
-    forget: float = 0.4
-    forget_at_most: float = 1.0
-    deviations: float = 3.0
-    least_deviation: float = 0.4
-    memory: float = 4.0
-    recent: float = 0.2
-    warm_up: float = 0.4
-    regain: float = 0.3
-    gate: float = 2.5
-    patience: float = 2.5
-
-
+FORGET, _FORGET_AT_MOST = 0.4, 1.0
+"""Box widths that the target had to go when it is lost, and seconds: what was said since is forgotten."""
+DEVIATIONS, _LEAST_DEVIATION = 3.0, 0.4
+"""An estimate is doubted when the log-odds of its confidence (the median of some frames) are so many standard
+deviations, which are taken to be at least so large, below what they were."""
+_MEMORY, _RECENT = 4.0, 0.2  # seconds over which those log-odds and the newest frames go
+_WARM_UP = 0.4
+"""Seconds at the beginning that are believed and not learned from, since the first box is the tracker's own
+pattern."""
+_REGAIN, _GATE, PATIENCE = 0.3, 2.5, 2.5
+"""Seconds through which a target that was lost must be found before it is believed; deviations within which
+it must then be where it is expected, and have moved so; seconds after which it is believed, whatever it
+is."""
 _FEWEST = 8  # frames from which a deviation is learned
 
 
 class Doubt:
-    """The log-odds of a tracker's confidence while it was believed; see `DoubtParameters`."""
+    """The log-odds of a tracker's confidence while it was believed."""
 
-    def __init__(self, parameters: DoubtParameters = DoubtParameters()) -> None:
-        self.parameters = parameters
+    def __init__(self) -> None:
         self._learned: deque[tuple[float, float]] = deque()
         self._recent: deque[tuple[float, float]] = deque()
         self._first: float | None = None
 
     def sure(self, confidence: float, t: float) -> bool:
         """Return whether a confidence (0…1) at ``t`` seconds is as high as those learned from."""
-        p = self.parameters
         odds = float(logit(np.clip(confidence, 1e-9, 1.0 - 1e-9)))
         if self._first is None:
             self._first = t
-        if t - self._first < p.warm_up:
+        if t - self._first < _WARM_UP:
             return True
-        _append(self._recent, (t, odds), t - p.recent)
+        _append(self._recent, (t, odds), t - _RECENT)
         if len(self._learned) < _FEWEST:
             return True
         known = np.array([value for _, value in self._learned])
         middle = np.median(known)
-        deviation = max(1.4826 * float(np.median(np.abs(known - middle))), p.least_deviation)
-        return bool(np.median([value for _, value in self._recent]) >= middle - p.deviations * deviation)
+        deviation = max(1.4826 * float(np.median(np.abs(known - middle))), _LEAST_DEVIATION)
+        return bool(np.median([value for _, value in self._recent]) >= middle - DEVIATIONS * deviation)
 
     def learn(self) -> None:
         """Learn from the newest estimate, which was believed."""
         if self._recent:
-            _append(self._learned, self._recent[-1], self._recent[-1][0] - self.parameters.memory)
+            _append(self._learned, self._recent[-1], self._recent[-1][0] - _MEMORY)
 
     def start_again(self) -> None:
         """Forget what was learned."""
@@ -115,10 +95,9 @@ class GraphGuide:
     ----------
     boxes : from boxes to the ground
     pan_classes : of the tracker; None for one without pans
-    fps : frames a second
+    clock : times of the frames, or frames a second
     model : of the graph; by default `GUIDE_MODEL`
     lag : seconds of history that the graph keeps open
-    doubt : when estimates are not taken in
 
     Attributes
     ----------
@@ -130,13 +109,12 @@ class GraphGuide:
         boxes: BoxCamera,
         pan_classes: PoseClasses | None = None,
         *,
-        fps: float = 25.0,
+        clock: float | Clock = 25.0,
         model: Model | str | Path = GUIDE_MODEL,
         lag: float = 2.0,
-        doubt: DoubtParameters = DoubtParameters(),
     ) -> None:
-        self.boxes, self.pan_classes, self.fps = boxes, pan_classes, fps
-        self._doubt = Doubt(doubt)
+        self.boxes, self.pan_classes, self.clock = boxes, pan_classes, clock
+        self._doubt = Doubt()
         self._new_smoother = lambda: OnlineSmoother(model, engine="chain", lag=lag)
         self._smoother = self._new_smoother()
         self._last: Estimate | None = None
@@ -149,7 +127,7 @@ class GraphGuide:
 
     def observe(self, frame: int, estimate: BoxEstimate) -> None:
         """Take in what the tracker says of a frame, by its number."""
-        t = frame / self.fps
+        t = float(seconds(frame, self.clock))
         observation = Observation(t)
         if estimate.found and self._doubt.sure(estimate.confidence, t):
             seen = self.boxes.sighting(estimate, self.pan_classes)
@@ -161,14 +139,14 @@ class GraphGuide:
                 )
         if observation.position is None and self._lost_at is None and self._seen:
             self._lost_at = t
-            self._forget(self._doubt.parameters.forget * estimate.box[2])
+            self._forget(FORGET * estimate.box[2])
         if observation.position is None:
             self._again.clear()
         elif self._lost_at is not None:
             self._again.append(observation)
             if self._is_target():
                 self._lost_at = None
-            elif t - self._lost_at > self._doubt.parameters.patience:
+            elif t - self._lost_at > PATIENCE:
                 self._lost_at = None
                 self._doubt.start_again()
             else:
@@ -186,10 +164,9 @@ class GraphGuide:
 
     def _is_target(self) -> bool:
         """Return whether a target found again is where it is expected, and moves as it did."""
-        p = self._doubt.parameters
         first, newest = self._again[0], self._again[-1]
         since = newest.t - first.t
-        if self._last is None or since < p.regain:
+        if self._last is None or since < _REGAIN:
             return False
         assert first.position and newest.position and first.position_std and newest.position_std
         density = self._smoother.model.parameters.motion.acceleration_density
@@ -200,13 +177,13 @@ class GraphGuide:
         of_move = since**2 * self._last.covariance[2:4, 2:4]
         of_move = of_move + (first.position_std**2 + newest.position_std**2) * np.eye(2)
         distances = [d @ np.linalg.solve(c, d) for d, c in ((away, covariance), (moved, of_move))]
-        return bool(max(distances) < p.gate**2)
+        return bool(max(distances) < _GATE**2)
 
     def _forget(self, width: float) -> None:
         """Go back to when the target was ``width`` pixels from where it was last seen."""
         seen = list(self._seen)
         _, last, centre = seen[-1]
-        from_there = last.t - self._doubt.parameters.forget_at_most
+        from_there = last.t - _FORGET_AT_MOST
         for _, observation, before in seen:
             if np.linalg.norm(before - centre) > width:
                 from_there = max(from_there, observation.t)
@@ -227,7 +204,7 @@ class GraphGuide:
         if self._last is None or self._last.status == "waiting":
             return None
         density = self._smoother.model.parameters.motion.acceleration_density
-        position, covariance = _moved(self._last, frame / self.fps - self._last.t, density)
+        position, covariance = _moved(self._last, float(seconds(frame, self.clock)) - self._last.t, density)
         centre = self.boxes.box_centre(position, self._height)
         if not np.isfinite(centre).all():
             return None

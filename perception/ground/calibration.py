@@ -83,33 +83,13 @@ class ViewUnknown(InputError):
     """Boxes that do not tell how the camera looks at the ground."""
 
 
-@dataclass(frozen=True)
-class CalibrationParameters:
-    """Limits of what is enough to tell a view.
-
-    Attributes
-    ----------
-    person_height : metres, of people (or rather of what boxes enclose) on average
-    least_people, least_boxes : below, nothing is said
-    most_boxes : of which a view is fitted
-    least_growth : of the boxes' heights, the 95th percentile over the 5th
-    largest_focal, largest_distance : relative 1-σ of focal length and ground distances, beyond which nothing
-        is said
-    largest_tilt : 1-σ in radians, likewise
-    wide : share of these three beyond which it is said that the view tells little
-    least_inliers : share of the boxes whose heights follow the view
-    """
-
-    person_height: float = PERSON_HEIGHT
-    least_people: int = 6
-    least_boxes: int = 20
-    most_boxes: int = 3000
-    least_growth: float = 1.15
-    largest_focal: float = 0.45
-    largest_distance: float = 0.3
-    largest_tilt: float = float(np.deg2rad(9.0))
-    wide: float = 0.5
-    least_inliers: float = 0.5
+# What is enough to tell a view.
+_LEAST_PEOPLE, _LEAST_BOXES, _MOST_BOXES = 6, 20, 3000
+_LEAST_GROWTH = 1.15  # of the boxes' heights, the 95th percentile over the 5th
+_LARGEST_FOCAL, _LARGEST_TILT, _LARGEST_DISTANCE = 0.45, float(np.deg2rad(9.0)), 0.3
+"""1-σ of focal length (relative), tilt (radians) and ground distances (relative), at most."""
+_WIDE = 0.5  # share of these beyond which the view is reported to tell little
+_LEAST_INLIERS = 0.5  # share of the boxes whose heights follow the view
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +147,7 @@ def found_view(
     boxes: Sequence[PersonBox],
     size: tuple[int, int],
     rng: np.random.Generator,
-    parameters: CalibrationParameters = CalibrationParameters(),
+    person_height: float = PERSON_HEIGHT,
 ) -> FoundView:
     """The view of a camera over the ground, by how high the boxes of people are at each place.
 
@@ -178,6 +158,7 @@ def found_view(
     boxes : of people, some of whom may be false; with identities or without
     size : columns and rows of the image
     rng : chooses among more boxes than are needed
+    person_height : metres, of people (or rather of what boxes enclose) on average
 
     Raises
     ------
@@ -191,18 +172,18 @@ def found_view(
     box = np.array([item.box for item in boxes], float).reshape(-1, 4)
     kept = np.flatnonzero(whole(box, size))
     who = people_of(boxes)[kept]
-    places = thinned(who, parameters.most_boxes, rng)
+    places = thinned(who, _MOST_BOXES, rng)
     kept, who = kept[places], np.unique(who[places], return_inverse=True)[1]
     people = int(who.max(initial=-1)) + 1
-    if people < parameters.least_people or len(kept) < parameters.least_boxes:
+    if people < _LEAST_PEOPLE or len(kept) < _LEAST_BOXES:
         raise ViewUnknown(
             f"{len(kept)} whole boxes of {people} people: the view does not tell the ground",
-            f"at least {parameters.least_boxes} of {parameters.least_people}, or a calibration",
+            f"at least {_LEAST_BOXES} of {_LEAST_PEOPLE}, or a calibration",
         )
     feet = np.array([foot_point(item.box) for item in boxes])[kept] - np.array(size) / 2.0
     height = box[kept, 3]
     low, high = np.percentile(height, [5.0, 95.0])
-    if high < parameters.least_growth * low:
+    if high < _LEAST_GROWTH * low:
         raise ViewUnknown(
             f"people all at one depth, in boxes of {low:.0f} to {high:.0f} pixels: "
             "the view does not tell the ground",
@@ -211,8 +192,8 @@ def found_view(
     fit = fitted(HeightData(feet, height, who, people, float(max(size))))
     draws = rng.multivariate_normal(fit.vector, fit.covariance, _DRAWS)
     distance_std = _distance_std(draws, fit.vector, feet, size, rng)
-    _check_told(fit, distance_std, parameters)
-    view = View.from_vector(fit.vector, parameters.person_height)
+    _check_told(fit, distance_std)
+    view = View.from_vector(fit.vector, person_height)
     deviation = np.sqrt(np.diag(fit.covariance)).tolist()
     std = {
         "focal": deviation[0] * view.focal,
@@ -221,7 +202,14 @@ def found_view(
         "height": deviation[3] * view.height,
     }
     return FoundView(
-        view, std, distance_std, size, len(kept), people, fit.inliers, _notes(fit, distance_std, parameters)
+        view,
+        std,
+        distance_std,
+        size,
+        len(kept),
+        people,
+        fit.inliers,
+        _notes(fit, distance_std, person_height),
     )
 
 
@@ -258,9 +246,9 @@ def _distance_std(
     return float(np.median((high - low) / 2.0))
 
 
-def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> None:
+def _check_told(fit: Fit, distance_std: float) -> None:
     focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
-    if fit.inliers < parameters.least_inliers or fit.error > 0.3:
+    if fit.inliers < _LEAST_INLIERS or fit.error > 0.3:
         raise ViewUnknown(
             f"boxes whose heights follow no ground plane ({100 * fit.inliers:.0f} % do)",
             "people who stand upright on one plane, before a camera that does not move",
@@ -271,7 +259,7 @@ def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters
             "the heights of boxes do not tell the ground",
             "a camera that looks down by less than 60°, or a calibration",
         )
-    if _share(fit, distance_std, parameters) > 1.0:
+    if _share(fit, distance_std) > 1.0:
         raise ViewUnknown(
             f"boxes that do not tell the ground: focal length ± {100 * focal:.0f} %, tilt ± "
             f"{np.degrees(tilt):.0f}°, distances ± {100 * distance_std:.0f} %",
@@ -279,18 +267,17 @@ def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters
         )
 
 
-def _share(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> float:
+def _share(fit: Fit, distance_std: float) -> float:
     """The largest uncertainty as a share of what is of any use."""
     focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
-    p = parameters
-    return max(focal / p.largest_focal, tilt / p.largest_tilt, distance_std / p.largest_distance)
+    return max(focal / _LARGEST_FOCAL, tilt / _LARGEST_TILT, distance_std / _LARGEST_DISTANCE)
 
 
-def _notes(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> tuple[str, ...]:
+def _notes(fit: Fit, distance_std: float, person_height: float) -> tuple[str, ...]:
     notes = [
-        f"scale: people's boxes are taken to be {parameters.person_height:g} m high on average",
+        f"scale: people's boxes are taken to be {person_height:g} m high on average",
         "the lens is taken to be without distortion, its axis to pass through the middle of the image",
     ]
-    if _share(fit, distance_std, parameters) > parameters.wide:
+    if _share(fit, distance_std) > _WIDE:
         notes.append("this view tells little: more people, nearer and farther ones, would tell more")
     return tuple(notes)

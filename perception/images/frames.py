@@ -6,6 +6,7 @@ files and addresses that a playlist names. So only files that begin as videos do
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -14,8 +15,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.schema import LARGEST_FRAME
 from perception.images.pixels import Image, as_uint8
 
@@ -110,6 +113,64 @@ def is_cut_off(path: Path) -> bool:
     return True
 
 
+_UNEVEN = 0.1  # of the time between frames: time stamps that are off by more are not those of an even rate
+logger = logging.getLogger("graphtrack")
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Times of frames by their numbers.
+
+    Attributes
+    ----------
+    rate : nominal, frames a second
+    stamps : (n,) seconds of frames 0, 1, 2 … of a variable rate; None: frames follow each other at the rate
+    """
+
+    rate: float
+    stamps: FloatArray | None = None
+
+    def seconds(self, frame: ArrayLike) -> FloatArray:
+        """Return the times (...,) of frames (...,), beyond the last time stamp by the nominal rate."""
+        number = np.asarray(frame)
+        if self.stamps is None:
+            return np.asarray(number / self.rate, float)
+        beyond = np.maximum(number - (len(self.stamps) - 1), 0) / self.rate
+        return np.asarray(np.interp(number, np.arange(len(self.stamps)), self.stamps) + beyond, float)
+
+
+def seconds(frame: ArrayLike, clock: float | Clock) -> FloatArray:
+    """Return the times (...,) of frames (...,) by a clock, or by frames a second."""
+    return (clock if isinstance(clock, Clock) else Clock(clock)).seconds(frame)
+
+
+def _time_stamps(path: Path, rate: float) -> FloatArray | None:
+    """Return seconds (n,) of a video's frames from the first on; None at an even rate, or where not known."""
+    try:
+        import av
+    except ImportError:
+        logger.warning("times by the nominal rate of %g a second: no PyAV (the extra video)", rate)
+        return None
+    try:
+        with av.open(str(path.absolute())) as container:
+            stream = container.streams.video[0]
+            packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_discard]
+            ticks = sorted(packet.pts for packet in packets if packet.pts is not None)
+            tick = float(stream.time_base or 0)
+    except (av.FFmpegError, IndexError):
+        packets, ticks, tick = [], [], 0.0
+    if not ticks or len(ticks) < len(packets):
+        logger.warning("times by the nominal rate of %g a second: frames without time stamps", rate)
+        return None
+    stamps = np.asarray(np.subtract(ticks, ticks[0]) * tick, float)
+    if (np.abs(stamps * rate - np.arange(len(stamps))) <= _UNEVEN).all():
+        return None
+    logger.warning(
+        "times by the video's time stamps, which are not those of an even rate of %g a second", rate
+    )
+    return stamps
+
+
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
 _MOST_BAD = 50  # frames in a row that cannot be decoded, after which a video has ended early
 
@@ -170,6 +231,10 @@ class FrameSource:
             video.release()
         return cls(path, max(count, 1), float(fps) if np.isfinite(fps) and 0.1 < fps < 1000 else None)
 
+    def clock(self, rate: float) -> Clock:
+        """Return the times of the frames: of a video of variable rate its time stamps, else by the rate."""
+        return Clock(rate, None if self.path.is_dir() else _time_stamps(self.path, rate))
+
     @staticmethod
     def files(path: Path) -> list[Path]:
         """The files that are read as frames: the video, or the images of the folder."""
@@ -200,6 +265,11 @@ class FrameSource:
             if frame.image is not None:
                 return frame.image.shape[1], frame.image.shape[0]
         raise InputError("no frame that can be decoded", "a video or a folder of images", path=self.path)
+
+    @property
+    def first(self) -> int:
+        """The number of the first frame: 0 of a video, or the lowest of numbered images."""
+        return _images(self.path)[0][0] if self.path.is_dir() else 0
 
     def numbers(self) -> list[int]:
         """The numbers of the frames that it has; a video, which may say anything, is gone through."""

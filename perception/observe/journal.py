@@ -2,29 +2,112 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Generic, TypeVar
+from typing import Any, BinaryIO, Self, TypeVar
+
+import orjson
+
+from graphtrack.errors import InputError
+from perception.storage import decoded, encoded
 
 T = TypeVar("T")
 
 
-class KnownFrames(Mapping[int, T]):
-    """Frames of a journal, read from its file when they are asked for: only places are kept."""
+@contextmanager
+def while_unfinished(path: Path) -> Iterator[None]:
+    """Remove a file in the end, unless the run is broken off; a run that is refused would be so again."""
+    try:
+        yield
+    except InputError:
+        path.unlink(missing_ok=True)
+        raise
+    path.unlink(missing_ok=True)
 
-    def __init__(self, path: Path, decode: Callable[[Any], T]) -> None:
-        self._path, self._decode = path, decode
+
+class FrameJournal(Mapping[int, T]):
+    """Completed frames by number, read from the file when they are asked for: only places are kept.
+
+    The file has a line with the run's key, then a line for each frame. As a context it is opened and, unless
+    the run is broken off, removed in the end.
+
+    Parameters
+    ----------
+    path : the file
+    key : of the run that it belongs to; a journal of another run is begun again
+    kind : of what is known of a frame, as `decoded` takes it
+    """
+
+    def __init__(self, path: Path, key: str, kind: type[T]) -> None:
+        self._path, self._kind = path, kind
+        self._first = encoded({"key": key}) + b"\n"
         self._place: dict[int, int] = {}
         self._stream: BinaryIO | None = None
+        self._end = 0
+
+    def __enter__(self) -> Self:
+        self._cleaning = while_unfinished(self._path)
+        self._cleaning.__enter__()
+        self.open()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+        self._cleaning.__exit__(*error)
+
+    def open(self) -> None:
+        """Read the frames that are there, if they are of the same run, and go on writing after them."""
+        known = self._path.is_file() and self._take()
+        self._stream = self._path.open("r+b" if known else "w+b")
+        if known:
+            self._stream.truncate(self._end)
+        else:
+            self._append(self._first)
+
+    def _take(self) -> bool:
+        """Take over the frames after the first line, up to one that cannot be used."""
+        with self._path.open("rb") as stream:
+            if stream.readline() != self._first:
+                return False
+            self._end = len(self._first)
+            for line in stream:
+                try:
+                    values = orjson.loads(line)
+                    decoded(self._kind, values["known"])
+                    number = int(values["frame"])
+                except (ValueError, KeyError, TypeError, IndexError):
+                    break
+                if not line.endswith(b"\n"):
+                    break
+                self._place[number] = self._end
+                self._end += len(line)
+        return True
+
+    def _append(self, line: bytes) -> None:
+        assert self._stream is not None
+        self._stream.seek(self._end)
+        self._stream.write(line)
+        self._stream.flush()
+        self._end += len(line)
+
+    def add(self, frame: int, known: T) -> None:
+        """Write a frame down."""
+        place = self._end
+        self._append(encoded({"frame": frame, "known": known}) + b"\n")
+        self._place[frame] = place
+
+    def close(self) -> None:
+        """End reading and writing."""
+        if self._stream is not None:
+            self._stream.close()
+        self._stream = None
 
     def __getitem__(self, frame: int) -> T:
-        place = self._place[frame]
-        if self._stream is None:
-            self._stream = self._path.open("rb")
-        self._stream.seek(place)
-        return self._decode(json.loads(self._stream.readline())["known"])
+        assert self._stream is not None
+        self._stream.seek(self._place[frame])
+        known: T = decoded(self._kind, orjson.loads(self._stream.readline())["known"])
+        return known
 
     def __contains__(self, frame: object) -> bool:
         return frame in self._place
@@ -34,88 +117,3 @@ class KnownFrames(Mapping[int, T]):
 
     def __len__(self) -> int:
         return len(self._place)
-
-    def put(self, frame: int, place: int) -> None:
-        """A frame is in the line that begins at byte ``place``."""
-        self._place[frame] = place
-
-    def close(self) -> None:
-        """Let go of the file; it is opened again where a frame is asked for."""
-        if self._stream is not None:
-            self._stream.close()
-        self._stream = None
-
-
-@dataclass
-class FrameJournal(Generic[T]):
-    """A line with the run's key, then a line with what is known of each frame.
-
-    Attributes
-    ----------
-    path : the file
-    key : says which run it belongs to; a journal of another run is begun anew
-    encode, decode : to what JSON knows, and back; ``decode`` raises ``ValueError``, ``TypeError``,
-        ``KeyError`` or ``IndexError`` for anything else
-    frames : what is known of every frame that is complete, as long as the file is there
-    """
-
-    path: Path
-    key: str
-    encode: Callable[[T], Any]
-    decode: Callable[[Any], T]
-    _stream: BinaryIO | None = None
-    _end: int = 0
-
-    def __post_init__(self) -> None:
-        self.frames = KnownFrames(self.path, self.decode)
-
-    def open(self) -> None:
-        """Read what is there, if it belongs to the same run, and go on writing after it."""
-        first = (json.dumps({"key": self.key}) + "\n").encode()
-        known = self.path.is_file() and self._take(first)
-        self._stream = self.path.open("r+b" if known else "wb")
-        if known:
-            self._stream.seek(self._end)
-            self._stream.truncate()
-        else:
-            self._write(first)
-        self._stream.flush()
-
-    def _take(self, first: bytes) -> bool:
-        """Take over the frames after the file's line ``first``, up to one that cannot be used."""
-        with self.path.open("rb") as stream:
-            if stream.readline() != first:
-                return False
-            self._end = len(first)
-            for line in stream:
-                try:
-                    values = json.loads(line)
-                    self.decode(values["known"])
-                    number = int(values["frame"])
-                except (ValueError, KeyError, TypeError, IndexError):
-                    break
-                if not line.endswith(b"\n"):
-                    break
-                self.frames.put(number, self._end)
-                self._end += len(line)
-        return True
-
-    def _write(self, line: bytes) -> None:
-        assert self._stream is not None
-        self._stream.write(line)
-        self._end += len(line)
-
-    def add(self, frame: int, known: T) -> None:
-        """Write a frame down."""
-        assert self._stream is not None
-        self.frames.put(frame, self._end)
-        self._write((json.dumps({"frame": frame, "known": self.encode(known)}) + "\n").encode())
-        self._stream.flush()
-
-    def close(self, *, remove: bool) -> None:
-        """End writing; ``remove`` when the run is complete."""
-        self.frames.close()
-        if self._stream is not None:
-            self._stream.close()
-        if remove:
-            self.path.unlink(missing_ok=True)

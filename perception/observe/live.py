@@ -19,7 +19,7 @@ from perception.detection.boxes import (
 )
 from perception.detection.hog import PeopleDetector
 from perception.detection.rescoring import GroundDetector
-from perception.images.frames import Frame
+from perception.images.frames import Clock, Frame
 from perception.images.pixels import Image
 from perception.observe.pipeline import (
     Models,
@@ -49,14 +49,14 @@ class LiveObserver:
     models : what looks at people
     camera : the ground plane; without it a scale, by which the median box of the first frame with people is
         as high as a person
-    fps : frames a second
+    clock : times of the frames, or frames a second
     identified : False: the boxes have no identities, and stand alone
     """
 
     def __init__(
-        self, models: Models, camera: GroundCamera | None, fps: float, *, identified: bool = True
+        self, models: Models, camera: GroundCamera | None, clock: float | Clock, *, identified: bool = True
     ) -> None:
-        self.models, self.camera, self.fps, self.identified = models, camera, fps, identified
+        self.models, self.camera, self.clock, self.identified = models, camera, clock, identified
         self._paths: dict[int, HeadPath] = {}
         self._projection = Projection.fixed()
 
@@ -81,7 +81,7 @@ class LiveObserver:
         path = self._paths.setdefault(item.track_id, HeadPath()) if self.identified else HeadPath()
         head = np.array([path.update(in_heights(item))])
         classes = self.models.head_classes
-        known = channels_of([item], head, classes, self.camera, self.fps, projection=self._projection)
+        known = channels_of([item], head, classes, self.camera, self.clock, projection=self._projection)
         track = Track(track_id=item.track_id, **known)
         row = {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
         return row if self.identified else row | {"track_id": -1}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,12 +17,12 @@ from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox, boxes_by_frame, foot_point, points_of
 from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
-from perception.images.frames import Frame
+from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
 from perception.observe.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
 from perception.pose.classifier import FeatureClassifier
-from perception.pose.features import LENGTH, Projection, describe, light_of
+from perception.pose.features import Projection, describe, light_of
 from perception.pose.head_detection import HeadCandidates, HeadLocaliser
 from perception.pose.keypoints import FACE, KeypointPose
 
@@ -63,47 +62,6 @@ class SeenPerson:
         """(2,) pixels."""
         return np.asarray(foot_point(self.box) if self.standing is None else self.standing.foot, float)
 
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        record = {
-            "frame": self.frame,
-            "track_id": self.track_id,
-            "box": list(self.box),
-            "body": self.body.tolist(),
-            "boxes": self.heads.boxes.tolist(),
-            "scores": self.heads.scores.tolist(),
-            "pan": self.pan.tolist(),
-        }
-        if self.score is not None:
-            record["score"] = self.score
-        if self.looks is not None:
-            record["looks"] = base64.b64encode(self.looks.tobytes()).decode()
-        if self.standing is not None:
-            record["standing"] = [*self.standing.foot, self.standing.turn, self.standing.length]
-        return record
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> SeenPerson:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        left, top, width, height = (float(value) for value in values["box"])
-        boxes, scores, pan = (np.array(values[name], float) for name in ("boxes", "scores", "pan"))
-        body, n = np.array(values["body"], float), len(scores)
-        if boxes.shape != (n, 4) or pan.shape[:1] != (n,) or pan.ndim != 2 or body.shape != (BODY_CLASSES,):
-            raise ValueError("arrays of other shapes")
-        person = int(values["frame"]), int(values["track_id"])
-        looks = None
-        if "looks" in values:
-            looks = np.frombuffer(base64.b64decode(values["looks"], validate=True), np.uint8)
-            if looks.shape != (LENGTH,):
-                raise ValueError("looks of another length")
-        score = float(values["score"]) if "score" in values else None
-        box, heads = (left, top, width, height), HeadCandidates(boxes, scores)
-        standing = None
-        if "standing" in values:
-            across, down, turn, length = (float(value) for value in values["standing"])
-            standing = Standing((across, down), turn, length)
-        return cls(*person, box, body, heads, pan, score, looks, standing)
-
 
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
@@ -111,16 +69,6 @@ class SeenFrame:
 
     people: list[SeenPerson]
     refused: list[str]
-
-    def to_record(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        return {"people": [person.to_record() for person in self.people], "refused": self.refused}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> SeenFrame:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        people = [SeenPerson.from_record(person) for person in values["people"]]
-        return cls(people, [str(reason) for reason in values["refused"]])
 
 
 def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
@@ -307,8 +255,8 @@ def observe(
     and boxes of frames that do not come are told to ``refuse``.
     """
     by_frame = boxes_by_frame(boxes)
-    count, came = 0, set(journal.frames)
-    for known in journal.frames.values():
+    count, came = 0, set(journal)
+    for known in journal.values():
         for reason in known.refused:
             refuse(reason)
     for frame in frames:
@@ -316,7 +264,7 @@ def observe(
         of_frame = by_frame.get(frame.number, [])
         if frame.image is None:
             refuse(frame.reason)
-        elif frame.number not in journal.frames:
+        elif frame.number not in journal:
             refused: list[str] = []
             people = observe_frame(frame.image, frame.number, of_frame, models, refused.append)
             journal.add(frame.number, SeenFrame(people, refused))
@@ -341,7 +289,7 @@ def channels_of(
     heads: NDArray[np.int64],
     head_classes: PoseClasses,
     camera: GroundCamera,
-    fps: float,
+    clock: float | Clock,
     *,
     in_image: bool = False,
     projection: Projection | None = None,
@@ -352,7 +300,7 @@ def channels_of(
     ----------
     items : one person in n frames, on this side of the horizon
     heads : (n,) which candidate is the head
-    head_classes, camera, fps : as of `perception.observe.tables.to_tracks`
+    head_classes, camera, clock : as of `perception.observe.tables.to_tracks`
     in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
         et al. 2011, eq. 13–14)
     projection : of appearance; None: tracks have none
@@ -373,7 +321,7 @@ def channels_of(
     scores = np.array([item.score for item in items], float)  # None is NaN
     return {
         "frame": frame,
-        "t": frame / fps,
+        "t": seconds(frame, clock),
         "position": position,
         "pixel": pixel,
         "body_likelihood": of_body,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from graphtrack.association.associate import associate
 from graphtrack.errors import InputError
 from graphtrack.evaluation.compare import make_method, own_model
-from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of
 from graphtrack.inference.result import Solution
@@ -23,12 +22,13 @@ from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
+from perception.images.frames import Clock
 from perception.observe.pipeline import SeenFrame, SeenPerson, channels_of, in_heights, is_on_ground
 from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
 from perception.pose.head_detection import HeadCandidates, HeadPath, select_along_track, select_so_far
 
-_AT_ONCE, _ROWS_AT_ONCE = 512, 64  # rows that are made together: of detections, and of a track
+_AT_ONCE = 512  # rows that are made together
 _LOOKS = 8192  # people by whom it is found out what varies
 
 
@@ -70,7 +70,7 @@ def to_detections(
     frames: Mapping[int, SeenFrame],
     head_classes: PoseClasses,
     camera: GroundCamera | None,
-    fps: float,
+    clock: float | Clock,
     *,
     causal: bool = False,
 ) -> SeenDetections:
@@ -79,7 +79,7 @@ def to_detections(
     Parameters
     ----------
     frames : what was seen, by number; it is gone through two or three times
-    head_classes, camera, fps, causal : as in `perception.observe.tables.to_tracks`
+    head_classes, camera, clock, causal : as in `perception.observe.tables.to_tracks`
 
     Raises
     ------
@@ -87,48 +87,56 @@ def to_detections(
         If nobody was seen, or all are beyond the horizon.
     """
     camera, projection = scene_of(frames, camera, causal=causal)
-    names: list[str] = []
-    parts: list[FloatArray] = []
-    numbers: list[NDArray[np.int64]] = []
-    seen = 0
-    for items in _some_at_once(frames):
-        seen += len(items)
-        items = [item for item in items if is_on_ground(item, camera)]
-        if items:
-            names, values = _rows(items, head_classes, camera, fps, projection)
-            parts.append(values)
-            numbers.append(np.array([item.track_id for item in items], np.int64))
-    if not parts:
-        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
-    table = np.concatenate(parts)
-    del parts
-    number = np.concatenate(numbers)
-    columns: dict[str, NDArray[Any]] = {"track_id": np.full(len(table), -1, np.int64)}
-    columns |= {name: table[:, k] for k, name in enumerate(names)}
-    columns["frame"] = columns["frame"].astype(np.int64)
-    if not np.isfinite(columns["score"]).any():
-        del columns["score"]
-    beyond = seen - len(table)
+    seen = sum(len(known.people) for known in frames.values())
+    number, known = _channels(
+        frames, lambda item: HeadPath().update(in_heights(item)), head_classes, camera, clock, projection
+    )
+    at = {name: known[name] for name in ("frame", "t")}
+    place, score = np.arange(len(number)), known["score"]
+    track = _track(0, known | {"frame": place, "t": place.astype(float), "score": score})
+    columns = to_columns(TrackSet((track,))) | at | {"track_id": np.full(len(number), -1, np.int64)}
+    beyond = seen - len(number)
     return SeenDetections(columns, number, camera, {BEYOND_HORIZON: beyond} if beyond else {})
 
 
-def _rows(
-    items: list[SeenPerson],
+def _channels(
+    frames: Mapping[int, SeenFrame],
+    head_of: Callable[[SeenPerson], int],
     head_classes: PoseClasses,
     camera: GroundCamera,
-    fps: float,
+    clock: float | Clock,
     projection: Projection,
-) -> tuple[list[str], FloatArray]:
-    """Names of columns, and rows (n, columns); a score that is not known is NaN."""
-    heads = np.array([HeadPath().update(in_heights(item)) for item in items], np.int64)
-    known = channels_of(items, heads, head_classes, camera, fps, projection=projection)
-    at = {name: np.asarray(known[name], float) for name in ("frame", "t")}
-    place = np.arange(len(items))
-    score = np.array([item.score for item in items], float)
-    track = Track(track_id=0, **known | {"frame": place, "t": place.astype(float), "score": score})
-    columns = to_columns(TrackSet((track,))) | at
-    names = [name for name in columns if name != "track_id"]
-    return names, np.column_stack([columns[name] for name in names])
+) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Numbers (n,) of everybody on this side of the horizon, frame by frame, and the fields of their rows.
+
+    Parameters
+    ----------
+    head_of : which candidate is the head; called in that order
+    """
+    numbers: list[int] = []
+    parts: list[dict[str, Any]] = []
+    for items in _some_at_once(frames):
+        items = [item for item in items if is_on_ground(item, camera)]
+        if items:
+            heads = np.array([head_of(item) for item in items], np.int64)
+            known = channels_of(items, heads, head_classes, camera, clock, projection=projection)
+            known |= known.pop("inputs")
+            known["score"] = np.array([item.score for item in items], float)  # NaN where not known
+            parts.append(known)
+            numbers += [item.track_id for item in items]
+    if not parts:
+        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
+    names = set.intersection(*(set(part) for part in parts))
+    return np.array(numbers, np.int64), {
+        name: np.concatenate([part.pop(name) for part in parts]) for name in names
+    }
+
+
+def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
+    fields: dict[str, Any] = dict(known)
+    inputs = {name: fields.pop(name) for name in (APPEARANCE,) if name in fields}
+    score = fields.pop("score")
+    return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)
 
 
 def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]:
@@ -203,7 +211,7 @@ def to_tracks(
     frames: Mapping[int, SeenFrame],
     head_classes: PoseClasses,
     camera: GroundCamera | None,
-    fps: float,
+    clock: float | Clock,
     *,
     causal: bool = False,
 ) -> SeenTracks:
@@ -216,6 +224,7 @@ def to_tracks(
     frames : observations by number, each person once a frame; they are read three or four times
     head_classes : pan classes of ``SeenPerson.pan``
     camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
+    clock : times of the frames, or frames a second
     causal : whether rows are made of the frames up to their own alone: the heads are those that
         `select_so_far` gives, the scale is that of the first frame and appearance is projected in a fixed
         way. Else heads are chosen along whole tracks, and the projection is fitted to the recording.
@@ -228,48 +237,23 @@ def to_tracks(
     camera, projection = scene_of(frames, camera, causal=causal)
     candidates: dict[int, _Heads] = {}
     seen = sum(len(known.people) for known in frames.values())
-    for item in _on_ground(frames, camera):
-        candidates.setdefault(item.track_id, _Heads()).add(in_heights(item))
-    if not candidates:
-        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
+    for items in _some_at_once(frames):
+        for item in items:
+            if is_on_ground(item, camera):
+                candidates.setdefault(item.track_id, _Heads()).add(in_heights(item))
     heads = {track_id: candidates.pop(track_id).chosen(causal=causal) for track_id in sorted(candidates)}
-    parts: dict[int, list[dict[str, Any]]] = {track_id: [] for track_id in heads}
-    pending: dict[int, list[SeenPerson]] = {track_id: [] for track_id in heads}
-    done = dict.fromkeys(heads, 0)
-
-    def make(track_id: int) -> None:
-        items, start = pending[track_id], done[track_id]
-        if items:
-            chosen = heads[track_id][start : start + len(items)]
-            known = channels_of(items, chosen, head_classes, camera, fps, projection=projection)
-            known |= known.pop("inputs")
-            known["score"] = np.array([item.score for item in items], float)  # NaN where not known
-            parts[track_id].append(known)
-            pending[track_id], done[track_id] = [], start + len(items)
-
-    for item in _on_ground(frames, camera):
-        pending[item.track_id].append(item)
-        if len(pending[item.track_id]) == _ROWS_AT_ONCE:
-            make(item.track_id)
-    for track_id in heads:
-        make(track_id)
-    tracks = tuple(_joined(track_id, parts.pop(track_id)) for track_id in heads)
-    beyond = seen - sum(map(len, tracks))
+    chosen = {track_id: iter(of_track.tolist()) for track_id, of_track in heads.items()}
+    number, known = _channels(
+        frames, lambda item: next(chosen[item.track_id]), head_classes, camera, clock, projection
+    )
+    rows = [np.flatnonzero(number == track_id) for track_id in heads]
+    tracks = tuple(
+        _track(track_id, {name: values[of_track] for name, values in known.items()})
+        for track_id, of_track in zip(heads, rows, strict=True)
+    )
+    beyond = seen - len(number)
     refused = {BEYOND_HORIZON: beyond} if beyond else {}
     return SeenTracks(TrackSet(tracks, camera, ReadSummary("video", seen, refused)), heads)
-
-
-def _on_ground(frames: Mapping[int, SeenFrame], camera: GroundCamera) -> Iterator[SeenPerson]:
-    for number in sorted(frames):
-        yield from (item for item in frames[number].people if is_on_ground(item, camera))
-
-
-def _joined(track_id: int, parts: list[dict[str, Any]]) -> Track:
-    names = set.intersection(*(set(part) for part in parts))
-    known: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    inputs = {name: known.pop(name) for name in (APPEARANCE,) if name in known}
-    score = known.pop("score")
-    return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **known)
 
 
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")

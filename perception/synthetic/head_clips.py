@@ -14,9 +14,9 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from perception.images.pixels import Image
 from perception.synthetic.cameras import Camera, develop, random_background, random_light, random_sensor
-from perception.synthetic.people import Appearance, Posture, person_solids, random_appearance
-from perception.synthetic.raycast import Light, cast
-from perception.synthetic.solids import Solids
+from perception.synthetic.people import Appearance, Posture, random_appearance
+from perception.synthetic.raycast import Light
+from perception.synthetic.scene import Person, Scene, cast_scene
 
 _PATCHES = 22
 """Things of skin and hair colour at clutter 1, before an image of 320 × 240."""
@@ -30,7 +30,7 @@ _HEAD_ORIGIN = 1.585 / 1.72
 _RAYS = 2
 """A pixel and axis."""
 _ATTEMPTS = 30
-_BODY, _CORE, _EXTRA = 0, 1, 2
+_CORE, _EXTRA = 1, 2
 
 
 @dataclass(frozen=True)
@@ -251,15 +251,14 @@ def _person(
         float(walk.phase[k]),
         0.5,
     )
-    body, head = person_solids(look, posture)
-    lift = (0.0, 0.0, float(z) - look.height * _HEAD_ORIGIN)
-    head = replace(head, group=head.group + _CORE)
-    solids = Solids.together(body.in_group(_BODY), head).moved(np.eye(3), lift)
+    # The person walks on the ground of a scene, in which the camera bobs up and down instead.
+    down_by = look.height * _HEAD_ORIGIN - float(z)
+    lowered = replace(camera, position=(*camera.position[:2], camera.position[2] + down_by))
     width = _FOCAL * _HEAD_WIDTH / distance
     left, right = max(int(u - 2.3 * width), 0), min(int(u + 2.3 * width), w)
     top = max(int(v - 1.5 * width), 0)
     part = rays[top * _RAYS :, left * _RAYS : right * _RAYS]
-    seen = cast(np.array(camera.position), part, solids, light, n_groups=3, owner=np.zeros(3, np.int64))
+    seen = cast_scene(Scene(lowered, light, None), [Person(look, posture)], part)
     first_u, last_u, first_v, last_v = seen.extent[_CORE].astype(float)
     extra = seen.extent[_EXTRA]
     box = np.array([first_u, first_v, last_u + 1.0 - first_u, last_v + 1.0 - first_v]) / _RAYS

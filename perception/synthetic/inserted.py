@@ -48,33 +48,18 @@ class Place:
     distance: float
 
 
-@dataclass(frozen=True)
-class Insertion:
-    """Variation among people who are put into pictures.
-
-    Attributes
-    ----------
-    head_turn : radians, 1-σ of the head's angle to the body
-    standing : share of people who stand
-    offset : 1-σ of the person's place in the box, across and down in heights of the box
-    scale : 1-σ of the logarithm of the person's size relative to the box
-    light : 1-σ of the logarithm of the light on them relative to that on the picture
-    blur : pixels, 1-σ of the camera's blur
-    noise : grey levels, largest 1-σ of the camera's noise
-    """
-
-    head_turn: float = 0.2
-    standing: float = 0.1
-    offset: tuple[float, float] = (0.03, 0.04)
-    scale: float = 0.06
-    light: float = 0.35
-    blur: float = 0.6
-    noise: float = 4.0
+_HEAD_TURN, _STANDING = 0.2, 0.1
+"""Radians, 1-σ of the head's angle to the body; share of people who stand."""
+_OFFSET, _SCALE = (0.03, 0.04), 0.06
+"""1-σ of the person's place in the box, across and down in heights of the box, and of the logarithm of the
+person's size relative to the box."""
+_LIGHT = 0.35
+"""1-σ of the logarithm of the light on the person relative to that on the picture."""
+_BLUR, _NOISE = 0.6, 4.0
+"""1-σ of the camera's blur in pixels; largest 1-σ of its noise in grey levels."""
 
 
-def with_person(
-    place: Place, body: float, rng: np.random.Generator, variation: Insertion = Insertion()
-) -> tuple[Image, FloatArray]:
+def with_person(place: Place, body: float, rng: np.random.Generator) -> tuple[Image, FloatArray]:
     """The picture of a place with somebody in it, and the middle (2,) of their head in its pixels.
 
     Parameters
@@ -82,29 +67,26 @@ def with_person(
     body : radians in the image frame, where they go: 0 is towards the camera
     """
     left, top, width, height = place.box
-    light, cover, head, foot = _rendered(
-        place, body, height * np.exp(rng.normal(0.0, variation.scale)), rng, variation
-    )
-    across, down = np.array(variation.offset) * height * rng.normal(size=2)
+    light, cover, head, foot = _rendered(place, body, height * np.exp(rng.normal(0.0, _SCALE)), rng)
+    across, down = np.array(_OFFSET) * height * rng.normal(size=2)
     move = np.array([left + width / 2.0 + across, top + height + down]) - foot
     rows, columns = place.image.shape[:2]
     shift = np.column_stack([np.eye(2), move])
     layer = cv2.warpAffine(np.dstack([light, cover]), shift, (columns, rows), flags=cv2.INTER_LINEAR)
     share = np.clip(layer[..., 3:], 0.0, 1.0)
     gamma = rng.uniform(0.5, 0.85)
-    gain = (_brightness(place) / 255.0) ** (1.0 / gamma) / _EXPOSED * np.exp(rng.normal(0.0, variation.light))
+    gain = (_brightness(place) / 255.0) ** (1.0 / gamma) / _EXPOSED * np.exp(rng.normal(0.0, _LIGHT))
     person = develop(layer[..., :3] / np.maximum(share, 1e-3), Sensor(float(gain), float(gamma)), rng)
     grey = person.mean(axis=2, keepdims=True)
     person = grey + (person - grey) * rng.uniform(0.25, 1.0)
-    picture = _blurred(
-        place.image * (1.0 - share) + person * share, share[..., 0], abs(rng.normal(0.0, variation.blur))
-    )
-    picture = picture + rng.normal(0.0, rng.uniform(0.0, variation.noise), picture.shape)
+    picture = place.image * (1.0 - share) + person * share
+    picture = _blurred(picture, share[..., 0], abs(rng.normal(0.0, _BLUR)))
+    picture = picture + rng.normal(0.0, rng.uniform(0.0, _NOISE), picture.shape)
     return np.clip(picture, 0.0, 255.0).astype(np.uint8), head + move
 
 
 def _rendered(
-    place: Place, body: float, length: float, rng: np.random.Generator, variation: Insertion
+    place: Place, body: float, length: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray, FloatArray]:
     """Light (h, w, 3) of a person alone, what they cover (h, w), their head's middle and their place (2,)."""
     size = round(1.6 * length), round(1.7 * length)
@@ -113,10 +95,10 @@ def _rendered(
     posture = Posture(
         (0.0, 0.0),
         body,
-        body + rng.normal(0.0, variation.head_turn),
+        body + rng.normal(0.0, _HEAD_TURN),
         rng.normal(-0.1, 0.15),
         phase=rng.uniform(0.0, 2.0 * np.pi),
-        stride=0.0 if rng.random() < variation.standing else rng.uniform(0.4, 1.0),
+        stride=0.0 if rng.random() < _STANDING else rng.uniform(0.4, 1.0),
     )
     oversampling = int(np.clip(np.ceil(_RAYS / length), 1, 3))
     scene = Scene(camera, random_light(rng), None)

@@ -6,7 +6,7 @@ The compiled kernels intersect rays with ellipsoids, tubes and boxes in their lo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,27 +20,45 @@ _FAR = 1e9
 _NEAR = 1e-6
 
 
-@njit(cache=True)
-def group_balls(centre: Any, radius: Any, first: Any) -> Any:
-    """A ball (x, y, z, radius) around each group."""
-    count = len(first) - 1
-    balls = np.zeros((count, 4))
-    for g in range(count):
-        a, b = first[g], first[g + 1]
-        if a == b:
-            continue
-        for k in range(3):
-            low, high = _FAR, -_FAR
-            for i in range(a, b):
-                low = min(low, centre[i, k] - radius[i])
-                high = max(high, centre[i, k] + radius[i])
-            balls[g, k] = 0.5 * (low + high)
-        for i in range(a, b):
-            away = 0.0
-            for k in range(3):
-                away += (centre[i, k] - balls[g, k]) ** 2
-            balls[g, 3] = max(balls[g, 3], np.sqrt(away) + radius[i])
-    return balls
+class _Packed(NamedTuple):
+    """Solids as the kernels take them: those of `Solids`, and the balls around them and around groups."""
+
+    kind: NDArray[np.int64]
+    centre: FloatArray
+    inverse: FloatArray
+    radius: FloatArray
+    clip: FloatArray
+    colour: FloatArray
+    texture: FloatArray
+    material: NDArray[np.int64]
+    first: NDArray[np.int64]
+    balls: FloatArray
+
+    @classmethod
+    def of(cls, solids: Solids, groups: int) -> _Packed:
+        """Solids that are sorted by their groups."""
+        lengths = np.linalg.norm(solids.axes, axis=1)
+        radius = np.where(solids.kind == 0, lengths.max(axis=1), np.linalg.norm(lengths, axis=1))
+        first = np.searchsorted(solids.group, np.arange(groups + 1))
+        balls, used = np.zeros((groups, 4)), np.flatnonzero(np.diff(first))
+        start = first[used]
+        low = np.minimum.reduceat(solids.centre - radius[:, None], start)
+        high = np.maximum.reduceat(solids.centre + radius[:, None], start)
+        balls[used, :3] = 0.5 * (low + high)
+        away = np.linalg.norm(solids.centre - balls[solids.group, :3], axis=1)
+        balls[used, 3] = np.maximum.reduceat(away + radius, start)
+        return cls(
+            solids.kind,
+            solids.centre,
+            np.asarray(np.linalg.inv(solids.axes), float),
+            radius,
+            solids.clip,
+            solids.colour,
+            solids.texture,
+            solids.material,
+            first,
+            balls,
+        )
 
 
 @njit(cache=True, inline="always")
@@ -141,55 +159,30 @@ def _textured(texture: Any, local: Any) -> float:
 
 
 @njit(cache=True)
-def _in_shadow(
-    point: Any,
-    toward: Any,
-    kind: Any,
-    centre: Any,
-    inverse: Any,
-    radius: Any,
-    clip: Any,
-    first: Any,
-    balls: Any,
-    scratch: Any,
-) -> bool:
+def _in_shadow(point: Any, toward: Any, solids: Any, scratch: Any) -> bool:
     """Return whether a solid lies between a point and the light."""
     lx, ly, lz = toward
-    for g in range(len(balls)):
-        b = balls[g]
+    for g in range(len(solids.balls)):
+        b = solids.balls[g]
         if b[3] == 0.0 or _misses_ball(lx, ly, lz, b[0] - point[0], b[1] - point[1], b[2] - point[2], b[3]):
             continue
-        for i in range(first[g], first[g + 1]):
-            x, y, z = centre[i, 0] - point[0], centre[i, 1] - point[1], centre[i, 2] - point[2]
-            if _misses_ball(lx, ly, lz, x, y, z, radius[i]):
+        for i in range(solids.first[g], solids.first[g + 1]):
+            x = solids.centre[i, 0] - point[0]
+            y, z = solids.centre[i, 1] - point[1], solids.centre[i, 2] - point[2]
+            if _misses_ball(lx, ly, lz, x, y, z, solids.radius[i]):
                 continue
-            _to_local(inverse[i], -x, -y, -z, scratch[0])
-            _to_local(inverse[i], lx, ly, lz, scratch[1])
-            if _hit(kind[i], scratch[0], scratch[1], clip[i], scratch[2], scratch[3]) < _FAR:
+            _to_local(solids.inverse[i], -x, -y, -z, scratch[0])
+            _to_local(solids.inverse[i], lx, ly, lz, scratch[1])
+            if _hit(solids.kind[i], scratch[0], scratch[1], solids.clip[i], scratch[2], scratch[3]) < _FAR:
                 return True
     return False
 
 
 @njit(cache=True)
-def cast_rays(
-    origin: Any,
-    rays: Any,
-    width: int,
-    kind: Any,
-    centre: Any,
-    inverse: Any,
-    radius: Any,
-    clip: Any,
-    albedo: Any,
-    texture: Any,
-    material: Any,
-    first: Any,
-    balls: Any,
-    owner: Any,
-    light: Any,
-    floor: Any,
-) -> Any:
+def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light: Any, floor: Any) -> Any:
     """Follow each ray to the first surface and shade it; see `raycast.cast` for what comes back."""
+    kind, centre, inverse, radius = solids.kind, solids.centre, solids.inverse, solids.radius
+    clip, first, balls = solids.clip, solids.first, solids.balls
     n, groups = len(rays), len(balls)
     colour = np.zeros((n, 3), np.float32)
     covered, skin = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -245,7 +238,7 @@ def cast_rays(
             world[0], world[1], world[2] = origin[0] + t * dx, origin[1] + t * dy, 0.0
             dark = (int(np.floor(world[0] / floor[4])) + int(np.floor(world[1] / floor[4]))) & 1
             lit = toward[2]
-            if _in_shadow(world, toward, kind, centre, inverse, radius, clip, first, balls, scratch):
+            if _in_shadow(world, toward, solids, scratch):
                 lit = 0.0
             for k in range(3):
                 colour[r, k] = floor[1 + k] * (1.0 - floor[5] * dark) * (light[2, k] + light[1, k] * lit)
@@ -254,7 +247,7 @@ def cast_rays(
             continue
         shows[owner[nearest[r]]] += 1
         covered[r] = True
-        skin[r] = material[hit] == SKIN
+        skin[r] = solids.material[hit] == SKIN
         length, lit = 0.0, 0.0
         for k in range(3):  # normals go by the transposed inverse
             world[k] = 0.0
@@ -265,9 +258,9 @@ def cast_rays(
         length = np.sqrt(length)
         lit = max(lit / length, 0.0)
         sky = 0.75 + 0.25 * world[2] / length
-        factor = _textured(texture[hit], best_local)
+        factor = _textured(solids.texture[hit], best_local)
         for k in range(3):
-            colour[r, k] = albedo[hit, k] * factor * (light[2, k] * sky + light[1, k] * lit)
+            colour[r, k] = solids.colour[hit, k] * factor * (light[2, k] * sky + light[1, k] * lit)
     return colour, covered, skin, nearest, extent, covers, shows
 
 
@@ -354,37 +347,17 @@ def cast(
     owner : (g,) ascending numbers of what the groups belong to; each group to itself by default. A group
         that hides another of the same owner does not count as in front of it.
     """
-    inverse = np.linalg.inv(solids.axes)
-    lengths = np.linalg.norm(solids.axes, axis=1)
-    radius = np.where(solids.kind == 0, lengths.max(axis=1), np.linalg.norm(lengths, axis=1))
     count = (int(solids.group[-1]) + 1 if len(solids) else 0) if n_groups is None else n_groups
-    first = np.searchsorted(solids.group, np.arange(count + 1))
-    balls = group_balls(solids.centre, radius, first)
+    packed = _Packed.of(solids, count)
     owner = np.arange(count) if owner is None else owner
+    lamp = np.array([light.direction, light.key, light.ambient], float)
     floor = np.zeros(6)
     if ground is not None:
         floor[:] = 1.0, *ground.colour, ground.tile, ground.contrast
     h, w = rays.shape[:2]
 
     def follow(some: FloatArray) -> tuple[Any, ...]:
-        found: tuple[Any, ...] = cast_rays(
-            np.asarray(origin, float),
-            some,
-            w,
-            solids.kind,
-            solids.centre,
-            inverse,
-            radius,
-            solids.clip,
-            solids.colour,
-            solids.texture,
-            solids.material,
-            first,
-            balls,
-            owner,
-            np.array([light.direction, light.key, light.ambient], float),
-            floor,
-        )
+        found: tuple[Any, ...] = cast_rays(np.asarray(origin, float), some, w, packed, owner, lamp, floor)
         return found
 
     flat = np.ascontiguousarray(rays, float).reshape(-1, 3)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, direction, wrap
+from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
 from perception.synthetic.cameras import Camera, Sensor, develop
 from perception.synthetic.people import Appearance, Posture, RobotLook, person_solids, robot_solids
@@ -62,21 +62,11 @@ class Label:
     body_box : left, top, width, height in pixels of what would be seen without anything in front,
         inside the image; None when outside it
     head_box : encloses skull, cap of hair and face, but not hanging hair, buns, brims or hoods
-    body, head : world directions (radians)
-    body_in_image, head_in_image : the same in the image frame: 0 faces the camera, +π/2 the image's right
-    tilt : of the head (radians above the horizontal)
-    position : (2,) metres on the ground
     visibility : share of the person's pixels inside the image that nothing hides, 0…1
     """
 
     body_box: tuple[float, float, float, float] | None
     head_box: tuple[float, float, float, float] | None
-    body: float
-    head: float
-    body_in_image: float
-    head_in_image: float
-    tilt: float
-    position: tuple[float, float]
     visibility: float
 
 
@@ -98,11 +88,10 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class RenderedFrame:
-    """An image (h, w, 3) uint8, the labels of its people in their order, and the skin mask (h, w)."""
+    """An image (h, w, 3) uint8, and the labels of its people in their order."""
 
     image: Image
     labels: tuple[Label, ...]
-    skin: NDArray[np.bool_]
 
 
 def render_frame(
@@ -163,9 +152,8 @@ def developed(
         covered = cv2.resize(covered, (w, h), interpolation=cv2.INTER_AREA)
     behind = np.array(scene.backdrop, np.float32) if backdrop is None else backdrop
     light = colour + (1.0 - covered[..., None]) * behind
-    skin = cv2.resize(shown.skin.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA) > 0.5
-    labels = tuple(_label(k, person, shown, camera, oversampling) for k, person in enumerate(people))
-    return RenderedFrame(develop(light, sensor, rng), labels, skin)
+    labels = tuple(_label(k, shown, oversampling) for k in range(len(people)))
+    return RenderedFrame(develop(light, sensor, rng), labels)
 
 
 def furniture_solids(item: Furniture) -> Solids:
@@ -185,7 +173,7 @@ def furniture_solids(item: Furniture) -> Solids:
     return make.build()
 
 
-def _label(k: int, person: Person, shown: Cast, camera: Camera, oversampling: int) -> Label:
+def _label(k: int, shown: Cast, oversampling: int) -> Label:
     body, head, extra = shown.extent[3 * k : 3 * k + 3]
     found = [e for e in (body, head, extra) if e[0] >= 0]
     whole = None
@@ -193,19 +181,8 @@ def _label(k: int, person: Person, shown: Cast, camera: Camera, oversampling: in
         corners = np.array(found)
         whole = np.array([corners[:, 0].min(), corners[:, 1].max(), corners[:, 2].min(), corners[:, 3].max()])
     covers, shows = int(shown.covers[k]), int(shown.shows[k])
-    posture = person.posture
-    toward = direction(np.array(camera.position[:2]) - np.array(posture.position))
-    return Label(
-        _box(whole, oversampling),
-        _box(head if head[0] >= 0 else None, oversampling),
-        float(wrap(posture.body)),
-        float(wrap(posture.head)),
-        float(wrap(posture.body - toward)),
-        float(wrap(posture.head - toward)),
-        posture.tilt,
-        posture.position,
-        shows / covers if covers else 0.0,
-    )
+    seen_head = _box(head if head[0] >= 0 else None, oversampling)
+    return Label(_box(whole, oversampling), seen_head, shows / covers if covers else 0.0)
 
 
 def _box(extent: FloatArray | None, oversampling: int) -> tuple[float, float, float, float] | None:

@@ -47,42 +47,35 @@ _SMOOTHING = 0.5
 """1-σ in bins: neighbouring colours are alike."""
 
 
-@dataclass(frozen=True)
-class BoxColours:
-    """Histograms of boxes as of Pérez et al.: of hue and saturation, and of value where there is no hue.
+_BOX_BINS: Bins = (10, 10, 10)
+"""Of the histograms of boxes: of hue and saturation, and of value where there is no hue (Pérez et al.)."""
+_LEAST_SATURATION, _LEAST_VALUE = 0.1, 0.2
+"""0…1; pixels below either have no hue and are counted by their value."""
+_SAMPLES = 24
+"""Pixels looked at along each side of a box."""
 
-    Attributes
-    ----------
-    bins : of hue, of saturation and of value
-    least_saturation, least_value : 0…1; pixels below either have no hue and are counted by their value
-    samples : pixels looked at along each side of a box
-    """
 
-    bins: Bins = (10, 10, 10)
-    least_saturation: float = 0.1
-    least_value: float = 0.2
-    samples: int = 24
+def hue_bins(image: Image) -> NDArray[np.int32]:
+    """The bin (h, w) of every pixel in the histograms of boxes."""
+    hues, saturations, _ = _BOX_BINS
+    hsv = _channels(image)
+    hue, saturation, value = _levels(hsv, _BOX_BINS, (saturations, 1, 1))
+    pale = (hsv[1] < 255 * _LEAST_SATURATION) | (hsv[2] < 255 * _LEAST_VALUE)
+    return np.where(pale, hues * saturations + value, hue + saturation)
 
-    def of_pixels(self, image: Image) -> NDArray[np.int32]:
-        """The bin (h, w) of every pixel."""
-        hues, saturations, _ = self.bins
-        hsv = _channels(image)
-        hue, saturation, value = _levels(hsv, self.bins, (saturations, 1, 1))
-        pale = (hsv[1] < 255 * self.least_saturation) | (hsv[2] < 255 * self.least_value)
-        return np.where(pale, hues * saturations + value, hue + saturation)
 
-    def of_boxes(self, pixels: NDArray[np.integer], boxes: FloatArray) -> FloatArray:
-        """Histograms (n, bins) of boxes (n, 4), each of sum 1, by the bins (h, w) of an image's pixels."""
-        height, width = pixels.shape
-        share = (np.arange(self.samples) + 0.5) / self.samples
-        columns = np.clip((boxes[:, :1] + boxes[:, 2:3] * share).astype(np.int64), 0, width - 1)
-        rows = np.clip((boxes[:, 1:2] + boxes[:, 3:] * share).astype(np.int64), 0, height - 1)
-        seen = pixels[rows[:, :, None], columns[:, None, :]].reshape(len(boxes), -1)
-        hues, saturations, values = self.bins
-        count = hues * saturations + values
-        place = seen + count * np.arange(len(boxes))[:, None]
-        total = np.bincount(place.ravel(), minlength=count * len(boxes)).reshape(len(boxes), count)
-        return np.asarray(total / seen.shape[1], float)
+def box_colours(pixels: NDArray[np.integer], boxes: FloatArray) -> FloatArray:
+    """Histograms (n, bins) of boxes (n, 4), each of sum 1, by the `hue_bins` (h, w) of an image."""
+    height, width = pixels.shape
+    share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    columns = np.clip((boxes[:, :1] + boxes[:, 2:3] * share).astype(np.int64), 0, width - 1)
+    rows = np.clip((boxes[:, 1:2] + boxes[:, 3:] * share).astype(np.int64), 0, height - 1)
+    seen = pixels[rows[:, :, None], columns[:, None, :]].reshape(len(boxes), -1)
+    hues, saturations, values = _BOX_BINS
+    count = hues * saturations + values
+    place = seen + count * np.arange(len(boxes))[:, None]
+    total = np.bincount(place.ravel(), minlength=count * len(boxes)).reshape(len(boxes), count)
+    return np.asarray(total / seen.shape[1], float)
 
 
 def bhattacharyya(histogram: FloatArray, model: FloatArray) -> FloatArray:
@@ -141,6 +134,12 @@ def _tables(bins: Bins, strides: Bins) -> list[NDArray[np.int32]]:
     return [(found * stride).astype(np.int32) for found, stride in zip(in_bins, strides, strict=True)]
 
 
+_SHARPNESS = 20.0
+"""λ of the likelihood exp(−λ·D²), D² = 1 − Bhattacharyya coefficient."""
+_LEAST_SIMILARITY = 0.6
+"""Bhattacharyya coefficient of the estimate below which the target is not found."""
+
+
 @dataclass(frozen=True)
 class ColourParameters:
     """Parameters of the colour tracker.
@@ -148,11 +147,7 @@ class ColourParameters:
     Attributes
     ----------
     particles : number of particles
-    sharpness : λ of the likelihood exp(−λ·D²), D² = 1 − Bhattacharyya coefficient
-    colours : how they are counted
     dynamics : of the box
-    start_std : 1-σ of the first boxes about the given one, as a share of its size
-    least_similarity : Bhattacharyya coefficient of the estimate below which the target is not found
     resample_below : share of the particles; resampling is systematic, below this effective sample size
     rate : share of the remembered histogram that a frame replaces while the target is found; 0: the first
         box's stays, as in Pérez et al. and so in Ba & Odobez's baseline. `MixedStateTracker` has the same
@@ -160,11 +155,7 @@ class ColourParameters:
     """
 
     particles: int = 200
-    sharpness: float = 20.0
-    colours: BoxColours = field(default_factory=BoxColours)
     dynamics: BoxDynamics = field(default_factory=BoxDynamics)
-    start_std: float = 0.04
-    least_similarity: float = 0.6
     resample_below: float = 0.5
     rate: float = 0.0
 
@@ -210,9 +201,9 @@ class ColourTracker:
         p = self.parameters
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
-        self._model = p.colours.of_boxes(p.colours.of_pixels(image), boxes_of(first[None]))[0]
+        self._model = box_colours(hue_bins(image), boxes_of(first[None]))[0]
         self._reference = first[2:]
-        self._cloud = Cloud.about(first, p.particles, p.start_std, self._rng)
+        self._cloud = Cloud.about(first, p.particles, self._rng)
         return self._look(image)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
@@ -225,16 +216,16 @@ class ColourTracker:
 
     def _look(self, image: Image) -> BoxEstimate:
         p = self.parameters
-        pixels = p.colours.of_pixels(image)
-        similarity = bhattacharyya(p.colours.of_boxes(pixels, self._cloud.boxes), self._model)
+        pixels = hue_bins(image)
+        similarity = bhattacharyya(box_colours(pixels, self._cloud.boxes), self._model)
         with np.errstate(divide="ignore"):
-            log_weights = np.log(self._cloud.weights) - p.sharpness * (1.0 - similarity)
+            log_weights = np.log(self._cloud.weights) - _SHARPNESS * (1.0 - similarity)
         normalise(log_weights, weights := np.empty_like(log_weights))
         self._cloud = replace(self._cloud, weights=weights)
         box, spread = self._cloud.mean()
-        here = p.colours.of_boxes(pixels, np.array([box]))
+        here = box_colours(pixels, np.array([box]))
         at_mean = float(bhattacharyya(here, self._model)[0])
-        found = at_mean > p.least_similarity
+        found = at_mean > _LEAST_SIMILARITY
         if found:
             self._model = (1.0 - p.rate) * self._model + p.rate * here[0]
         pan, tilt = self._pose(image, box)

@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey
 from perception.pose.classes import PoseClasses
 from perception.pose.features import SIDE
-from perception.trackers.color import BoxColours, bhattacharyya
+from perception.trackers.color import bhattacharyya, box_colours, hue_bins
 from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
 from perception.trackers.tracker import (
     PATCH_MARGIN,
@@ -37,23 +37,16 @@ Labels = Literal["sampled", "summed"]
 Likelihood = Literal["ratio", "density"]
 
 
-@dataclass(frozen=True)
-class ColourMemory:
-    """Term of the head's colours in the logarithm of the ratio: ``sharpness``·(similarity − ``typical``).
-
-    Attributes
-    ----------
-    colours : how they are counted
-    sharpness : per unit of the Bhattacharyya coefficient
-    typical : the coefficient that says nothing; rendered heads have 0.88 or more for 95 % of the frames,
-        boxes elsewhere 0.83 or less for 95 %
-    rate : share of the remembered histogram that a frame replaces, while the head is seen
-    """
-
-    colours: BoxColours = field(default_factory=BoxColours)
-    sharpness: float = 20.0
-    typical: float = 0.8
-    rate: float = 0.05
+_SHARPNESS, _TYPICAL = 20.0, 0.8
+"""Per unit of the Bhattacharyya coefficient; the coefficient that says nothing: rendered heads have 0.88 or
+more for 95 % of the frames, boxes elsewhere 0.83 or less for 95 %."""
+TRANSITIONS = float(np.radians(12.0)), 0.05, 0.9
+"""1-σ of the pan in radians a frame, share of each neighbouring tilt class relative to staying, and
+probability of the same exemplar while the pose stays; see `HeadExemplars.transitions`."""
+_VANISH, _APPEAR = 0.02, 0.05
+"""Probabilities a frame that a seen head is hidden, and that a hidden one is seen."""
+MEMORY = 0.05
+"""Share of the remembered histogram that a frame replaces, while the head is seen."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +60,11 @@ class MixedStateParameters:
         distribution of its labels given its path, so that only boxes are sampled (Rao–Blackwell)
     likelihood : "ratio": p(z|X)/p(z|no head) with a weight for each filter, and the head may be hidden;
         "density": p_T(z|k) of eq. 5 as it is printed, by which the head is always there
-    colour : the colours of the head that is followed, by which it is told from other heads and from what
-        hides it; None: exemplars alone, as in the paper
+    colour : whether the colours of the head that is followed tell it from other heads and from what hides it,
+        by a term ``_SHARPNESS``·(similarity − ``_TYPICAL``) of the log ratio; in the paper exemplars alone do
     dynamics : of the box
     pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
         faces with backs of heads; Ba & Odobez (2003) have −90° to 90° only.
-    pan_std : radians a frame, of p(θ_t|θ_{t−1})
-    tilt_share : a frame, to each neighbouring tilt class, relative to staying
-    stay : probability of the same exemplar while the pose stays
-    start_std : 1-σ of the first boxes about the given one, as a share of its size
-    vanish, appear : probabilities a frame that a seen head is hidden, and that a hidden one is seen
     resample_below : share of the particles; resampling is systematic, below this effective sample size
     plain_exemplars : whether the package's exemplars are those of the form as printed (`HeadExemplars.plain`)
     """
@@ -84,15 +72,9 @@ class MixedStateParameters:
     particles: int = 200
     labels: Labels = "summed"
     likelihood: Likelihood = "ratio"
-    colour: ColourMemory | None = field(default_factory=ColourMemory)
+    colour: bool = True
     dynamics: BoxDynamics = field(default_factory=BoxDynamics)
     pan_limit: float = float(np.pi)
-    pan_std: float = float(np.radians(12.0))
-    tilt_share: float = 0.05
-    stay: float = 0.9
-    start_std: float = 0.04
-    vanish: float = 0.02
-    appear: float = 0.05
     resample_below: float = 0.5
     plain_exemplars: bool = False
 
@@ -119,7 +101,7 @@ class MixedStateParameters:
             particles,
             likelihood="density",
             labels="sampled",
-            colour=None,
+            colour=False,
             pan_limit=float(np.pi / 2.0),
             resample_below=1.0,
             plain_exemplars=True,
@@ -158,8 +140,7 @@ class MixedStateTracker:
         classes = self.exemplars.classes
         self.pan_classes: PoseClasses | None = classes.pans
         self._rng = generator(seed)
-        p = self.parameters
-        self._transitions = self.exemplars.transitions(p.pan_std, p.tilt_share, p.stay)
+        self._transitions = self.exemplars.transitions(*TRANSITIONS)
         self._reach = np.cumsum(self._transitions, axis=1)
         self._shape: tuple[int, int] = (0, 0)
         self._seen = 1.0
@@ -172,14 +153,13 @@ class MixedStateTracker:
         self._colours = None
         n, p = self.parameters.particles, self.parameters
         self._reference = first[2:]
-        self._cloud = Cloud.about(first, n, p.start_std, self._rng)
+        self._cloud = Cloud.about(first, n, self._rng)
         self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
         self._belief = np.tile(self.exemplars.prior(), (n, 1))
         # A given box is known to hold a head, however little it looks like one.
         self._seen = 1.0
-        if p.colour is not None:
-            colours = p.colour.colours
-            self._colours = colours.of_boxes(colours.of_pixels(image), boxes_of(first[None]))[0]
+        if p.colour:
+            self._colours = box_colours(hue_bins(image), boxes_of(first[None]))[0]
         return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
@@ -195,7 +175,7 @@ class MixedStateTracker:
             self._label = np.minimum((self._reach[self._label] < drawn).sum(axis=1), last)
         else:
             self._belief = self._belief @ self._transitions
-        return self._look(image, self._seen * (1.0 - p.vanish) + (1.0 - self._seen) * p.appear)
+        return self._look(image, self._seen * (1.0 - _VANISH) + (1.0 - self._seen) * _APPEAR)
 
     def _look(self, image: Image, visible: float) -> BoxEstimate:
         """Weigh the particles by the frame; ``visible`` is the probability before it."""
@@ -245,20 +225,18 @@ class MixedStateTracker:
 
     def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
         """Terms of the colours in the log ratio (n,), and the bins (h, w) of the frame."""
-        memory = self.parameters.colour
-        if memory is None or self._colours is None:
+        if self._colours is None:
             return np.zeros(len(self._cloud.weights)), None
-        pixels = memory.colours.of_pixels(image)
-        similarity = bhattacharyya(memory.colours.of_boxes(pixels, self._cloud.boxes), self._colours)
-        return memory.sharpness * (similarity - memory.typical), pixels
+        pixels = hue_bins(image)
+        similarity = bhattacharyya(box_colours(pixels, self._cloud.boxes), self._colours)
+        return _SHARPNESS * (similarity - _TYPICAL), pixels
 
     def _remember(self, pixels: NDArray[np.int32], box: Box) -> float:
         """Similarity of the colours at the estimate, which then are learned as far as the head is seen."""
-        memory = self.parameters.colour
-        assert memory is not None and self._colours is not None
-        here = memory.colours.of_boxes(pixels, np.array([box]))[0]
+        assert self._colours is not None
+        here = box_colours(pixels, np.array([box]))[0]
         similarity = float(bhattacharyya(here[None], self._colours)[0])
-        rate = memory.rate * self._seen
+        rate = MEMORY * self._seen
         self._colours = (1.0 - rate) * self._colours + rate * here
         return similarity
 

@@ -25,7 +25,16 @@ from perception.trackers.sigma_pi_cues import (
     cut_off,
     kernel,
 )
-from perception.trackers.sigma_pi_network import CUES, TERM_NAMES, TERMS, SigmaPiParameters, adapted, output
+from perception.trackers.sigma_pi_network import (
+    CUES,
+    FIRST_SIZE,
+    TERM_NAMES,
+    TERMS,
+    WIDTH,
+    SigmaPiParameters,
+    adapted,
+    output,
+)
 from perception.trackers.tracker import (
     Box,
     BoxEstimate,
@@ -36,6 +45,18 @@ from perception.trackers.tracker import (
     predict,
     states_of,
 )
+
+_SIZE_STD, _SIZE_RATE = 0.25, 0.05
+"""1-σ of the logarithm of the size of particles drawn anew; how much the expected size follows in a frame."""
+_SIZE_RANGE, _VIEW_RANGE = (0.75, 2.0), (0.3, 3.0)
+"""Least and greatest size, in sizes of the first box: by local features, and by the view in that box."""
+_SUPPORT, _FOUND, _LOST = 0.5, 0.5, 0.3
+"""Activity from which a cue supports the estimate; confidence of who is found, and below which lost."""
+_YOUNG, _STALE, _PATIENCE = 40, 15, 3
+"""Frames of the person in which one other cue is enough to learn from; frames in a row with motion alone
+after which what was learned is of no more use; frames until the person is believed to be found or lost."""
+_SHARPNESS = 4.0
+"""Power of eq. 4 that weighs the particles of a person who is told by views; 1 in the paper."""
 
 
 class SigmaPiTracker:
@@ -74,36 +95,36 @@ class SigmaPiTracker:
         p = self.parameters
         image = as_uint8(image)
         self._size = image.shape
-        self._scale = min(1.0, p.width / image.shape[1])
+        self._scale = min(1.0, WIDTH / image.shape[1])
         small = self._reduced(image)
         self._shape = np.array([small.shape[1], small.shape[0]], float)
         first = None if box is None else check_box(box, image) * self._scale
         used = np.array([all(self._used[c] for c in term) for term in TERMS])
-        self.reliabilities = np.where(used, p.reliability, 0.0)
+        self.reliabilities = used.astype(float)
         self._offset = p.offset * used
-        self._motion = MotionCue(p.sights, small, None if first is None else covered(small.shape, first, 1.2))
-        self._colour = ColourCue(p.sights, small)
+        self._motion = MotionCue(small, None if first is None else covered(small.shape, first, 1.2))
+        self._colour = ColourCue(small)
         views, fixed = None, p.fixed
         if first is not None and p.views and self._used[2]:
-            views = ViewCue.of(p.sights, small, first)
+            views = ViewCue.of(small, first)
         # What is in too small a box is mostly not the person: colour and shape cannot outdo motion, which
         # in turn is anywhere, so that particles that were drawn anew stay near.
         self._small = first is not None and p.views and bool(self._used[2]) and views is None
         if self._small:
             fixed = (*p.fixed, "motion")
         self._fixed = np.array([len(term) == 1 and CUES[term[0]] in fixed for term in TERMS])
-        self._form: ShapeCue | ViewCue = ShapeCue(p.sights) if views is None else views
+        self._form: ShapeCue | ViewCue = ShapeCue() if views is None else views
         self._form.give(self._never)
-        self._sharpness = 1.0 if views is None else p.sharpness
+        self._sharpness = 1.0 if views is None else _SHARPNESS
         cues: tuple[Cue, ...] = (self._motion, self._colour, self._form)
         self._cues = [cue for cue, used in zip(cues, self._used, strict=True) if used]
-        self._reference = np.log(np.array(p.first_size) if first is None else first[2:])
+        self._reference = np.log(np.array(FIRST_SIZE) if first is None else first[2:])
         # Who is cut off by the frame's border may be seen in a box of any small size at first.
-        usual = np.log(np.array(p.first_size))
-        low, high, (least, most) = self._reference, self._reference, np.log(p.view_range)
+        usual = np.log(np.array(FIRST_SIZE))
+        low, high, (least, most) = self._reference, self._reference, np.log(_VIEW_RANGE)
         if views is None:
             low, high = np.minimum(low, usual), np.maximum(high, usual)
-            least, most = np.log(p.size_range)
+            least, most = np.log(_SIZE_RANGE)
         self._limits = low + least, high + most
         self._counter, self._found = 0, first is not None
         self._alone = 0
@@ -201,7 +222,7 @@ class SigmaPiTracker:
         p = self.parameters
         share = np.full(p.particles, p.random_share)
         if not self._found:
-            share[self._support[ancestors] < p.support] = p.lost_share
+            share[self._support[ancestors] < _SUPPORT] = p.lost_share
         again = self._rng.random(p.particles) < share
         drawn = self._anywhere(p.particles)
         if self._small and self._found:
@@ -218,7 +239,7 @@ class SigmaPiTracker:
     def _anywhere(self, count: int) -> FloatArray:
         """States (count, 4) anywhere in the frame, about as large as the person is expected to be."""
         centre = self._rng.random((count, 2)) * self._shape
-        size = self._reference + self.parameters.size_std * self._rng.standard_normal((count, 2))
+        size = self._reference + _SIZE_STD * self._rng.standard_normal((count, 2))
         return np.hstack([centre, size])
 
     def _near(self, centre: FloatArray) -> FloatArray:
@@ -238,14 +259,13 @@ class SigmaPiTracker:
 
     def _estimate(self, best: FloatArray) -> BoxEstimate:
         """Estimate of a state; decides whether the person is found."""
-        p = self.parameters
         window = boxes_of(best[None])
         self._active = self._activities(window)[0]
         self._support = self._activities(self._cloud.boxes).max(axis=1)
         confidence = self._confidence(self._active)
-        believed = confidence >= (p.lost if self._found else p.found)
+        believed = confidence >= (_LOST if self._found else _FOUND)
         self._counter = 0 if believed == self._found else self._counter + 1
-        if self._counter >= p.patience:
+        if self._counter >= _PATIENCE:
             self._found, self._counter = not self._found, 0
         cues = dict(zip(CUES, self._active.tolist(), strict=True))
         for name, value in zip(TERM_NAMES, self.reliabilities.tolist(), strict=True):
@@ -280,23 +300,23 @@ class SigmaPiTracker:
             self._motion.adapt(None)
             return
         self._motion.adapt(covered(self._motion.saliency.shape, window, 1.2))
-        active = self._active >= p.support
+        active = self._active >= _SUPPORT
         moving, coloured, formed = active
         enough = active.sum() >= min(2, self._used.sum())
         # Shape is the cue that tells a person from furniture on the move, so colour waits for it.
         self._alone = self._alone + 1 if moving and active.sum() == 1 else 0
-        anew = self._alone > p.stale
+        anew = self._alone > _STALE
         always = p.teach_always or anew
         trusted = enough and (formed or not self._used[2])
-        young = self._colour.frames < p.young and (moving or formed)
+        young = self._colour.frames < _YOUNG and (moving or formed)
         if self._used[1] and (always or trusted or young):
             self._colour.adapt(kernel(self._motion.saliency.shape, window))
-        young = self._form.frames < p.young and (moving or coloured)
+        young = self._form.frames < _YOUNG and (moving or coloured)
         if self._used[2] and (always or enough or young):
             self._form.adapt(window)
         self._surroundings(window)
-        if self._active.max() >= p.support:
-            self._reference = self._reference + p.size_rate * (best[2:] - self._reference)
+        if self._active.max() >= _SUPPORT:
+            self._reference = self._reference + _SIZE_RATE * (best[2:] - self._reference)
 
     def _surroundings(self, window: FloatArray | None) -> None:
         """Let colour and shape know what is not the person."""

@@ -7,7 +7,6 @@ Local features of the target in the last frames are compared with those of the b
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,9 +17,24 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey
 from perception.trackers.color import pixel_bins, target_share, weighed_histogram
-from perception.trackers.sigma_pi_network import CueParameters
 from perception.trackers.tracker import cut
 
+# Lengths are pixels of the reduced frame, rates shares of a difference in one frame.
+_SURROUND = 2.2  # size of a window with its surround, in sizes of the window
+_BACKGROUND_RATE, _MOTION_THRESHOLD = 0.02, 16.0  # of the running average; grey levels that are motion
+_MOTION_OVERLAP, _COLOUR_OVERLAP, _SHAPE_OVERLAP = (0.25, 0.05), (0.25, 0.05), (0.15, 0.04)
+"""Overlap with what is salient at which a cue's activity rises, and how steeply (`activation`)."""
+_COLOUR_RATE, _SURROUNDINGS_RATE = 0.015, 0.01  # of the histograms of the target and of the background
+_COLOUR_ODDS = 3.0  # of the background against the target, for a pixel of which nothing is known
+_MEMORY, _BACKGROUND_FEATURES = 10, 600  # frames and features of the background that are remembered
+_MATCHED, _MARGIN = 0.85, 0.08  # similarity of the same thing, and lead that decides whose it is
+_NEGATIVE, _FEWEST = 0.5, 6.0  # weight of a feature of the background; features of a target, at least
+_CONTRAST = 0.03  # threshold of the SIFT detector
+_FOCUS, _FOCUS_LEAST = 4.0, 120.0
+"""Part of the frame in which features are looked for while the person is found: windows; pixels at least."""
+_EVERYWHERE = 10  # frames after which they are looked for in the whole frame all the same
+_VIEW_GAIN, _VIEW_NEW = (0.4, 0.1), 0.6  # as an overlap; gain below which a view is new
+_VIEW_LEAST = 12.0  # width and height of a box whose view is remembered: two pixels for each of its cells
 _BORDER = 3.0
 """Pixels: who is as near to the border of the frame is taken to be cut off by it."""
 
@@ -105,6 +119,7 @@ def activation(value: FloatArray, middle: float, width: float) -> FloatArray:
 
 
 DIMENSION = 128
+_NONE = np.zeros((0, DIMENSION), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,11 +140,6 @@ class Features:
         return Features(self.points[which], self.descriptors[which])
 
 
-def none() -> NDArray[np.float32]:
-    """No descriptors (0, 128)."""
-    return np.zeros((0, DIMENSION), np.float32)
-
-
 def detect(sift: Any, grey: Image, window: FloatArray | None = None) -> Features:
     """SIFT features of a grey image (h, w), as roots of shares (Arandjelović & Zisserman 2012).
 
@@ -143,10 +153,10 @@ def detect(sift: Any, grey: Image, window: FloatArray | None = None) -> Features
         right, bottom = (max(int(value), 0) for value in window[:2] + window[2:])
         grey = grey[top:bottom, left:right]
     if not grey.size:
-        return Features(np.zeros((0, 2)), none())
+        return Features(np.zeros((0, 2)), _NONE)
     keypoints, found = sift.detectAndCompute(grey, None)
     if not keypoints:
-        return Features(np.zeros((0, 2)), none())
+        return Features(np.zeros((0, 2)), _NONE)
     share = found / np.maximum(found.sum(axis=1, keepdims=True), 1e-9)
     points = np.array([point.pt for point in keypoints]) + np.array([left, top])
     return Features(points, np.sqrt(share).astype(np.float32))
@@ -157,27 +167,6 @@ def similarity(descriptors: NDArray[np.float32], known: NDArray[np.float32]) -> 
     if not len(known) or not len(descriptors):
         return np.zeros(len(descriptors))
     return np.asarray((descriptors @ known.T).max(axis=1), float)
-
-
-def matching_rate(earlier: NDArray[np.float32], later: NDArray[np.float32], matched: float) -> float:
-    """Share of the earlier frame's features that have one at least as similar as ``matched`` in the later."""
-    return float((similarity(earlier, later) >= matched).mean()) if len(earlier) else 0.0
-
-
-def memory_similarity(
-    descriptors: NDArray[np.float32], memory: Sequence[NDArray[np.float32]], weights: FloatArray
-) -> FloatArray:
-    """Similarity (n,) of descriptors to the frames of a memory: the greatest, each times the frame's weight.
-
-    Parameters
-    ----------
-    memory : descriptors of each frame
-    weights : of the frames, 0…1
-    """
-    found = np.zeros(len(descriptors))
-    for frame, weight in zip(memory, weights, strict=True):
-        found = np.maximum(found, weight * similarity(descriptors, frame))
-    return found
 
 
 def point_scores(target: FloatArray, background: FloatArray, matched: float, margin: float) -> FloatArray:
@@ -235,22 +224,21 @@ class ViewCue:
     template update problem").
     """
 
-    def __init__(self, parameters: CueParameters, image: Image, window: FloatArray) -> None:
-        self._parameters = parameters
+    def __init__(self, image: Image, window: FloatArray) -> None:
         self._grey = grey(image)
         aside = np.tile(window, (4, 1))
         aside[:, :2] += 0.5 * window[2:] * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
         self._first, *others = descriptors(self._grey, np.vstack([window, aside]))
-        self._later: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
+        self._later: deque[NDArray[np.float32]] = deque(maxlen=_MEMORY)
         self._usual = float(np.mean(np.array(others) @ self._first))
         self.frames = 1
 
     @classmethod
-    def of(cls, parameters: CueParameters, image: Image, window: FloatArray) -> ViewCue | None:
+    def of(cls, image: Image, window: FloatArray) -> ViewCue | None:
         """The cue of a target in a window (4,) of an image (h, w, 3); None where it is too small or blank."""
-        if window[2:].min() < parameters.view_least:
+        if window[2:].min() < _VIEW_LEAST:
             return None
-        cue = cls(parameters, image, window)
+        cue = cls(image, window)
         return cue if np.linalg.norm(cue._first) ** 2 > 0.5 else None
 
     def look(self, image: Image) -> None:
@@ -266,12 +254,12 @@ class ViewCue:
 
     def activity(self, windows: FloatArray) -> FloatArray:
         """Activities (n,) of windows (n, 4)."""
-        return activation(self.gain(windows), *self._parameters.view_gain)
+        return activation(self.gain(windows), *_VIEW_GAIN)
 
     def adapt(self, window: FloatArray) -> None:
         """Remember the view in a window (4,), if it is new."""
         self.frames += 1
-        if self.gain(window[None])[0] < self._parameters.view_new:
+        if self.gain(window[None])[0] < _VIEW_NEW:
             self._later.append(descriptors(self._grey, window[None])[0])
 
     def give(self, images: list[Image]) -> None:
@@ -299,8 +287,8 @@ class Cue(Protocol):
 class _SaliencyCue:
     """A cue that is active where windows overlap with a saliency of the pixels."""
 
-    def __init__(self, parameters: CueParameters, image: Image, rise: tuple[float, float]) -> None:
-        self._parameters, self._rise = parameters, rise
+    def __init__(self, image: Image, rise: tuple[float, float]) -> None:
+        self._rise = rise
         self._show(np.zeros(image.shape[:2], np.float32))
 
     def _show(self, saliency: NDArray[np.float32]) -> None:
@@ -308,14 +296,14 @@ class _SaliencyCue:
 
     def activity(self, windows: FloatArray) -> FloatArray:
         """Activities (n,) of windows (n, 4)."""
-        return activation(salient_overlap(self._table, windows, self._parameters.surround), *self._rise)
+        return activation(salient_overlap(self._table, windows, _SURROUND), *self._rise)
 
 
 class MotionCue(_SaliencyCue):
     """Differences from a running average of the frames."""
 
-    def __init__(self, parameters: CueParameters, image: Image, target: NDArray[np.bool_] | None) -> None:
-        super().__init__(parameters, image, parameters.motion_overlap)
+    def __init__(self, image: Image, target: NDArray[np.bool_] | None) -> None:
+        super().__init__(image, _MOTION_OVERLAP)
         self._background = smoothed(image)
         # What the target hides in the first frame is seen when it has gone from there.
         self._unknown = target
@@ -324,15 +312,16 @@ class MotionCue(_SaliencyCue):
     def look(self, image: Image) -> None:
         """Take in a frame."""
         self._image = smoothed(image)
-        saliency = foreground(self._background, self._image, self._parameters.motion_threshold)
+        saliency = foreground(self._background, self._image, _MOTION_THRESHOLD)
         if self._unknown is not None:
             saliency[self._unknown] = 0.0
         self._show(saliency)
 
     def adapt(self, target: NDArray[np.bool_] | None) -> None:
         """Let the background follow; ``target`` (h, w) says where it may be hidden."""
-        p = self._parameters
-        self._background = running_average(self._background, self._image, p.background_rate)
+        rate = _BACKGROUND_RATE
+        mixed = cv2.addWeighted(self._background, 1.0 - rate, self._image, rate, 0.0)
+        self._background = np.asarray(mixed, np.float32)
         if self._unknown is not None and target is not None:
             seen = self._unknown & ~target
             self._background[seen] = self._image[seen]
@@ -344,8 +333,8 @@ class MotionCue(_SaliencyCue):
 class ColourCue(_SaliencyCue):
     """The target's colours rather than those around it."""
 
-    def __init__(self, parameters: CueParameters, image: Image) -> None:
-        super().__init__(parameters, image, parameters.colour_overlap)
+    def __init__(self, image: Image) -> None:
+        super().__init__(image, _COLOUR_OVERLAP)
         self._numbers = pixel_bins(image)
         self.target: FloatArray | None = None
         """The target's histogram (COUNT,), once there is one."""
@@ -358,13 +347,13 @@ class ColourCue(_SaliencyCue):
         self._numbers = pixel_bins(image)
         if self.target is None or self._background is None:
             return
-        share = target_share(self.target, self._background, self._parameters.colour_odds)
+        share = target_share(self.target, self._background, _COLOUR_ODDS)
         self._show(share.astype(np.float32)[self._numbers])
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
         """Adapt the background's histogram to where the target is not (h, w)."""
         found = weighed_histogram(self._numbers, outside.astype(np.float32))
-        rate = self._parameters.surroundings_rate
+        rate = _SURROUNDINGS_RATE
         self._background = found if self._background is None else _mixed(self._background, found, rate)
 
     def adapt(self, weights: NDArray[np.float32]) -> None:
@@ -372,27 +361,26 @@ class ColourCue(_SaliencyCue):
         found = weighed_histogram(self._numbers, weights)
         if found.sum() > 0.0:
             self.frames += 1
-            rate = max(self._parameters.colour_rate, 1.0 / self.frames)
+            rate = max(_COLOUR_RATE, 1.0 / self.frames)
             self.target = found if self.target is None else _mixed(self.target, found, rate)
 
 
 class ShapeCue:
     """Local features that look like the target's of the last frames, and unlike the background's."""
 
-    def __init__(self, parameters: CueParameters) -> None:
-        self._parameters = parameters
-        self._sift: Any = cv2.SIFT_create(contrastThreshold=parameters.contrast)  # type: ignore[attr-defined]
-        self.features = Features(np.zeros((0, 2)), none())
+    def __init__(self) -> None:
+        self._sift: Any = cv2.SIFT_create(contrastThreshold=_CONTRAST)  # type: ignore[attr-defined]
+        self.features = Features(np.zeros((0, 2)), _NONE)
         self.scores = np.zeros(0)
         """Evidence (n,) of each feature of the frame for the target, −1…1."""
         self._of_background = np.zeros(0)
-        self._memory: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
-        self._rates: deque[float] = deque(maxlen=parameters.memory)
-        self._given = none()
+        self._memory: deque[NDArray[np.float32]] = deque(maxlen=_MEMORY)
+        self._rates: deque[float] = deque(maxlen=_MEMORY)
+        self._given = _NONE
         self._focus: FloatArray | None = None
         self._looked = 0
         self.frames = 0
-        self._background = none()
+        self._background = _NONE
         self._expected = 0.0
 
     def give(self, images: list[Image]) -> None:
@@ -402,62 +390,60 @@ class ShapeCue:
 
     def focus(self, window: FloatArray | None) -> None:
         """Look for features about a window (4,) only, as they cost the most; everywhere for None."""
-        p = self._parameters
         if window is None:
             self._focus = None
             return
         centre = window[:2] + window[2:] / 2.0
-        size = np.maximum(window[2:] * p.focus, p.focus_least)
+        size = np.maximum(window[2:] * _FOCUS, _FOCUS_LEAST)
         self._focus = np.concatenate([centre - size / 2.0, size])
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
-        p = self._parameters
         self._looked += 1
-        part = None if self._looked % p.everywhere == 0 else self._focus
+        part = None if self._looked % _EVERYWHERE == 0 else self._focus
         self.features = detect(self._sift, grey(image), part)
         descriptors = self.features.descriptors
         self._of_background = np.maximum(
             similarity(descriptors, self._background), similarity(descriptors, self._given)
         )
-        of_target = memory_similarity(descriptors, self._memory, np.array(self._rates))
-        self.scores = point_scores(of_target, self._of_background, p.matched, p.margin)
+        # Frames whose features match those of the next one are remembered better.
+        of_target = np.zeros(len(descriptors))
+        for known, rate in zip(self._memory, self._rates, strict=True):
+            of_target = np.maximum(of_target, rate * similarity(descriptors, known))
+        self.scores = point_scores(of_target, self._of_background, _MATCHED, _MARGIN)
 
     def activity(self, windows: FloatArray) -> FloatArray:
         """Activities (n,) of windows (n, 4)."""
-        p = self._parameters
         if not self._memory:
             return np.zeros(len(windows))
         points = self.features.points
         within = inside(points, windows)
-        around = inside(points, enlarged(windows, p.surround)) & ~within
+        around = inside(points, enlarged(windows, _SURROUND)) & ~within
         gain, loss = np.maximum(self.scores, 0.0), np.maximum(-self.scores, 0.0)
-        held = within @ gain - p.negative * (within @ loss)
-        expected = np.full(len(windows), max(self._expected, p.fewest))
-        return activation(overlap(held, np.asarray(around @ gain), expected), *p.shape_overlap)
+        held = within @ gain - _NEGATIVE * (within @ loss)
+        expected = np.full(len(windows), max(self._expected, _FEWEST))
+        return activation(overlap(held, np.asarray(around @ gain), expected), *_SHAPE_OVERLAP)
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
         """Remember features that are not the target's; ``outside`` (h, w) says where it is not."""
-        p = self._parameters
         last = [outside.shape[1] - 1, outside.shape[0] - 1]
         places = np.clip(self.features.points.astype(int), 0, last)
         beside = outside[places[:, 1], places[:, 0]]
         descriptors = self.features.descriptors[beside]
-        new = descriptors[self._of_background[beside] < p.matched]
+        new = descriptors[self._of_background[beside] < _MATCHED]
         # What was seen again goes last, what was not seen for longest is forgotten.
-        seen = similarity(self._background, descriptors) >= p.matched
+        seen = similarity(self._background, descriptors) >= _MATCHED
         known = np.concatenate([self._background[~seen], self._background[seen], new])
-        self._background = known[-p.background_features :]
+        self._background = known[-_BACKGROUND_FEATURES:]
 
     def adapt(self, window: FloatArray) -> None:
         """Remember the features in a window (4,) that are not the background's."""
-        p = self._parameters
-        own = inside(self.features.points, window[None])[0] & (self._of_background < p.matched)
+        own = inside(self.features.points, window[None])[0] & (self._of_background < _MATCHED)
         new = self.features.descriptors[own]
         if not len(new):
             return
         if self._memory:
-            self._rates[-1] = matching_rate(self._memory[-1], new, p.matched)
+            self._rates[-1] = float((similarity(self._memory[-1], new) >= _MATCHED).mean())
         self.frames += 1
         self._memory.append(new)
         self._rates.append(1.0)
@@ -471,13 +457,6 @@ def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:
 def smoothed(image: Image) -> NDArray[np.float32]:
     """An image (h, w, 3) without most of its noise, as float."""
     return np.asarray(cv2.blur(image, (3, 3)), np.float32)
-
-
-def running_average(
-    background: NDArray[np.float32], image: NDArray[np.float32], rate: float
-) -> NDArray[np.float32]:
-    """The background (h, w, 3) after one more frame (h, w, 3): B + rate · (I − B)."""
-    return np.asarray(cv2.addWeighted(background, 1.0 - rate, image, rate, 0.0), np.float32)
 
 
 def foreground(

@@ -11,7 +11,6 @@ from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from graphtrack.baselines.particle_weights import effective_sample_size, resample
@@ -104,6 +103,10 @@ class Tracker(Protocol):
         ...
 
 
+START_STD = 0.04
+"""1-σ of the first boxes about the given one, as a share of its size."""
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """n weighed boxes and where they were a frame before.
@@ -119,9 +122,9 @@ class Cloud:
     weights: FloatArray
 
     @classmethod
-    def about(cls, first: FloatArray, count: int, std: float, rng: np.random.Generator) -> Cloud:
-        """Equal particles about a state (4,), at rest; ``std`` is the 1-σ as a share of the size."""
-        noise = std * rng.standard_normal((count, 4))
+    def about(cls, first: FloatArray, count: int, rng: np.random.Generator) -> Cloud:
+        """Equal particles about a state (4,), at rest."""
+        noise = START_STD * rng.standard_normal((count, 4))
         noise[:, :2] *= np.exp(first[2:])
         now = first + noise
         return cls(now, now.copy(), np.full(count, 1.0 / count))
@@ -213,7 +216,6 @@ class BoxDynamics:
     ----------
     persistence : share of the centre's last step that is made again, 0 (random walk) … 1 (constant velocity)
     centre_std : 1-σ of the noise of the centre, as a share of the box's width and height
-    size_persistence : the same for the logarithm of the size
     size_std : 1-σ of the noise of the logarithm of the size
     reversion : share of the way back to the first size that is gone in each frame
     guided_share : share of the particles whose centre is drawn from a `Proposal`, where there is one
@@ -300,26 +302,6 @@ def cut(grey: NDArray[np.uint8], boxes: FloatArray, side: int) -> NDArray[np.uin
     return np.asarray(patches, np.uint8).reshape(shape)
 
 
-@njit(cache=True)
 def equalised(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Every patch (n, h, w) with its histogram equalised, as ``cv2.equalizeHist`` does for one."""
-    flat = patches.reshape(len(patches), -1)
-    result = np.empty_like(flat)
-    size = flat.shape[1]
-    levels = np.empty(256, np.uint8)
-    for i in range(len(flat)):
-        count = np.zeros(256, np.int64)
-        for value in flat[i]:
-            count[value] += 1
-        first = 0
-        while count[first] == 0:
-            first += 1
-        levels[first] = first if count[first] == size else 0
-        scale = np.float32(255.0) / np.float32(max(size - count[first], 1))
-        below = 0
-        for level in range(first + 1, 256):
-            below += count[level]
-            levels[level] = np.uint8(np.rint(np.float32(below) * scale))
-        for j in range(size):
-            result[i, j] = levels[flat[i, j]]
-    return result.reshape(patches.shape)
+    """Every patch (n, h, w) with its histogram equalised."""
+    return np.array([cv2.equalizeHist(patch) for patch in patches], np.uint8).reshape(patches.shape)

@@ -36,7 +36,7 @@ def learned(rng: np.random.Generator, count: int, **settings: float) -> Appearan
 
 @pytest.mark.parametrize("count", [12, 60, 200])
 def test_it_is_calibrated_on_other_people(count: int) -> None:
-    """Of pairs of either kind, equally many, of which it says p, a share of about p shows one person."""
+    """Of pairs that show one person with probability p, a share of about p does."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         model = learned(rng, count)
@@ -49,7 +49,7 @@ def test_it_is_calibrated_on_other_people(count: int) -> None:
         place = np.minimum((10.0 * said).astype(int), 9)
         off = np.abs(np.bincount(place, weight * (said - true), minlength=10)).sum()
         assert off < (0.12 if count < 100 else 0.05)
-        # And it is worth something: by chance it is log 2.
+        # By chance it is log 2.
         lost = 0.5 * (np.logaddexp(0.0, -ratio[0]).mean() + np.logaddexp(0.0, ratio[1]).mean())
         assert lost < 0.7 * np.log(2.0)
 
@@ -71,18 +71,13 @@ def test_units_and_turns_of_the_descriptors_do_not_matter() -> None:
     """A whitened distance has none: but for the shrinkage, which is small here."""
     rng = np.random.default_rng(4)
     values, person = people(rng, 80)
-    same, different = pairs(rng, person)
-    mixed = np.linalg.qr(rng.normal(size=(K, K)))[0] * 1e3
-    one = AppearanceModel.learned(values, same, different, 1e-6)
-    other = AppearanceModel.learned(values @ mixed, same, different, 1e-6)
-    np.testing.assert_allclose(
-        one.log_ratio(values[:-1], values[1:]),
-        other.log_ratio(values[:-1] @ mixed, values[1:] @ mixed),
-        atol=1e-3,
-    )
+    linked, mixed = pairs(rng, person), 1e3 * np.linalg.qr(rng.normal(size=(K, K)))[0]
+    models = [AppearanceModel.learned(seen, *linked, 1e-6) for seen in (values, values @ mixed)]
+    found = models[1].log_ratio(values[:-1] @ mixed, values[1:] @ mixed)
+    np.testing.assert_allclose(found, models[0].log_ratio(values[:-1], values[1:]), atol=1e-3)
 
 
-def test_a_missing_descriptor_says_nothing_and_teaches_nothing() -> None:
+def test_missing_descriptors_and_too_few_people_say_nothing() -> None:
     rng = np.random.default_rng(7)
     values, person = people(rng, 40)
     same, different = pairs(rng, person)
@@ -93,19 +88,12 @@ def test_a_missing_descriptor_says_nothing_and_teaches_nothing() -> None:
     missing = np.isnan(holes[same]).any(axis=(1, 2))
     assert (ratio[missing] == 0.0).all() and np.isfinite(ratio).all() and (ratio[~missing] != 0.0).all()
     kept = ~np.isnan(holes).any(axis=1)
+    few, others = people(rng, 3)
+    silent = AppearanceModel.learned(few, *pairs(rng, others)), AppearanceModel.learned(values, same, [])
+    for model_of_few in silent:
+        assert (model_of_few.log_ratio(values[:-1], values[1:]) == 0.0).all()
     of_kept = AppearanceModel.learned(values, *(p[kept[p].all(axis=1)] for p in (same, different)))
     np.testing.assert_array_equal(of_kept.whitening, model.whitening)
-
-
-def test_of_too_few_people_it_says_nothing() -> None:
-    values, person = people(np.random.default_rng(8), 3)
-    same, different = pairs(np.random.default_rng(8), person)
-    for model in (
-        AppearanceModel.learned(values, same, different),
-        AppearanceModel.learned(values, [], []),
-        AppearanceModel.learned(values, same, np.empty((0, 2), int)),
-    ):
-        assert (model.log_ratio(values[:-1], values[1:]) == 0.0).all()
 
 
 @pytest.mark.parametrize(

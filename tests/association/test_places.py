@@ -1,19 +1,32 @@
-"""Where people come and go, and where detections are false: rates over the ground."""
+"""Rates of birth, death and clutter over the ground, and velocities steered by body and head."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.association.likelihood import Chains, Scene, link_by, refresh, unlinked
+from graphtrack.association.likelihood import (
+    BODY,
+    STATE,
+    Chains,
+    Scene,
+    link_by,
+    observed_angles,
+    refresh,
+    steer,
+    unlinked,
+)
 from graphtrack.association.online import TOLD, OnlineAssociation
-from graphtrack.association.scene import AHEAD, SPREAD, learn_places, seen_from_within
+from graphtrack.association.scene import AHEAD, SPREAD, learn_places, learn_scene, seen_from_within
+from graphtrack.geometry.angles import class_centres
 
 FRAMES, CROSSING = 400, 20
 
 
-def street(seed: int = 0, shift: tuple[float, float] = (0.0, 0.0)) -> tuple[Chains, np.ndarray]:
+def street(seed: int = 0) -> tuple[Chains, np.ndarray]:
     """A walk of 20 m each, one after the other from left to right, and false detections in a corner above."""
     rng = np.random.default_rng(seed)
     rows = []
@@ -22,7 +35,7 @@ def street(seed: int = 0, shift: tuple[float, float] = (0.0, 0.0)) -> tuple[Chai
         rows += [(k * CROSSING + j, j + rng.normal(0.0, 0.1), y, k) for j in range(CROSSING)]
     rows += [(f, rng.uniform(14.0, 20.0), rng.uniform(10.0, 12.0), -1) for f in range(FRAMES)]
     frame, x, y, identity = np.array(sorted(rows)).T
-    position = np.column_stack([x, y]) + shift
+    position = np.column_stack([x, y])
     nothing = np.full((len(frame), 2), np.nan)
     chains = unlinked(0.4 * frame, frame.astype(np.int64), position, nothing)
     link_by(chains, identity.astype(np.int64))
@@ -33,20 +46,17 @@ def test_people_come_where_they_came_and_leave_where_they_left() -> None:
     chains, identity = street()
     left, middle, right, corner = np.array([[0.0, 0.0], [10.0, 0.0], [19.0, 0.0], [17.0, 11.0]])
     births, deaths, clutter = learn_places(chains, identity).at(np.array([left, middle, right, corner]))
-    assert births[0] > 2.0 > 1.0 > births[1]
-    assert births[0] > 4.0 * births[2]
-    assert deaths[2] > 2.0 > 1.0 > deaths[1]
-    assert deaths[2] > 4.0 * deaths[0]
+    assert births[0] > 2.0 > 1.0 > births[1] and births[0] > 4.0 * births[2]
+    assert deaths[2] > 2.0 > 1.0 > deaths[1] and deaths[2] > 4.0 * deaths[0]
     assert clutter[3] > 2.0 and clutter[:3].max() < 0.2
 
 
-def test_rates_move_with_the_world() -> None:
+def test_without_gaps_a_scene_keeps_its_prior_of_occlusions() -> None:
+    """One occlusion of 2 s, and a hundredth of two events, count beside what was observed."""
     chains, identity = street()
-    moved, _ = street(shift=(300.0, -40.0))
-    for here, there in zip(
-        seen_from_within(chains, identity), seen_from_within(moved, identity), strict=True
-    ):
-        np.testing.assert_allclose(here, there, rtol=1e-9)
+    found = learn_scene(chains, identity, gt.SceneParameters(), np.full(len(identity), np.nan), 0.4)
+    assert found.occlusion_seconds == pytest.approx(2.0)
+    assert found.occlusion_probability == pytest.approx(0.02 / ((identity >= 0).sum() + 2.0))
 
 
 @pytest.mark.parametrize("k", [0, 7, 300])
@@ -102,3 +112,58 @@ def test_somebody_goes_on_being_there_as_often_as_where_it_is_played() -> None:
         if abs(there - TOLD) > 0.02:
             assert told[-1] == (there > TOLD)
     assert told[3] and not told[-1]
+
+
+def test_observed_angles_are_the_given_ones_and_else_the_mean_of_class_likelihoods() -> None:
+    classes, body = np.eye(8)[[2, 2]], np.array([0.1, np.nan])
+    found = observed_angles({"body": body, "body_likelihood": classes}, 2)
+    np.testing.assert_allclose(found, [[0.1, np.nan], [class_centres(8)[2], np.nan]], atol=1e-12)
+
+
+VARIANCE = 0.5
+"""Of an angle about the direction of travel, rad²."""
+
+
+def walking(way: float, speed: float = 1.2) -> np.ndarray:
+    """The state of somebody who walks in a direction (rad)."""
+    state = np.zeros(STATE)
+    state[:7] = 1.0, -2.0, speed * math.cos(way), speed * math.sin(way), 0.02, 0.03, 0.09
+    return state
+
+
+def steered(state: np.ndarray, angle: float, outliers: float = 0.02) -> np.ndarray:
+    after = state.copy()
+    steer(angle, VARIANCE, outliers, after)
+    return after
+
+
+def test_a_small_turn_is_the_update_of_a_kalman_filter_by_the_velocity_across() -> None:
+    state, angle = walking(0.0), 0.05
+    p, pv, v = state[4:7]
+    covariance = np.kron(np.array([[p, pv], [pv, v]]), np.eye(2))
+    across, speed = np.array([0.0, 0.0, 0.0, 1.0]), state[2]
+    gain = covariance @ across / (across @ covariance @ across + VARIANCE * speed**2)
+    mean = state[:4] + gain * speed * math.sin(angle)
+    left = covariance - np.outer(gain, across @ covariance)
+    after = steered(state, angle, outliers=1e-9)
+    np.testing.assert_allclose(after[:4], mean, rtol=1e-6)
+    axes = [(left[k, k] + left[k + 1, k + 1]) / 2 for k in (0, 2)]
+    np.testing.assert_allclose([after[4], after[6]], axes, rtol=1e-6)
+    np.testing.assert_allclose(after[5], (left[0, 2] + left[1, 3]) / 2, rtol=1e-6)
+    np.testing.assert_array_equal(after[BODY:], state[BODY:])
+
+
+@pytest.mark.parametrize("turn", [0.2, 1.0, 2.0, 3.0])
+def test_somebody_turns_towards_the_angle_never_past_it_and_alike_on_both_sides(turn: float) -> None:
+    left, right = steered(walking(0.0), turn), steered(walking(0.0), -turn)
+    assert 0.0 < math.atan2(left[3], left[2]) < turn
+    assert math.atan2(right[3], right[2]) == pytest.approx(-math.atan2(left[3], left[2]))
+    assert left[6] < walking(0.0)[6] and left[4] * left[6] > left[5] ** 2
+
+
+@pytest.mark.parametrize(
+    ("angle", "outliers", "speed"), [(math.nan, 0.02, 1.2), (0.5, 1.0, 1.2), (0.5, 0.02, 0.0)]
+)
+def test_what_says_nothing_changes_nothing(angle: float, outliers: float, speed: float) -> None:
+    state = walking(0.3, speed)
+    np.testing.assert_array_equal(steered(state, angle, outliers), state)

@@ -7,17 +7,15 @@ import filterpy.kalman
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from walks import turned, walk, without
+from walks import walk, without
 
 from graphtrack.baselines.intentional import (
     PRINTED,
     IntentionalParameters,
-    bin_deviation,
     intentional_filter,
     intentional_states,
     intentional_tracker,
     intentional_transition,
-    prior_weight,
     step_tracker,
 )
 from graphtrack.baselines.kalman import full_covariance, kalman_filter
@@ -110,18 +108,6 @@ def test_the_tracker_equals_the_equations_with_full_matrices(
     np.testing.assert_allclose(found.log_likelihood[0], log_likelihood, rtol=1e-8, atol=1e-8)
 
 
-def test_bins_are_neighbours_around_the_circle() -> None:
-    first, last = np.radians(0.0), np.radians(-45.0)  # the first and the last bin of a count from 0
-    assert bin_deviation(first, last) == 1
-    assert bin_deviation(last, first) == -1
-    head = np.radians(np.arange(-180, 180, 7.0))
-    for turn in np.radians(45.0) * np.arange(1, 8):
-        np.testing.assert_array_equal(
-            bin_deviation(wrap(head + turn), wrap(0.3 + turn)), bin_deviation(head, np.full_like(head, 0.3))
-        )
-    assert set(bin_deviation(head, np.zeros_like(head)).tolist()) == {-3, -2, -1, 0, 1, 2, 3, 4}
-
-
 def test_eleven_deviations_are_summed() -> None:
     # A drift along x; the head is a bin off at frame 20 alone, and the weight is 0 or 1.
     position = np.column_stack([0.01 * np.arange(40.0), np.zeros(40)])
@@ -147,13 +133,6 @@ def test_the_estimates_of_a_track_are_those_of_the_steps() -> None:
         step_tracker(replace(track, position=np.full((30, 2), np.nan)))
 
 
-def test_the_weight_grows_with_the_strength_from_its_base() -> None:
-    weights = prior_weight(np.arange(0.0, 20.0), IntentionalParameters())
-    assert weights[0] == pytest.approx(1.0 / (1.0 + math.exp(-2.25)))  # ρ = 1.5, τ = −1.5
-    assert np.all(np.diff(weights) >= 0.0)
-    assert weights[-1] == pytest.approx(1.0)
-
-
 def test_many_tracks_at_once_are_the_tracks_one_by_one() -> None:
     walks = [noisy_walk(seed=seed) for seed in range(4)]
     positions, heads = np.stack([w[0] for w in walks]), np.stack([w[1] for w in walks])
@@ -167,15 +146,6 @@ def test_many_tracks_at_once_are_the_tracks_one_by_one() -> None:
     assert np.isfinite(together.mean[2, 15:]).all()
 
 
-def test_a_quarter_turn_of_the_world_turns_the_estimates() -> None:
-    position, head = noisy_walk()
-    straight = intentional_filter(position, head)
-    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
-    other = intentional_filter(position @ quarter.T, wrap(head + np.pi / 2.0))
-    np.testing.assert_allclose(other.mean[0, :, :2], straight.mean[0, :, :2] @ quarter.T, atol=1e-9)
-    np.testing.assert_allclose(other.log_likelihood, straight.log_likelihood, atol=1e-9)
-
-
 def test_without_a_head_it_is_the_kalman_filter() -> None:
     position, _ = noisy_walk()
     plain = intentional_filter(position, None)
@@ -183,17 +153,6 @@ def test_without_a_head_it_is_the_kalman_filter() -> None:
     mean, covariance, _ = by_the_book(position, np.full(60, np.nan), IntentionalParameters())
     np.testing.assert_allclose(plain.mean[0], mean, atol=1e-9)
     np.testing.assert_allclose(full_covariance(plain.spread[0]), covariance, atol=1e-9)
-
-
-def test_the_head_carries_the_track_through_a_gap() -> None:
-    # Walks along x, turns to y as soon as nothing is seen: only the head says so.
-    course = np.r_[np.zeros(30), np.full(20, np.pi / 2.0)]
-    position = np.cumsum(0.4 * unit(course), axis=0)
-    seen = position.copy()
-    seen[30:] = np.nan
-    with_head = intentional_filter(seen, course).mean[0, -1, :2]
-    without_head = intentional_filter(seen, None).mean[0, -1, :2]
-    assert np.linalg.norm(with_head - position[-1]) < 0.35 * np.linalg.norm(without_head - position[-1])
 
 
 @pytest.mark.parametrize("seen", [0, 1])
@@ -286,17 +245,6 @@ def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> No
     np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
     np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-9)
     np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
-
-
-def test_the_world_may_be_turned() -> None:
-    track = walk(30, uneven=True)
-    for angle in (0.4, 2.0):
-        other = turned(track, angle, (3.0, -1.0))
-        found, expected = (
-            intentional_tracker(other, PARAMETERS),
-            turned(intentional_tracker(track, PARAMETERS), angle, (3.0, -1.0)),
-        )
-        np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
 
 
 def test_a_head_without_any_position_is_refused() -> None:

@@ -274,20 +274,6 @@ def test_backward_weights_are_the_models_densities(rate: float) -> None:
     assert max(drawn) < 0.9
 
 
-def test_particles_follow_the_head_through_a_gap() -> None:
-    course = np.r_[np.zeros(30), np.full(25, np.pi / 2.0)]
-    position = np.cumsum(0.12 * np.stack([np.cos(course), np.sin(course)], axis=1), axis=0)
-    t = 0.1 * np.arange(55)
-    seen = np.where(np.arange(55)[:, None] < 31, position, np.nan)
-    track = Track(1, np.arange(55), t, seen, position_std=np.full(55, 0.05), head=course)
-    ends = {
-        preset: particle_filter(track, steered(4.0, preset), options=options(3000)).track.position[-1]
-        for preset in ("separate", "joint", "intentional", "joint-intentional")
-    }
-    off = {preset: np.linalg.norm(end - position[-1]) for preset, end in ends.items()}
-    assert max(off["intentional"], off["joint-intentional"]) < 0.4 * min(off["separate"], off["joint"])
-
-
 def test_mean_and_covariance_of_particles() -> None:
     rng = np.random.default_rng(0)
     particles, weights = rng.normal(0.0, 1.0, (400, 6)), rng.dirichlet(np.ones(400))
@@ -325,15 +311,6 @@ def test_the_mean_tends_to_the_kalman_filters_at_the_rate_of_monte_carlo() -> No
     # Sixteen times the particles: a quarter of the error.
     assert 2.8 < errors[0] / errors[1] < 5.6
     assert errors[1] < 0.01
-
-
-def test_the_covariance_is_the_kalman_filters() -> None:
-    track = walk(20, noise=0.1)
-    found = particle_filter(track, LINEAR, options=options(20_000)).track.covariance
-    exact = filter_states(track, PARAMETERS)[0].covariance
-    ratio = np.trace(found[:, :4, :4], axis1=1, axis2=2) / np.trace(exact, axis1=1, axis2=2)
-    np.testing.assert_allclose(ratio, 1.0, atol=0.1)
-    assert np.isnan(found[:, 4:]).all()
 
 
 def test_the_evidence_is_the_kalman_filters_within_its_standard_error() -> None:

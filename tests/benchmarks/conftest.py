@@ -29,44 +29,31 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def record(request: pytest.FixtureRequest) -> Callable[[str, float], None]:
     """Hand in a ratio under a name that baseline.json knows."""
-    measured = request.config.stash[MEASURED]
-
-    def put(name: str, value: float) -> None:
-        measured[name] = value
-
-    return put
+    return request.config.stash[MEASURED].__setitem__
 
 
-def regressed(entry: dict[str, Any], value: float) -> bool:
-    """Whether a value is worse than the baseline's by more than the tolerance, a share of it."""
-    allowed = entry["tolerance"] * abs(entry["value"])
-    worse = entry["value"] - value if entry["direction"] == "higher" else value - entry["value"]
-    return bool(worse > allowed)
+def verdict(entry: dict[str, Any] | None, value: float) -> tuple[str, bool]:
+    """Compare a value with the baseline's: the result in words, and whether it is as good, to a tolerance."""
+    if entry is None:
+        return "not in baseline.json", False
+    worse = (entry["value"] - value) * (1 if entry["direction"] == "higher" else -1)
+    good = worse <= entry["tolerance"] * abs(entry["value"])
+    said = "ok" if good else f"REGRESSED (tolerance {entry['tolerance']:.0%}, {entry['direction']} is better)"
+    return f"baseline {entry['value']:.3g}   {said}", good
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     measured, entries = session.config.stash[MEASURED], json.loads(BASELINE.read_text(encoding="utf-8"))
-    if not measured:
-        return
     known = {entry["name"]: entry for entry in entries}
-    lines = []
     for name, value in measured.items():
-        entry = known.get(name)
-        if entry is None:
-            lines.append(f"{name:60s}{value:10.3g}   not in baseline.json")
+        said, good = verdict(known.get(name), value)
+        print(f"\n{name:60s}{value:10.3g}   {said}", end="")
+        if not good:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
-            continue
-        verdict = "ok"
-        if regressed(entry, value):
-            verdict = f"REGRESSED (tolerance {entry['tolerance']:.0%}, {entry['direction']} is better)"
-            session.exitstatus = pytest.ExitCode.TESTS_FAILED
-        lines.append(f"{name:60s}{value:10.3g}   baseline {entry['value']:.3g}   {verdict}")
-    print("\n" + "\n".join(lines))
-    if session.config.getoption("--update-baseline"):
+    if measured and session.config.getoption("--update-baseline"):
         for name, value in measured.items():
             fresh = {"name": name, "value": value, "direction": "higher", "tolerance": 0.3}
-            entry = known.setdefault(name, fresh)
-            entry["value"] = float(f"{value:.3g}")
+            known.setdefault(name, fresh)["value"] = float(f"{value:.3g}")
         BASELINE.write_text(json.dumps(list(known.values()), indent=2) + "\n", encoding="utf-8")
         if session.testsfailed == 0:
             session.exitstatus = pytest.ExitCode.OK

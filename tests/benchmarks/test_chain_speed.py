@@ -86,18 +86,15 @@ def simdkalman_run(tracks: list[Track]) -> Callable[[], object]:
     return lambda: smoother.smooth(seen, **start)
 
 
-def test_joint_against_the_linear_smoother_of_simdkalman(record: Record) -> None:
-    tracks, model = walks(TRACKS), Model("joint")
-    frames = TRACKS * STEPS
-    mine, theirs = (lambda: ours(tracks, model), frames), (simdkalman_run(tracks), frames)
-    race(record, "joint / simdkalman, linear", mine, theirs, 2.0)
-
-
-def test_positions_against_simdkalman(record: Record) -> None:
-    tracks, model = walks(TRACKS), Model("position")
-    frames = TRACKS * STEPS
-    mine, theirs = (lambda: ours(tracks, model), frames), (simdkalman_run(tracks), frames)
-    race(record, "position / simdkalman", mine, theirs, 8.0)
+@pytest.mark.parametrize(
+    ("preset", "name", "least"),
+    [("joint", "joint / simdkalman, linear", 2.0), ("position", "position / simdkalman", 8.0)],
+)
+def test_against_the_linear_smoother_of_simdkalman(
+    preset: str, name: str, least: float, record: Record
+) -> None:
+    tracks, model, frames = walks(TRACKS), Model(preset), TRACKS * STEPS
+    race(record, name, (lambda: ours(tracks, model), frames), (simdkalman_run(tracks), frames), least)
 
 
 def filterpy_run(tracks: list[Track]) -> None:

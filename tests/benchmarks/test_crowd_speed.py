@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,30 +46,15 @@ def test_groups_looks_and_forecasts_of_a_crowd_beside_a_plain_tracker(
 ) -> None:
     """All of `graphtrack track - --groups --attention --forecast 2` but for reading and writing rows."""
     tracker, groups, looks = gt.OnlineTracker("full"), gt.OnlineGroups(), gt.OnlineAttention()
-    people: list[gt.PersonEstimate] = []
-    found: list[gt.Groups] = []
-
-    def track(t: float, seen: np.ndarray) -> None:
-        people[:] = tracker.update(t, seen)
-
-    def part(t: float, seen: np.ndarray) -> None:
-        found[:] = [groups.update(t, people)]
-
-    def look(t: float, seen: np.ndarray) -> None:
-        looks.update(t, people, found[0])
-
-    def foresee(t: float, seen: np.ndarray) -> None:
-        tracker.forecast(2.0, 0.4)
-
-    whole, *own, peer = milliseconds(track, part, look, foresee, HungarianTracker().step)
-    names = ("groups", "attention", "forecast")
-    told = ", ".join(f"{name} {one:.1f}" for name, one in zip(names, own, strict=True))
-    print(
-        f"\nms of a frame: tracker with full and what forecasts learn {whole:.1f}, {told}, plain {peer:.1f}"
+    latest: dict[str, Any] = {}
+    steps = (
+        lambda t, seen: latest.update(people=tracker.update(t, seen)),
+        lambda t, seen: latest.update(groups=groups.update(t, latest["people"])),
+        lambda t, seen: looks.update(t, latest["people"], latest["groups"]),
+        lambda t, seen: tracker.forecast(2.0, 0.4),
     )
-    spent = sum(own)
-    record(
-        "frame of 100 people, groups, attention, forecast / Kalman and Hungarian, processor time",
-        spent / peer,
-    )
-    record("frame of 100 people, groups, attention, forecast / tracker full, processor time", spent / whole)
+    whole, *own, peer = milliseconds(*steps, HungarianTracker().step)
+    print(f"\nms: tracker {whole:.1f}, groups, attention, forecast {np.round(own, 1)}, plain {peer:.1f}")
+    name = "frame of 100 people, groups, attention, forecast /"
+    record(f"{name} Kalman and Hungarian, processor time", sum(own) / peer)
+    record(f"{name} tracker full, processor time", sum(own) / whole)

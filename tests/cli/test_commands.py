@@ -43,29 +43,6 @@ def test_every_engine_takes_the_best_model(simulated, tmp_path, name, engine):
     assert "aligned_p" in pd.read_csv(tmp_path / "out.csv")
 
 
-def test_isam2_with_and_without_a_lag(simulated, tmp_path):
-    found = []
-    for lag in ("0.5", "none"):
-        done = run("track", simulated, "-o", tmp_path / "out.csv", "--engine", "isam2", "--lag", lag)
-        assert done.returncode == 0, done.stderr
-        found.append(pd.read_csv(tmp_path / "out.csv")[["x", "y", "body_deg", "head_deg"]].to_numpy())
-    assert found[0].shape == found[1].shape
-    # The newest step of both knows all that was seen; they differ in how it was linearised.
-    assert 0.0 < abs(found[0] - found[1])[:, :2].max() < 0.1
-
-
-def test_bad_input_is_one_line_with_status_2_and_no_output(simulated, tmp_path):
-    bad = tmp_path / "bad.csv"
-    lines = simulated.read_text().splitlines()
-    lines[3] = lines[3].replace(lines[3].split(",")[3], "twelve")
-    bad.write_text("\n".join(lines))
-    done = run("smooth", bad, "-o", tmp_path / "out.csv")
-    assert done.returncode == 2
-    assert "line 4" in done.stderr and "twelve" in done.stderr and "Traceback" not in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert not (tmp_path / "out.csv").exists()
-
-
 def test_a_track_without_positions_is_named_and_the_others_come_out(tmp_path):
     rows = [{"track_id": 1, "frame": k, "t": k / 10, "x": k / 10, "y": 0.0} for k in range(20)]
     rows += [{"track_id": 2, "frame": k, "t": k / 10, "head_deg": 10.0} for k in range(5)]

@@ -55,7 +55,7 @@ def test_errors_are_one_line_whatever_the_names(named: str) -> None:
 
 def test_what_is_written_keeps_the_label(named: str) -> None:
     assert run("add-noise", named, "-o", "out.csv", "--position-noise", "0.1").returncode == 0
-    assert gt.read("out.csv")[1].label == LABEL
+    assert gt.read("out.csv").by_id(1).label == LABEL
 
 
 def test_a_table_has_a_row_for_each_and_a_dash_where_there_is_no_value(

@@ -50,8 +50,8 @@ def test_compare_learns_the_noise_that_the_file_misstates(tmp_path: Path) -> Non
         arguments += ["--trust", trust]
         result = CliRunner().invoke(app, [*arguments, "--json", str(out)])
         assert result.exit_code == 0, result.output
-        nees.append(json.loads(out.read_text())["nees"][0]["nees"])
-    assert nees[0] > 20.0 and nees[1] < 4.0
+        nees.append(json.loads(out.read_text())["calibration"][0]["nees"])
+    assert nees[0] > 10.0 and nees[1] < 2.0
 
 
 def test_compare_asks_for_a_model_where_the_noise_to_learn_is_the_model_s(tmp_path: Path) -> None:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -40,7 +36,6 @@ def test_a_model_file_a_report_and_the_numbers_come_out(people: Path) -> None:
     assert model.to_dict() == told["model"]
     assert model.parameters.motion != gt.Parameters().motion
     assert "What it bought" in (people / "learned.html").read_text(encoding="utf-8")
-    assert not (people / "learned.toml.progress").exists()
 
 
 @pytest.mark.parametrize(
@@ -70,53 +65,6 @@ def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(people: Path) -> 
     kept = notes["likelihood.position_std"]
     assert "kept" in kept["note"] and kept["value"] == kept["start"]
     assert not notes["motion.acceleration_density"]["note"]
-
-
-def start(people: Path, output: Path) -> subprocess.Popen[bytes]:
-    program = [sys.executable, "-m", "graphtrack", "fit", people, "-o", output, "--model", "position"]
-    # A shell that runs the tests in the background lets them ignore interrupts.
-    return subprocess.Popen(
-        program,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-
-
-@pytest.fixture(scope="module")
-def people_and_whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """People, and the model that is learned of them when nothing comes between."""
-    folder = tmp_path_factory.mktemp("fit")
-    rng = np.random.default_rng(0)
-    gt.write(gt.simulate("position", n_tracks=20, n_steps=400, rng=rng), folder / "people.csv")
-    whole = start(folder / "people.csv", folder / "whole.toml")
-    whole.communicate()
-    assert whole.returncode == 0
-    return folder / "people.csv", folder / "whole.toml"
-
-
-@pytest.mark.slow
-def test_a_fit_that_is_interrupted_and_then_killed_is_resumed_to_the_same_result(
-    people_and_whole: tuple[Path, Path], tmp_path: Path
-) -> None:
-    people, whole = people_and_whole
-    learned, progress = tmp_path / "learned.toml", tmp_path / "learned.toml.progress"
-    for how, evaluations in ((signal.SIGINT, 5), (signal.SIGKILL, 10)):
-        interrupted = start(people, learned)
-        while interrupted.poll() is None:
-            if progress.is_file() and progress.read_bytes().count(b"\n") > evaluations:
-                interrupted.send_signal(how)
-                break
-            time.sleep(0.01)
-        _, said = interrupted.communicate()
-        assert interrupted.returncode == (130 if how is signal.SIGINT else -signal.SIGKILL)
-        assert b"Traceback" not in said
-        assert progress.is_file() and not learned.exists()
-    resumed = start(people, learned)
-    _, said = resumed.communicate()
-    assert resumed.returncode == 0 and b"going on from" in said
-    assert learned.read_bytes() == whole.read_bytes()
-    assert not progress.exists()
 
 
 def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(people: Path) -> None:

@@ -212,6 +212,7 @@ SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
         ({"--lag": "none", "--engine": "isam2"}, "expected one with "),
         ({"--model": "full"}, 'model.preset = "joint", expected one with model.preset = "full"'),
         ({"--engine": "fixed-lag"}, 'engine = "chain", expected one with engine = "fixed-lag"'),
+        ({"--forecast": "2"}, "forecast"),
         ({"--homography": "plane.txt"}, "homography = null, expected one with homography = [[0.01"),
     ],
 )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
 from graphtrack.streaming import saved_state
-from graphtrack.streaming.saved_state import Saving, StateFile, StateInUse, packed, remove
+from graphtrack.streaming.saved_state import Saving, StateFile, StateInUse, line_of, remove
 
 VALUES = [{"first": 1}, [2, "grün \udcff"], [3, "x"]]
 HOUR = 3600.0
@@ -19,7 +19,7 @@ HOUR = 3600.0
 def made(path, values=VALUES):
     file = StateFile(path, HOUR)
     file.mark()
-    file.replace(list(map(packed, values)))
+    file.replace(list(map(line_of, values)))
     file.wait()
     file.close()
     return path
@@ -132,7 +132,7 @@ def test_one_process_at_a_time(tmp_path):
     for name in (path, link):
         file = StateFile(path, HOUR)
         file.mark()
-        file.replace([packed(VALUES[0])])
+        file.replace([line_of(VALUES[0])])
         file.wait()  # another file has the name now
         with pytest.raises(InputError, match="another process"):
             StateFile(name, HOUR)
@@ -145,7 +145,7 @@ def test_a_new_content_takes_the_place_of_the_old_with_all_that_was_added_since(
     (tmp_path / "state").chmod(0o640)
     file.mark()
     file.append("since the mark")
-    file.replace([packed("new"), packed("content")])
+    file.replace([line_of("new"), line_of("content")])
     file.append("while it is written, or after")
     file.wait()
     assert not file.is_replacing
@@ -167,7 +167,7 @@ def test_a_file_that_is_not_there_appears_whole(tmp_path):
     assert not list(tmp_path.iterdir())
     file = StateFile(path, HOUR)
     file.mark()
-    file.replace([packed(1)])
+    file.replace([line_of(1)])
     file.wait()
     file.append(2)
     file.close()
@@ -185,7 +185,7 @@ def test_a_disk_that_is_full_is_told_and_what_was_there_stays(tmp_path, monkeypa
         with pytest.raises(InputError, match="No space left"):
             file.append("x")
         file.mark()
-        file.replace([packed("new")])
+        file.replace([line_of("new")])
         with pytest.raises(InputError, match="No space left"):
             file.wait()
     with pytest.raises(InputError, match="No space left"):  # and by then no row is answered

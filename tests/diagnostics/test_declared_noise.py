@@ -1,12 +1,14 @@
-"""What the data say of the noise that is declared: multipliers, biases, and what comes of correcting them."""
+"""Tests of the declared noise: multipliers, biases, and their correction."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command import run
 from scipy import stats
 
 import graphtrack as gt
@@ -94,6 +96,8 @@ def test_what_is_declared_rightly_is_not_contradicted(seed: int) -> None:
     setting = [(6, 60, 30.0), (12, 120, 10.0), (30, 30, 2.5)][seed % 3]
     preset = ["separate", "joint"][seed % 2]
     assert declared_noise(people(seed, *setting, preset).tracks, FULL).lines() == []
+    few = misdeclared(people(4, 1, 30), 0.1, 1.0, 1.0)
+    assert declared_noise(few.tracks, FULL).lines() == []
 
 
 @pytest.mark.parametrize("factor", [1 / 3, 3.0])
@@ -129,10 +133,6 @@ def test_gross_errors_do_not_count_as_noise() -> None:
     assert declared_noise(people(3).map(spoilt).tracks, FULL).lines() == []
 
 
-def test_too_few_observations_say_nothing() -> None:
-    assert declared_noise(misdeclared(people(4, 1, 30), 0.1, 1.0, 1.0).tracks, FULL).lines() == []
-
-
 def walkers(seed: int, n: int = 14) -> TrackSet:
     """People who go straight on, each their own way, and face where they go."""
     rng, tracks = np.random.default_rng(seed), []
@@ -157,6 +157,11 @@ def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
 
 
 def test_gaits_of_their_own_are_no_bias() -> None:
+    """The interval of an offset that is shared holds it."""
+    rng = np.random.default_rng(5)
+    found = [shared_offset(wrap(0.5 + 0.2 * rng.normal(size=20))) for _ in range(100)]
+    assert sum(one.low < 0.5 < one.high for one in found) >= 97
+
     def own(track: Track) -> Track:
         by = np.random.default_rng(track.track_id).uniform(-np.pi, np.pi)
         return replace(track, **turned(track, "body", by))
@@ -164,22 +169,6 @@ def test_gaits_of_their_own_are_no_bias() -> None:
     assert not any(one.turn for one in declared_noise(walkers(1).map(own).tracks, FULL).channels)
     few = walkers(2, 5).map(lambda track: replace(track, **turned(track, "body", 0.6)))
     assert not any(one.turn for one in declared_noise(few.tracks, FULL).channels)
-
-
-def test_the_interval_of_a_shared_offset_holds_it() -> None:
-    rng = np.random.default_rng(5)
-    held = 0
-    for _ in range(100):
-        found = shared_offset(wrap(0.5 + 0.2 * rng.normal(size=20)))
-        held += found.low < 0.5 < found.high
-    assert held >= 97
-
-
-def test_turned_classes_point_where_they_are_turned_to() -> None:
-    classes = np.zeros((1, 8))
-    classes[0, 1] = 1.0
-    track = Track(0, np.arange(1), np.zeros(1), np.zeros((1, 2)), body_likelihood=classes)
-    np.testing.assert_allclose(turned(track, "body", np.radians(67.5))["body_likelihood"][0, 2:4], 0.5)
 
 
 def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
@@ -199,8 +188,7 @@ def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
             squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.covariance[:, :2, :2]), error))
         return float(np.concatenate(squares).mean() / 2.0)
 
-    assert honesty(checked) == honesty(plain) > 3.0
-    assert 0.8 < honesty(learned) < 1.3
+    assert honesty(checked) == honesty(plain) > 3.0 and 0.8 < honesty(learned) < 1.3
     with pytest.raises(InputError, match="declared, check or learn"):
         gt.smooth(tracks, "separate", trust="blindly")
 
@@ -212,3 +200,24 @@ def test_scales_are_of_what_the_data_declare_alone() -> None:
     assert replace(likelihood, position_std=1).position_stds(None, 2).dtype == float
     np.testing.assert_allclose(likelihood.kappas("body", np.array([9.0, np.nan]), 2), [1.0, 4.0])
     np.testing.assert_allclose(likelihood.kappas("head", None, 2), [4.0, 4.0])
+
+
+def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(tmp_path: Path) -> None:
+    people = gt.simulate("position", n_tracks=8, n_steps=60, fps=10.0, rng=np.random.default_rng(0))
+    overconfident, stds = tmp_path / "people.parquet", {}
+    declared = people.map(lambda track: replace(track, position_std=np.full(len(track), 0.1 / 3.0)))
+    gt.write(declared, overconfident)
+    for trust in (None, "check", "declared", "learn"):
+        output = tmp_path / f"{trust}.csv"
+        given = [] if trust is None else ["--trust", trust]
+        done = run("smooth", overconfident, "-o", output, "--model", "position", *given, program="graphtrack")
+        assert done.returncode == 0
+        said = [line for line in done.stderr.splitlines() if "position: the noise is" in line]
+        assert len(said) == (trust != "declared")
+        assert all(("corrected" in line) == (trust == "learn") and "pos_std" in line for line in said)
+        std = gt.read(output).tracks[0].std("x")
+        stds[trust] = float(np.median(std))
+    assert stds[None] == stds["check"] == stds["declared"] < 0.6 * stds["learn"]
+    files = (overconfident, "-o", tmp_path / "out.parquet")
+    done = run("smooth", *files, "--stream", "--trust", "learn", program="graphtrack")
+    assert done.returncode == 2 and "--trust" in done.stderr

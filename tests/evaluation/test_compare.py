@@ -11,6 +11,7 @@ import pytest
 from graphtrack import InputError, SolveError, Track, TrackSet
 from graphtrack.evaluation import Comparison, Method, compare, make_method, registry
 from graphtrack.evaluation.compare import scored_frames
+from graphtrack.evaluation.metrics import chi_square_band
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise, occlude
 from graphtrack.simulation.sampling import simulate
@@ -73,7 +74,8 @@ def test_methods_that_do_not_estimate_angles_have_no_rows_for_them(comparison: C
     }
     assert metrics["kf"] == metrics["rts"] == {"position RMSE", "velocity RMSE", "time a step"}
     assert metrics["smoother"] == metrics["kf"] | {"body error", "head error"}
-    assert {row["quantity"] for row in comparison.nees if row["method"] == "kf"} == {"position"}
+    quantities = {row["quantity"] for row in comparison.calibration if row["method"] == "kf"}
+    assert quantities == {"position", "velocity"}
     assert all(
         np.isfinite(row["median"]) and row["low"] <= row["median"] <= row["high"] for row in comparison.rows
     )
@@ -98,14 +100,15 @@ def test_differences_are_paired_with_the_first_method_of_each_group(comparison: 
 
 
 def test_the_linear_methods_are_consistent_on_their_own_model(comparison: Comparison) -> None:
-    rows = {row["method"]: row for row in comparison.nees if row["quantity"] == "position"}
-    assert rows["kf"]["inside"] and rows["rts"]["inside"]
+    nees = {row["method"]: row["nees"] for row in comparison.calibration if row["quantity"] == "position"}
+    low, high = (bound / 2.0 for bound in chi_square_band(2, 12))
+    assert low < nees["kf"] < high and low < nees["rts"] < high
     tight = replace(Model("joint").parameters.motion, acceleration_density=0.002)
     wrong = Model("joint", replace(Model("joint").parameters, motion=tight))
     overconfident = compare(
         simulate("position", n_tracks=12, n_steps=80, rng=np.random.default_rng(22)), ("kf",), wrong
     )
-    assert overconfident.nees[0]["nees"] > overconfident.nees[0]["high"]
+    assert overconfident.calibration[0]["nees"] > high
 
 
 def test_everything_is_ready_for_json(comparison: Comparison) -> None:
@@ -149,7 +152,10 @@ def test_inside_windows_only_the_withheld_frames_count() -> None:
     for record in found.per_track:
         if record.method == "rts":
             window = hidden.windows[record.track_id]
-            estimate, truth = rts.estimate(hidden.tracks[record.track_id], None), people[record.track_id]
+            estimate, truth = (
+                rts.estimate(hidden.tracks.by_id(record.track_id), None),
+                people.by_id(record.track_id),
+            )
             squares = np.sum((estimate.position - truth.true_position)[window] ** 2, axis=1)
             assert record.metrics["position RMSE"] == pytest.approx(np.sqrt(squares.mean()))
     assert value(found, "kf", "position RMSE") > value(found, "rts", "position RMSE")
@@ -220,21 +226,3 @@ def test_unknown_and_repeated_methods_are_refused(tracks: TrackSet) -> None:
             compare(tracks, methods)
     own: Method = Echo()
     assert make_method(own) is own
-
-
-def test_the_published_filters_stand_beside_the_graph() -> None:
-    observed = simulate(n_tracks=3, n_steps=40, rng=np.random.default_rng(0))
-    names = ["kf", "intentional", "particle", "isam2", "rts", "ffbs", "smoother"]
-    found = compare(observed, names)
-    assert not found.failures
-    assert {row["method"] for row in found.group("online")} == set(names[:4])
-    assert {row["method"] for row in found.group("offline")} == set(names[4:])
-    # Who uses the same observations says so in the same words, and the caption repeats it.
-    information = found.information
-    assert information["particle"] == information["isam2"] == "positions, body, head; past only"
-    assert information["ffbs"] == information["smoother"]
-    assert information["intentional"] == "positions, head; past only"
-    assert all(f"{name} ({information[name]})" in found.caption for name in names)
-    errors = {row["method"]: row["mean"] for row in found.rows if row["metric"] == "body error"}
-    assert errors["particle"] < 1.25 * errors["isam2"]
-    assert errors["ffbs"] < errors["particle"]

@@ -32,9 +32,9 @@ def test_shared_parameters_are_set_and_no_others_change() -> None:
     other = with_shared(start, values)
     assert shared_values(other) == pytest.approx(values)
     assert with_shared(other, shared_values(start)).parameters == start.parameters
-    for name, (group, key) in SHARED.items():
+    for name, own in SHARED.items():
         one = with_shared(start, {name: values[name]}).parameters
-        assert getattr(getattr(one, group), key) == pytest.approx(values[name])
+        assert one.value(own) == pytest.approx(values[name])
         assert one != start.parameters
 
 

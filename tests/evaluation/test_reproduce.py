@@ -28,7 +28,6 @@ from graphtrack.experiments.harness import (
     thinned,
     with_coupling,
     with_density,
-    with_head_rate,
 )
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
@@ -102,7 +101,6 @@ def test_coupling_and_density_change_only_what_they_name() -> None:
     same = with_coupling(with_coupling(base, 4.0), 0.25)
     assert same.coupling.head_body_kappa == pytest.approx(base.coupling.head_body_kappa)
     assert same.orientation.body_diffusion == pytest.approx(base.orientation.body_diffusion)
-    assert with_head_rate(base, 0.7) == replace(base, motion=replace(base.motion, head_rate=0.7))
     assert with_density(base, 0.3) == replace(base, motion=replace(base.motion, acceleration_density=0.3))
 
 

@@ -100,7 +100,7 @@ def test_the_gaze_of_ucy_is_told(data_dir: Path) -> None:
 
 @pytest.mark.parametrize("name", ["mocap/tracks_30hz.csv.gz", "caviar/xml/mws1gt.xml"])
 def test_recorded_people_look_where_they_go(name: str, data_dir: Path) -> None:
-    tracks = io.read(data_dir / name)
+    tracks = io.read_identified(data_dir / name)
     if "mocap" in name:
         tracks = tracks.select("*walk*")
     found = deviation_statistics(tracks, name)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import integrate, special, stats
+from scipy import special, stats
 
 from graphtrack.geometry import angles
 
@@ -29,11 +29,16 @@ def test_a_wrapped_angle_is_the_same_direction_within_the_interval(angle: float)
     assert_same_direction(wrapped, angle)
 
 
-def test_both_ends_of_the_interval_are_plus_pi() -> None:
-    assert angles.wrap(PI) == PI
-    assert angles.wrap(-PI) == PI
-    assert angles.wrap(3 * PI) == pytest.approx(PI)
-    assert np.isnan(angles.wrap(np.nan))
+def test_ends_of_intervals_missing_values_and_weights() -> None:
+    assert angles.wrap(PI) == angles.wrap(-PI) == PI
+    assert np.isnan(angles.wrap(np.nan)) and angles.direction([0.0, 0.0]) == 0.0
+    assert angles.circular_mean([np.nan, 1.0, 2.0], [1.0, 1.0, np.nan]) == pytest.approx(1.0)
+    assert np.isnan(angles.circular_mean([np.nan])) and np.isnan(angles.circular_mean([]))
+    weighted, repeated = angles.circular_mean([0.1, 0.9], [3, 1]), angles.circular_mean([0.1] * 3 + [0.9])
+    assert_same_direction(weighted, repeated)
+    found = angles.concentration_from_resultant([-0.1, 0.0, 1.0])
+    np.testing.assert_array_equal(found[:2], 0.0)
+    assert 1e6 < found[2] < np.inf
 
 
 @given(ANGLES, ANGLES)
@@ -48,40 +53,12 @@ def test_direction_and_unit_are_inverse(angle: float) -> None:
     assert_same_direction(float(angles.direction(2.5 * angles.unit(angle))), angle)
 
 
-def test_the_zero_vector_has_direction_zero() -> None:
-    assert angles.direction([0.0, 0.0]) == 0.0
-
-
-@given(
-    st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=8),
-    AROUND_HALF_TURNS,
-    st.lists(st.integers(-3, 3), min_size=8, max_size=8),
-)
-def test_the_circular_mean_turns_with_the_angles(offsets: list[float], turn: float, laps: list[int]) -> None:
-    offset = np.array(offsets)
-    expected = turn + float(angles.circular_mean(offset))
-    given_angles = offset + turn + 2 * PI * np.array(laps[: len(offset)])
-    assert_same_direction(angles.circular_mean(given_angles), expected)
-
-
-@given(st.lists(st.floats(-1.4, 1.4), min_size=1, max_size=8))
-def test_the_circular_mean_agrees_with_scipy(offsets: list[float]) -> None:
+@given(st.lists(st.floats(-1.4, 1.4), min_size=1, max_size=8), AROUND_HALF_TURNS)
+def test_the_circular_mean_agrees_with_scipy_and_turns(offsets: list[float], turn: float) -> None:
     mean = angles.circular_mean(offsets)
     assert_same_direction(mean, stats.circmean(offsets, high=PI, low=-PI))
+    assert_same_direction(angles.circular_mean(np.array(offsets) + turn), mean + turn)
     assert min(offsets) - 1e-12 <= mean <= max(offsets) + 1e-12
-
-
-@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 5)), min_size=1, max_size=6))
-def test_a_weight_counts_as_repetition(pairs: list[tuple[float, int]]) -> None:
-    values, weights = zip(*pairs, strict=True)
-    repeated = np.repeat(values, weights)
-    assert_same_direction(angles.circular_mean(values, weights), angles.circular_mean(repeated))
-
-
-def test_missing_angles_do_not_count() -> None:
-    assert angles.circular_mean([np.nan, 1.0, 2.0], [1.0, 1.0, np.nan]) == pytest.approx(1.0)
-    assert np.isnan(angles.circular_mean([np.nan]))
-    assert np.isnan(angles.circular_mean([]))
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=8), ANGLES)
@@ -101,33 +78,9 @@ def test_the_von_mises_log_density_agrees_with_scipy(angle: float, mean: float, 
     np.testing.assert_allclose(found, expected, atol=1e-9 * (1.0 + kappa))
 
 
-@pytest.mark.parametrize("kappa", [0.0, 0.1, 1.0, 10.0, 1e3, 1e5, 1e8])
-def test_the_von_mises_density_integrates_to_one(kappa: float) -> None:
-    width = min(PI, 20.0 / np.sqrt(max(kappa, 1e-9)))
-
-    def density(angle: float) -> float:
-        return float(np.exp(angles.von_mises_log_density(angle, 0.0, kappa)))
-
-    total, error = integrate.quad(density, -width, width, epsabs=1e-12, limit=200)
-    assert error < 1e-6
-    assert total == pytest.approx(1.0, abs=1e-9 + 1e-16 * kappa)
-
-
 @given(st.floats(1e-6, 1e5))
-def test_the_mean_resultant_length_is_the_mean_cosine(kappa: float) -> None:
-    length = float(angles.mean_resultant_length(kappa))
-    assert 0.0 < length < 1.0
-    if kappa < 500.0:
-        assert length == pytest.approx(special.iv(1, kappa) / special.iv(0, kappa), rel=1e-9)
-
-
-@given(st.floats(1e-6, 1e5))
-def test_the_concentration_inverts_the_mean_resultant_length(kappa: float) -> None:
+def test_the_mean_resultant_length_is_the_mean_cosine_and_has_an_inverse(kappa: float) -> None:
     length = float(angles.mean_resultant_length(kappa))
     assert float(angles.concentration_from_resultant(length)) == pytest.approx(kappa, rel=5e-3)
-
-
-def test_lengths_outside_the_unit_interval_give_finite_concentrations() -> None:
-    found = angles.concentration_from_resultant([-0.1, 0.0, 1.0])
-    np.testing.assert_array_equal(found[:2], 0.0)
-    assert 1e6 < found[2] < np.inf
+    if kappa < 500.0:
+        assert length == pytest.approx(special.iv(1, kappa) / special.iv(0, kappa), rel=1e-9)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -47,16 +48,9 @@ def test_fitting_gives_back_the_homography(seed: int, count: int) -> None:
     np.testing.assert_allclose(
         apply_homography(fit.homography, pixels()), apply_homography(truth, pixels()), rtol=1e-6
     )
-    assert fit.max_error < 1e-7
-    assert fit.n_pairs == count
-
-
-def test_the_error_of_a_fit_is_in_the_units_of_the_target() -> None:
-    source = pixels(100)
-    noise = np.random.default_rng(1).normal(0.0, 0.05, source.shape)
-    fit = fit_homography(source, apply_homography(camera_at().homography, source) + noise)
-    assert 0.03 < fit.rms_error < 0.12
-    assert fit.max_error >= fit.rms_error
+    assert fit.max_error < 1e-7 and fit.n_pairs == count
+    noisy = fit_homography(source, apply_homography(truth, source) + rng.normal(0.0, 0.05, source.shape))
+    assert noisy.rms_error <= noisy.max_error < 0.5  # metres
 
 
 @settings(deadline=None)
@@ -67,14 +61,6 @@ def test_points_on_a_line_fit_no_homography(points: list[tuple[float, float]], a
         fit_homography(source, np.array(points))
 
 
-@pytest.mark.parametrize(
-    "homography", [np.zeros((3, 3)), np.ones((3, 3)), np.eye(2), np.full((3, 3), np.nan)]
-)
-def test_singular_homographies_are_refused(homography: np.ndarray) -> None:
-    with pytest.raises(InputError):
-        GroundCamera(homography)
-
-
 @pytest.mark.parametrize("distorted", [False, True])
 @pytest.mark.parametrize("pan", [0.0, 1.0, -2.5])
 def test_ground_and_image_are_inverse_and_agree_with_projection(pan: float, distorted: bool) -> None:
@@ -82,12 +68,8 @@ def test_ground_and_image_are_inverse_and_agree_with_projection(pan: float, dist
     ground = camera.image_to_ground(pixels())
     assert np.isfinite(ground).all()
     np.testing.assert_allclose(camera.ground_to_image(ground), pixels(), atol=1e-4)
-
-
-def test_distortion_and_its_inverse() -> None:
-    camera = camera_at(distorted=True)
-    np.testing.assert_allclose(camera.distort(camera.undistort(pixels())), pixels(), atol=1e-4)
-    assert np.abs(camera.undistort(pixels()) - pixels()).max() > 5.0
+    np.testing.assert_allclose(camera.resized(0.5).image_to_ground(pixels() / 2), ground, atol=1e-6)
+    assert (np.abs(camera.undistort(pixels()) - pixels()).max() > 5.0) == distorted
 
 
 def test_a_lens_that_folds_gives_no_ground_where_it_has_no_inverse() -> None:
@@ -101,47 +83,15 @@ def test_beyond_the_horizon_there_is_no_ground() -> None:
     camera = camera_at(tilt=1.2)
     v_horizon = -(camera.homography[2, 0] * 640 + camera.homography[2, 2]) / camera.homography[2, 1]
     below, above = camera.image_to_ground([[640, v_horizon + 2], [640, v_horizon - 2]])
-    assert np.isfinite(below).all()
-    assert np.isnan(above).all()
+    assert np.isfinite(below).all() and np.isnan(above).all()
     behind = CENTRE[:2] - 30.0 * (below - CENTRE[:2]) / np.linalg.norm(below - CENTRE[:2])
     assert np.isnan(camera.ground_to_image(behind)).all()
 
 
-def test_the_jacobian_is_the_derivative() -> None:
-    camera = camera_at()
-    step = 1e-3
-    numerical = np.stack(
-        [
-            (camera.image_to_ground(pixels() + axis) - camera.image_to_ground(pixels() - axis)) / (2 * step)
-            for axis in np.eye(2) * step
-        ],
-        axis=-1,
-    )
-    np.testing.assert_allclose(camera.ground_jacobian(pixels()), numerical, rtol=1e-5, atol=1e-9)
-
-
 def test_a_camera_knows_whether_its_ground_is_mirrored() -> None:
     camera = camera_at()
-    assert not camera.is_mirrored
-    assert not GroundCamera.from_scale(0.01).is_mirrored
+    assert not camera.is_mirrored and not GroundCamera.from_scale(0.01).is_mirrored
     assert GroundCamera.from_homography(np.diag([1.0, -1.0, 1.0]) @ camera.homography).is_mirrored
-
-
-def test_a_resized_image_has_the_same_ground() -> None:
-    camera = camera_at(distorted=True)
-    np.testing.assert_allclose(
-        camera.resized(0.5).image_to_ground(pixels() / 2), camera.image_to_ground(pixels()), atol=1e-6
-    )
-
-
-@pytest.mark.parametrize("mirror", [1.0, -1.0])
-@given(angle=st.floats(-3.1, 3.1), seed=st.integers(0, 100))
-def test_pose_angles_go_there_and_back(mirror: float, angle: float, seed: int) -> None:
-    camera = GroundCamera(np.diag([1.0, mirror, 1.0]) @ camera_at().homography, camera_at().intrinsics)
-    position = camera.image_to_ground(pixels(1, seed))
-    np.testing.assert_allclose(
-        camera.image_angle(camera.world_angle(angle, position), position), angle, atol=1e-9
-    )
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
@@ -152,6 +102,9 @@ def test_zero_faces_the_camera_and_a_quarter_faces_the_right_of_the_image(mirror
     np.testing.assert_allclose(
         difference(camera.world_angle(0.0, ground), direction(centre - ground)), 0.0, atol=1e-9
     )
+    angle = np.linspace(-3.1, 3.1, len(ground))
+    back = camera.image_angle(camera.world_angle(angle, ground), ground)
+    np.testing.assert_allclose(back, angle, atol=1e-9)
     aside = camera.world_angle(np.pi / 2, ground)
     step = ground + 0.01 * np.column_stack([np.cos(aside), np.sin(aside)])
     assert np.all(camera.ground_to_image(step)[:, 0] > pixels()[:, 0])
@@ -190,21 +143,24 @@ def test_image_directions_of_horizontal_things_at_any_height(height: float) -> N
     )
 
 
-def test_a_view_from_straight_above_keeps_image_directions() -> None:
-    camera = GroundCamera.from_scale(0.02, nadir=(100.0, 50.0))
-    angles = np.linspace(-3, 3, 13)
-    np.testing.assert_allclose(camera.image_direction_to_world(angles, [10.0, 20.0]), angles, atol=1e-9)
-    np.testing.assert_allclose(camera.optical_centre_on_ground, [2.0, -1.0])
-
-
 @pytest.mark.parametrize(
-    "settings",
-    [{"distortion": np.zeros(5)}, {"intrinsics": np.zeros((3, 3))}, {"intrinsics": np.eye(2)}],
-    ids=["distortion alone", "singular", "shape"],
+    "given",
+    [
+        {"homography": np.zeros((3, 3))},
+        {"homography": np.ones((3, 3))},
+        {"homography": np.eye(2)},
+        {"homography": np.full((3, 3), np.nan)},
+        {"distortion": np.zeros(5)},
+        {"intrinsics": np.zeros((3, 3))},
+        {"intrinsics": np.eye(2)},
+        {"lens": "mirror"},
+        {"lens": "fisheye"},
+        {"lens": "fisheye", "distortion": np.zeros(5), "intrinsics": np.eye(3)},
+    ],
 )
-def test_cameras_that_cannot_be(settings: dict[str, np.ndarray]) -> None:
+def test_cameras_that_cannot_be(given: dict[str, object]) -> None:
     with pytest.raises(InputError):
-        GroundCamera(np.eye(3), **settings)
+        GroundCamera(**{"homography": np.eye(3)} | given)
 
 
 # -- fisheyes ----------------------------------------------------------------------------------------------
@@ -243,15 +199,16 @@ def test_an_equidistant_fisheye_has_radii_as_its_angles_and_no_ground_beyond_a_r
     assert np.isnan(camera.image_to_ground(beyond)).all()
 
 
-def test_a_fisheyes_derivative_is_that_of_raw_pixels() -> None:
-    camera, pixel, step = fisheye(), np.array([[700.0, 400.0], [500.0, 300.0]]), 1e-3
+@pytest.mark.parametrize("make", [camera_at, fisheye])
+def test_the_jacobian_is_the_derivative_by_raw_pixels(make: Callable[[], GroundCamera]) -> None:
+    camera, pixel, step = make(), np.array([[700.0, 500.0], [500.0, 400.0]]), 1e-3
     columns = [
         (camera.image_to_ground(pixel + d) - camera.image_to_ground(pixel - d)) / (2.0 * step)
         for d in step * np.eye(2)
     ]
     np.testing.assert_allclose(camera.pixel_jacobian(pixel), np.stack(columns, axis=-1), rtol=1e-3, atol=1e-6)
-    plain = camera_at()
-    np.testing.assert_array_equal(plain.pixel_jacobian(pixel), plain.ground_jacobian(pixel))
+    if make is camera_at:
+        np.testing.assert_array_equal(camera.pixel_jacobian(pixel), camera.ground_jacobian(pixel))
 
 
 def test_a_fisheye_is_kept_resized_and_written(tmp_path: Path) -> None:
@@ -270,14 +227,3 @@ def test_a_fisheye_is_kept_resized_and_written(tmp_path: Path) -> None:
         stream.write("DistortionK1 = 0.1\n")
     with pytest.raises(InputError, match="one of the two models"):
         read_calibration(tmp_path / "c.ci")
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"lens": "mirror"}, {"lens": "fisheye"}, {"lens": "fisheye", "distortion": np.zeros(5)}],
-    ids=["lens", "no camera matrix", "five coefficients"],
-)
-def test_fisheyes_that_cannot_be(wrong: dict[str, object]) -> None:
-    intrinsics = np.eye(3) if "distortion" in wrong else None
-    with pytest.raises(InputError):
-        GroundCamera(np.eye(3), intrinsics, **wrong)  # type: ignore[arg-type]

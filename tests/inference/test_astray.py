@@ -53,10 +53,8 @@ def test_ten_frames_at_one_place_on_motion_capture(data_dir: Path) -> None:
             seen, where = [], []
             for seed in (0, 1):
                 rng = np.random.default_rng(seed)
-                noisy = add_noise(
-                    clips.with_tracks(held), position_std=std, body_kappa=1.2, head_kappa=2.3, rng=rng
-                )
-                for track in noisy:
+                noise = {"position_std": std, "body_kappa": 1.2, "head_kappa": 2.3}
+                for track in add_noise(clips.with_tracks(held), **noise, rng=rng):
                     begins, turn = rng.integers(len(track) // 4, len(track) // 2), rng.uniform(-np.pi, np.pi)
                     ten, position = slice(begins, begins + 10), track.position.copy()
                     if metres:
@@ -64,17 +62,11 @@ def test_ten_frames_at_one_place_on_motion_capture(data_dir: Path) -> None:
                         position[ten] = track.true_position[begins] + aside
                     seen.append(replace(track, track_id=len(seen), position=position))
                     where.append(track.true_position)
-            found = {}
+            found, scene = {}, clips.with_tracks(seen)
             for loss, model in losses.items():
-                scene = clips.with_tracks(seen)
-                for way, estimates in (
-                    ("offline", gt.smooth(scene, model)),
-                    ("online", gt.track_online(scene, model)),
-                ):
-                    squares = [
-                        np.mean(np.sum((one.position - true) ** 2, axis=1))
-                        for one, true in zip(estimates, where, strict=True)
-                    ]
+                for way, solve in (("offline", gt.smooth), ("online", gt.track_online)):
+                    pairs = zip(solve(scene, model), where, strict=True)
+                    squares = [np.mean(np.sum((one.position - true) ** 2, axis=1)) for one, true in pairs]
                     found[loss, way] = float(np.sqrt(np.mean(squares)))
             print(std, metres, {key: round(value, 3) for key, value in found.items()})
             # What is near, and lasts for ten frames, may be true as far as the past tells.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,14 @@ from selection import others_slow
 from walks import walk
 
 from graphtrack.geometry.angles import difference
+from graphtrack.inference.chain.basin_search import unwind
+from graphtrack.inference.chain.batch import solve_packed
+from graphtrack.inference.chain.initialisation import pack, problem_of
+from graphtrack.inference.chain.newton import CONVERGED, workspace
+from graphtrack.model import Model
+from graphtrack.simulation.crowd import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.simulation.degrade import add_class_likelihoods
-from graphtrack.smoothing import smooth, track_online
+from graphtrack.smoothing import smooth, solve, track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 EVERY_ENGINE = pytest.mark.parametrize(
@@ -55,7 +62,7 @@ def test_offline_nobody_faces_backwards(preset: str, engine: Any) -> None:
 
 @pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
 def test_whoever_turns_around_is_followed_out_of_the_past(engine: Any) -> None:
-    """What left the window says that the head points one way; then it turns within a few frames.
+    """The marginalised past holds the head in one direction; then it turns within a few frames.
 
     Not of a full history, which forgets nothing: to have turned around costs more than these answers weigh.
     """
@@ -68,5 +75,91 @@ def test_whoever_turns_around_is_followed_out_of_the_past(engine: Any) -> None:
     )
     found = track_online(people.tracks[0], "separate", engine=engine, lag=2.0)
     error = np.abs(difference(found.head, found.true_head))
-    assert (error[:30] < np.pi / 2.0).mean() > 0.7
-    assert (error[50:] < np.pi / 4.0).all()
+    assert (error[:30] < np.pi / 2.0).mean() > 0.7 and (error[50:] < np.pi / 4.0).all()
+
+
+HABITS = StrollerParameters(stops_per_minute=8.0, turns_per_minute=0.0, fastest_turn=1.0)
+
+
+def standing_still(n: int = 60) -> Track:
+    """Somebody who walks, stands and walks on, at 10 Hz."""
+    t = np.arange(n) / 10.0
+    speed = np.where((t > 2.0) & (t < 4.0), 0.0, 1.2)
+    position = np.stack([np.cumsum(speed) / 10.0, np.zeros(n)], axis=1)
+    return Track(0, np.arange(n), t, position)
+
+
+def proposed(track: Track, states: np.ndarray) -> np.ndarray | None:
+    """The start that `unwind` proposes for some states, or None."""
+    problem, memory = problem_of(pack([track], Model("joint"))), workspace(len(track))
+    memory.length[0] = len(track)
+    return memory.again.copy() if unwind(problem, 0, len(track), states, 0.0, memory) else None
+
+
+@pytest.mark.parametrize("place", [4, 5])
+@pytest.mark.parametrize("turns", [-1.0, 1.0])
+def test_a_turn_too_many_is_taken_back_and_nothing_else_changes(place: int, turns: float) -> None:
+    track, rest = standing_still(), np.radians(50.0)
+    n = len(track)
+    states = np.zeros((n, 6))
+    states[:, 2] = np.gradient(track.position[:, 0], track.t)
+    ramp = np.clip((np.arange(n) - 20) / 20.0, 0.0, 1.0)
+    right = rest * ramp
+    states[:, place] = right + turns * 2.0 * np.pi * ramp
+    found = proposed(track, states)
+    # A start for the descent: evenly, from where the path is slow to where it is no more.
+    np.testing.assert_allclose(difference(found[:, place], right), 0.0, atol=np.radians(45.0))
+    steps = difference(found[1:, place], found[:-1, place])
+    assert abs(steps.sum() - rest) < 1e-9
+    others = [i for i in range(6) if i != place]
+    np.testing.assert_array_equal(found[:, others], states[:, others])
+    states[:, place] = right
+    assert proposed(track, states) is None
+    # Who walks may turn as they like.
+    states[:, 2], states[:, place] = 1.2, 2.0 * np.pi * ramp
+    assert proposed(track, states) is None
+
+
+@pytest.mark.parametrize("preset", ["joint", "full"])
+def test_people_of_whom_the_body_is_not_seen_do_not_wind_where_they_stand(preset: str) -> None:
+    people = strollers(np.random.default_rng(7), HABITS, people=30, body_std=None)
+    wrong, stops = np.sum(
+        [full_turns_too_many(one.track, t) for one, t in zip(solve(people, preset), people, strict=True)],
+        axis=0,
+    )
+    assert stops > 50 and wrong <= 0.02 * stops
+
+
+def test_gtsam_unwinds_as_the_chain_does() -> None:
+    people = strollers(np.random.default_rng(8), HABITS, people=4, body_std=None, seconds=15.0)
+    people = people.map(lambda track: replace(track, head=None, head_kappa=None))
+    chain, graph = (solve(people, "full", engine=engine) for engine in ("chain", "gtsam"))
+    for one, other in zip(chain, graph, strict=True):
+        assert other.cost == pytest.approx(one.cost, abs=1e-2)
+        np.testing.assert_allclose(difference(one.track.body, other.track.body), 0.0, atol=np.radians(1.0))
+
+
+def rounds(frames: int) -> Track:
+    """Somebody who walks in a circle, again and again, of whom the place alone is seen."""
+    t = np.arange(frames) / 25.0
+    noise = np.random.default_rng(0).normal(0.0, 0.05, (frames, 2))
+    return Track(
+        1, np.arange(frames), t, 20.0 * np.column_stack([np.cos(0.06 * t), np.sin(0.06 * t)]) + noise
+    )
+
+
+def test_a_long_way_round_takes_no_more_steps_than_a_short_one() -> None:
+    model, steps = Model("full"), []
+    for frames in (300, 6000):
+        result = solve_packed(pack([rounds(frames)], model), model)
+        assert (result.status == CONVERGED).all()
+        steps.append(int(result.iterations.max()))
+    assert steps[1] <= steps[0] + 5, steps
+
+
+def test_unseen_bodies_and_heads_point_where_people_go() -> None:
+    track, model = rounds(6000), Model("full")
+    states = solve_packed(pack([track], model), model).states
+    way = 0.06 * track.t + 0.5 * np.pi
+    for place in (4, 5):
+        assert np.abs(difference(states[:, place], way)).max() < np.radians(20.0)

@@ -38,27 +38,18 @@ def drawn(seed: int) -> Track:
     return Track(seed, np.arange(n), np.arange(n) * dt, seen, head=wrap(head))
 
 
-def later(track: Track) -> Track:
-    return replace(track, t=track.t + FAR)
-
-
 def apart(a: Sequence[Track], b: Sequence[Track], turn: float = 0.0) -> np.ndarray:
     """Greatest difference of body and head (m, 2) of each pair of tracks, where ``b`` is turned."""
-    found = []
-    for one, other in zip(a, b, strict=True):
-        found.append(
-            [
-                np.abs(difference(other.body - turn, one.body)).max(),
-                np.abs(difference(other.head - turn, one.head)).max(),
-            ]
-        )
-    return np.array(found)
+    return np.array(
+        [
+            [np.abs(difference(getattr(y, of) - turn, getattr(x, of))).max() for of in ("body", "head")]
+            for x, y in zip(a, b, strict=True)
+        ]
+    )
 
 
 def solved(tracks: Sequence[Track], engine: str = "auto") -> Sequence[Track]:
-    found = smooth(TrackSet(list(tracks)), "full", engine=engine)
-    assert isinstance(found, TrackSet)
-    return list(found.tracks)
+    return smooth(TrackSet(list(tracks)), "full", engine=engine).tracks
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +71,7 @@ def test_turned_input_turns_the_answer(tracks: list[Track], answers: Sequence[Tr
 def test_the_answer_does_not_depend_on_the_origin_of_time(
     tracks: list[Track], answers: Sequence[Track]
 ) -> None:
-    assert apart(answers, solved([later(track) for track in tracks])).max() < SAME
+    assert apart(answers, solved([replace(track, t=track.t + FAR) for track in tracks])).max() < SAME
 
 
 def test_gtsam_keeps_orientations_that_only_couplings_hold(
@@ -93,7 +84,7 @@ def test_gtsam_keeps_orientations_that_only_couplings_hold(
 def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track], engine: str) -> None:
     for track in tracks[:12]:
         found = []
-        for given in (track, later(track)):
+        for given in (track, replace(track, t=track.t + FAR)):
             smoother = OnlineSmoother("full", engine=engine)
             estimates = [smoother.update(one) for one in observations(given)]
             found.append([[estimate.body, estimate.head] for estimate in estimates])

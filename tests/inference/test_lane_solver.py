@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,25 +14,12 @@ import graphtrack as gt
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import Solution
 from graphtrack.inference.chain import batch
-from graphtrack.inference.chain.batch import (
-    LARGE,
-    LONGEST,
-    LaneArrays,
-    fit_lanes,
-    gather,
-    has_lanes,
-    lane_arrays,
-    lane_group,
-    solve_packed,
-)
+from graphtrack.inference.chain.batch import LARGE, LONGEST, fit_lanes, has_lanes, solve_packed
 from graphtrack.inference.chain.covariance import calibration_of
-from graphtrack.inference.chain.initialisation import pack, pack_to_solve, problem_of
+from graphtrack.inference.chain.initialisation import pack, pack_to_solve
 from graphtrack.inference.result import seconds_to_ends
-from graphtrack.kernels.compilation import allocating
-from graphtrack.kernels.layout import LANES, Problem, number_rows
+from graphtrack.kernels.layout import LANES
 from graphtrack.model import GaitParameters, LikelihoodParameters, Model, MotionParameters, Parameters
-from graphtrack.model.coupling_modes import mode_memory, renew_couplings
-from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
@@ -49,7 +35,6 @@ def scene(seed: int) -> list[Track]:
 
 
 def without_classes(track: Track) -> Track:
-    """What is seen of somebody, without what classifiers said."""
     return replace(track, body_likelihood=None, head_likelihood=None)
 
 
@@ -62,8 +47,7 @@ def relative(covariance: FloatArray, other: FloatArray) -> float:
 def test_the_size_of_the_work_decides_and_what_a_track_is_like() -> None:
     model, track = Model("full"), walk(25)
     few, many = [track] * (LARGE // 25 - 1), [track] * (LARGE // 25)
-    assert not any(fit_lanes(few, model))
-    assert all(fit_lanes(many, model))
+    assert not any(fit_lanes(few, model)) and all(fit_lanes(many, model))
     # A part of the work goes the way of the whole.
     assert fit_lanes([track], model, LARGE) == [True]
     assert fit_lanes(many, model, LARGE - 1) == [False] * len(many)
@@ -81,29 +65,20 @@ def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
     assert all(has_lanes(Model(preset)) for preset in ("position", "separate", "joint-body", "joint", "full"))
     assert has_lanes(Model("joint", terms=[PlacePrior]))
     assert not has_lanes(Model("joint", terms=[Uphill]))
+    types = pack([walk(5)], Model("full")).records.dtype
+    robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
+    for model in (Model("joint"), Model("position", robust)):  # the linear terms do not do
+        assert pack_to_solve([walk(5)], model).records.dtype == types
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])
-def test_a_track_is_solved_to_the_last_bit_as_if_it_were_alone(
-    preset: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(batch, "LARGE", 0)
-    model, tracks = Model(preset), scene(1)
-    together = solve(TrackSet(tuple(replace(track, track_id=k) for k, track in enumerate(tracks))), model)
-    for k in (0, 3, len(tracks) - 1):
-        (alone,), beside = solve(TrackSet((tracks[k],)), model), together[k]
-        assert isinstance(alone, Solution)
-        assert isinstance(beside, Solution)
-        assert (alone.cost, alone.iterations) == (beside.cost, beside.iterations)
-        np.testing.assert_array_equal(alone.track.position, beside.track.position)
-        np.testing.assert_array_equal(alone.track.covariance, beside.track.covariance)
-
-
-@pytest.mark.parametrize("preset", ["joint", "full"])
-@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("seed", [2, 3, 4, 5])
 def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int) -> None:
     tracks, rng = scene(seed), np.random.default_rng(seed)
-    model = Model(preset, random_parameters(rng) if seed > 2 else None)
+    parameters = random_parameters(rng) if seed in (3, 4) else None
+    if seed == 5:
+        parameters = Parameters(gait=GaitParameters(body_drift=2.0, head_drift=0.0))
+    model = Model(preset, parameters, terms=[PlacePrior] if seed == 5 else [])
     beside = solve_packed(pack(tracks, model), model, in_lanes=True)
     by_itself = solve_packed(pack(tracks, model), model)
     np.testing.assert_array_equal(beside.status, by_itself.status)
@@ -122,65 +97,14 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
     monkeypatch.setattr(batch, "LARGE", 1)
     beside = solve(TrackSet(tracks), "joint", progress=done.append)
     assert sum(done) == sum(map(len, tracks))
+    (alone,) = solve(TrackSet(tracks[3:4]), "joint")  # the same to the last bit
+    assert (alone.cost, alone.iterations) == (beside[3].cost, beside[3].iterations)
+    np.testing.assert_array_equal(alone.track.covariance, beside[3].track.covariance)
     for k, (found, expected) in enumerate(zip(beside, one_by_one, strict=True)):
-        assert isinstance(found, Solution)
-        assert found.track.track_id == k
+        assert isinstance(found, Solution) and found.track.track_id == k
         np.testing.assert_allclose(found.track.position, expected.position, atol=1e-6)
         if k % 3 == 1:
             np.testing.assert_array_equal(found.track.position, expected.position)
-
-
-@allocating
-def renew_in_lanes(problem: Problem, arrays: LaneArrays, n: int, gait: Gait) -> None:
-    """`renew_couplings` of a group that has been gathered."""
-    group = lane_group(problem, arrays)
-    length = group.workspace.length[0]
-    renew_couplings(group.problem, 0, n, length, group.states, gait, False, True, group.modes)
-
-
-def renew_beside(problem: Problem, states: FloatArray, gait: Gait, spread: FloatArray) -> None:
-    """`renew_couplings` by groups of lanes; couplings are put back into the records."""
-    longest, numbers = int(np.diff(problem.offsets).max()), number_rows(problem.records)
-    arrays, order = lane_arrays(longest, numbers.shape[1], True), np.arange(len(problem.offsets) - 1)
-    for begin in range(0, len(order), LANES):
-        n = gather(problem, numbers, states, order, begin, arrays)
-        renew_in_lanes(problem, arrays, n, gait)
-        for lane in range(LANES):
-            if arrays.tracks[lane] >= 0:
-                a, b = problem.offsets[arrays.tracks[lane] : arrays.tracks[lane] + 2]
-                numbers[a:b] = arrays.frames[: b - a, :, lane]
-                spread[a:b] = arrays.modes.spread[: b - a, :, lane]
-
-
-def test_modes_in_lanes_are_those_of_each_track() -> None:
-    rng = np.random.default_rng(7)
-    quick = GaitParameters(body_drift=2.0, head_drift=0.0)
-    softened = Model("full").parameters
-    for parameters in (Parameters(), Parameters(gait=quick), softened):
-        model = Model("full", parameters)
-        tracks = [without_classes(random_track(rng)) for _ in range(LANES + 3)]
-        packed = pack(tracks, model)
-        packed.records["steer_gain"] = 0.0
-        states, gait = rng.normal(0.0, 1.0, (packed.offsets[-1], 6)), gait_of(model.parameters.gait)
-        found = []
-        for together in (False, True):
-            problem = problem_of(packed)._replace(records=packed.records.copy())
-            spread = np.zeros((len(states), 2))
-            if together:
-                renew_beside(problem, states, gait, spread)
-            else:
-                for track, (a, b) in enumerate(pairwise(problem.offsets)):
-                    memory, n = mode_memory(b - a), int(b - a)
-                    renew_couplings(problem, track, n, float(n), states[a:b], gait, False, True, memory)
-                    spread[a:b] = memory.spread
-            couplings = [
-                problem.records[f"{name}_body_{of}"] for name in ("motion", "head") for of in _COUPLING
-            ]
-            found.append(np.column_stack([spread, *couplings, problem.records["steer_gain"]]))
-        np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-9)
-
-
-_COUPLING = ("kappa", "cos", "sin")
 
 
 def test_positions_of_many_tracks_are_those_of_one_and_calibrated() -> None:
@@ -202,19 +126,3 @@ def test_positions_of_many_tracks_are_those_of_one_and_calibrated() -> None:
                 getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-14, err_msg=name
             )
         assert np.isfinite(found.states[:, :4]).all() and np.isnan(found.states[:, 4:]).all()
-
-
-def test_records_of_all_terms_are_packed_where_the_linear_ones_do_not_do() -> None:
-    tracks = [walk(5)]
-    types = pack(tracks, Model("full")).records.dtype
-    assert pack_to_solve(tracks, Model("joint")).records.dtype == types
-    robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
-    assert pack_to_solve(tracks, Model("position", robust)).records.dtype == types
-    assert pack_to_solve(tracks, Model("position")).records.dtype != types
-
-
-def test_every_term_of_the_package_is_solved_in_lanes() -> None:
-    tracks = scene(5)
-    model = Model("full", terms=[PlacePrior])
-    beside, by_itself = (solve_packed(pack(tracks, model), model, in_lanes=way) for way in (True, False))
-    np.testing.assert_allclose(beside.cost, by_itself.cost, rtol=1e-6, atol=1e-6)

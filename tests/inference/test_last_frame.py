@@ -35,7 +35,7 @@ def test_the_last_frame_is_the_same_online(preset: str) -> None:
 
 
 def test_the_last_frame_is_nearly_the_same_online_with_modes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where offline turns between modes and states are taken until nothing changes; online has one."""
+    """Offline turns between modes and states are taken until nothing changes; online has one."""
     monkeypatch.setattr(batch, "PASSES", 8)
     assert differences("full").max() < 0.25
 

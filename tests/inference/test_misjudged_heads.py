@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gaits import people
 from mode_recursions import both_ways
 from scipy import special
+from walks import errors, people
 
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, mean_absolute_error, unit
 from graphtrack.inference.online import OnlineSmoother
@@ -34,25 +34,10 @@ def with_bias(share: float) -> Model:
     return full.with_parameters(replace(full.parameters, gait=gait))
 
 
-def errors(tracks: TrackSet, found: list[Track]) -> list[float]:
-    """Mean errors of body and head in degrees."""
-    return [
-        float(
-            np.degrees(
-                np.mean([mean_absolute_error(getattr(e, a), getattr(t, f"true_{a}")) for e, t in both])
-            )
-        )
-        for a in ("body", "head")
-        for both in [list(zip(found, tracks, strict=True))]
-    ]
-
-
 def test_a_head_that_no_body_has_is_the_classifiers() -> None:
     seen = classified(people(0.0, 4, seed=31, seconds=4.0), turned=5, seed=32)
-    sure, (body, head) = (
-        errors(seen, list(smooth(seen, with_bias(0.0)))),
-        errors(seen, list(smooth(seen, "full"))),
-    )
+    models = with_bias(0.0), Model("full")
+    sure, (body, head) = (errors(seen, smooth(seen, model)) for model in models)
     assert body < 12.0 and head < min(20.0, 0.7 * sure[1])
 
 
@@ -61,8 +46,7 @@ def test_a_head_that_looks_aside_is_believed_all_the_same() -> None:
     seen = classified(people(0.0, 4, seed=33, seconds=4.0, head=aside), turned=0, seed=34)
     found = list(smooth(seen, "full"))
     offsets = np.concatenate([difference(one.head, one.body) for one in found])
-    assert np.mean(offsets) > 0.6 * aside
-    assert errors(seen, found)[1] < 12.0
+    assert np.mean(offsets) > 0.6 * aside and errors(seen, found)[1] < 12.0
 
 
 def test_angles_have_no_such_doubts() -> None:
@@ -71,7 +55,9 @@ def test_angles_have_no_such_doubts() -> None:
     for a, b in zip(smooth(tracks, sure), smooth(tracks, default), strict=True):
         np.testing.assert_array_equal(a.head, b.head)
         np.testing.assert_array_equal(a.covariance, b.covariance)
-    np.testing.assert_array_equal(track_online(tracks[0], sure).head, track_online(tracks[0], default).head)
+    np.testing.assert_array_equal(
+        track_online(tracks.by_id(0), sure).head, track_online(tracks.by_id(0), default).head
+    )
 
 
 def swinging(seed: int) -> tuple[Track, np.ndarray]:
@@ -82,16 +68,9 @@ def swinging(seed: int) -> tuple[Track, np.ndarray]:
     seen = head + rng.vonmises(0.0, 8.0, n)
     likelihood = np.exp(4.0 * (np.cos(class_centres(HEAD_CLASSES) - seen[:, None]) - 1.0))
     position = np.column_stack([t, 0.0 * t]) + rng.normal(0.0, 0.02, (n, 2))
-    track = Track(
-        seed,
-        np.arange(n),
-        t,
-        position,
-        position_std=np.full(n, 0.02),
-        head_likelihood=likelihood / likelihood.sum(axis=1, keepdims=True),
-        true_head=head,
-    )
-    return track, seen
+    likelihood /= likelihood.sum(axis=1, keepdims=True)
+    given = {"position_std": np.full(n, 0.02), "head_likelihood": likelihood, "true_head": head}
+    return Track(seed, np.arange(n), t, position, **given), seen
 
 
 @pytest.mark.parametrize("preset", ["separate", "joint", "full"])
@@ -142,7 +121,7 @@ def test_what_was_seen_by_a_classifier_stays_so_while_the_head_is_hidden() -> No
 
 @pytest.mark.parametrize("doubt", [0.0, 0.4, 1.0])
 def test_doubted_classes_are_mixed_with_what_says_nothing(doubt: float) -> None:
-    """What the classes lose is spread over the circle: by quadrature, with the gradient by differences."""
+    """Their lost weight is spread over the circle: by quadrature, with the gradient by differences."""
     n, rng = HEAD_CLASSES, np.random.default_rng(39)
     heights = rng.random(n + 1)
     heights /= heights.sum()
@@ -157,10 +136,8 @@ def test_doubted_classes_are_mixed_with_what_says_nothing(doubt: float) -> None:
 
     def cost(angle: float) -> tuple[float, float]:
         gradient, hessian = np.zeros(6), np.zeros((6, 6))
-        found = add_classes(
-            np.cos(angle), np.sin(angle), 5, heights, directions, kappa, doubt, True, gradient, hessian
-        )
-        return float(found), float(gradient[5])
+        given = (np.cos(angle), np.sin(angle), 5, heights, directions, kappa, doubt, True)
+        return float(add_classes(*given, gradient, hessian)), float(gradient[5])
 
     found = np.array([cost(angle) for angle in angles.tolist()])
     np.testing.assert_allclose(found[:, 0] - 2.0 * kappa, expected, atol=1e-5)

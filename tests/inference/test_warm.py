@@ -61,7 +61,7 @@ def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
 
 @pytest.fixture
 def rehearsed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
-    """What was made ready, in words, with the names of its rehearsals; nothing is compiled."""
+    """Names of rehearsals that were asked for; nothing is compiled."""
     found: list[tuple[str, ...]] = []
     for module in (warm, particle):
         monkeypatch.setattr(
@@ -70,28 +70,24 @@ def rehearsed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
     return found
 
 
-def test_a_linear_model_needs_the_linear_solution_alone(rehearsed) -> None:
-    make_solver_ready(Model("position"), "chain", in_lanes=(False, True))
-    assert rehearsed == [("the solver of whole tracks", "offline linear")]
-    make_solver_ready(Model("position"), "chain", complete=True)
-    make_solver_ready(Model("position", ROBUST), "chain")
-    make_solver_ready(Model("position"), "chain", lens_camera())
-    assert all("offline angles" in names for names in rehearsed[1:])
-    assert [len(names) for names in rehearsed] == [2, 3, 2, 3]
-
-
-def test_each_way_makes_ready_what_it_calls(rehearsed) -> None:
-    model = Model("full")
-    for ways in ((False,), (True,), (True, False)):
-        make_solver_ready(model, "chain", in_lanes=ways)
-    make_solver_ready(model, "gtsam", in_lanes=(True, False))
-    one_by_one, lanes = "offline modes", "lanes modes"
-    assert [names[1:] for names in rehearsed] == [
-        (one_by_one,),
-        (lanes,),
-        (one_by_one, lanes),
-        ("graph modes",),
-    ]
+def test_models_and_ways_make_ready_what_they_call(rehearsed) -> None:
+    linear, full, lanes = Model("position"), Model("full"), (False, True)
+    for given, options, names in (
+        ((linear, "chain"), {"in_lanes": lanes}, ("offline linear",)),
+        ((full, "chain"), {"in_lanes": (False,)}, ("offline modes",)),
+        ((full, "chain"), {"in_lanes": (True,)}, ("lanes modes",)),
+        ((full, "chain"), {"in_lanes": lanes}, ("offline modes", "lanes modes")),
+        ((full, "gtsam"), {"in_lanes": lanes}, ("graph modes",)),
+    ):
+        make_solver_ready(*given, **options)
+        assert sorted(rehearsed[-1]) == sorted(("the solver of whole tracks", *names))
+    for camera, model, options in (
+        (None, linear, {"complete": True}),
+        (None, Model("position", ROBUST), {}),
+        (lens_camera(), linear, {}),
+    ):
+        make_solver_ready(model, "chain", camera, **options)
+        assert "offline angles" in rehearsed[-1]
 
 
 def test_groups_looks_and_forecasts_need_no_more_than_was_made_ready() -> None:

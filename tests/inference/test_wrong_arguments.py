@@ -52,11 +52,22 @@ def test_complex_positions_are_refused_everywhere() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"max_iterations": 0}, {"max_iterations": 1.5}, {"step_tolerance": np.nan}]
+    ("kind", "name", "value"),
+    [
+        (gt.SolverOptions, "max_iterations", 1.5),
+        (gt.SolverOptions, "step_tolerance", np.nan),
+        (gt.OnlineSmoother, "engine", "kalman"),
+        (gt.OnlineSmoother, "lag", 0.0),
+        (gt.OnlineSmoother, "lag", np.nan),
+        (gt.OnlineSmoother, "relinearize_threshold", 0.0),
+        (gt.OnlineSmoother, "step_tolerance", -1.0),
+        (gt.OnlineSmoother, "max_iterations", 0),
+        (gt.OnlineSmoother, "model", "jiont"),
+    ],
 )
-def test_solver_options_are_checked(options: dict[str, float]) -> None:
-    with pytest.raises(gt.InputError, match=next(iter(options))):
-        gt.SolverOptions(**options)
+def test_options_out_of_range_are_refused(kind: type, name: str, value: object) -> None:
+    with pytest.raises(gt.InputError, match=str(value)):
+        kind(**{name: value})
 
 
 def test_an_estimate_that_is_not_finite_names_the_input_that_made_it_so() -> None:

@@ -145,23 +145,22 @@ def test_people_are_expected_to_turn_where_others_turned():
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "told"),
     [
-        {"horizon": 0.0},
-        {"horizon": -1.0},
-        {"horizon": np.nan},
-        {"horizon": 86400.0},
-        {"horizon": 2.0, "step": 2.4},
-        {"step": 0.0},
-        {"horizon": 50.0, "step": 0.001},
-        {"every": 0.0},
-        {"history": -1.0},
-        {"history": 1000.0},
-        {"samples": -1},
+        ({"horizon": 0.0}, "horizon = 0"),
+        ({"horizon": np.nan}, "horizon = nan"),
+        ({"horizon": 86400.0}, "60 at most"),
+        ({"horizon": 0.4, "step": 0.8}, "no more than the horizon"),
+        ({"step": 0.0}, "step = 0"),
+        ({"horizon": 60.0, "step": 0.001}, "1000 at most"),
+        ({"every": 0.0}, "every"),
+        ({"history": np.nan}, "history = nan"),
+        ({"history": 86400.0}, "86400 s, the history"),
+        ({"samples": 5000}, "samples"),
     ],
 )
-def test_settings_that_make_no_sense_are_told(wrong):
-    with pytest.raises(InputError):
+def test_settings_that_make_no_sense_are_told(wrong, told):
+    with pytest.raises(InputError, match=told):
         gt.forecast(wanderers(2, np.random.default_rng(10)), **wrong)
 
 
@@ -248,7 +247,21 @@ def test_scores_of_forecasts_that_are_exactly_as_sure_as_they_should_be():
     assert found.forecasts == people and found.left_out == 0
     for level, held in found.reliability.items():
         assert held == pytest.approx(level, abs=0.05)
-    assert own.best_ade < own.ade
+    assert own.min_ade < own.ade
+
+
+def test_misses_and_collisions_are_counted():
+    """Two people meet in a forecast, one of them 2.1 m from the truth; a third is alone at another time."""
+    ahead, rows = np.array([0.4, 0.8]), []
+    still = [track(k, np.tile([4.0 * k, 0.0], (6, 1))) for k in range(3)]
+    for k, frame, last in ((0, 1, (2.1, 0.0)), (1, 1, (2.1, 0.1)), (2, 2, (8.0, 0.5))):
+        for h, place in zip(ahead, (still[k].position[0], last), strict=True):
+            rows.append((k, frame, frame * STEP, h, *place, 1e-3, 1e-3, 0.0, 1.0, 2.0))
+    found = judge_forecasts(dict(zip(COLUMNS, np.array(rows).T, strict=True)), gt.TrackSet(tuple(still)))
+    assert found.methods["forecast"].miss_rate == pytest.approx(1 / 3)
+    assert found.methods["forecast"].collision_rate == 1.0
+    assert found.methods["constant velocity"].collision_rate == 0.0
+    assert found.methods["Kalman filter"].miss_rate == 0.0
 
 
 def test_forecasts_whose_outcome_is_not_known_are_left_out():

@@ -130,7 +130,9 @@ def test_the_frame_rate_is_without_effect() -> None:
 
 def test_a_group_keeps_its_number_while_most_of_its_members_stay() -> None:
     first, then = party(), circle(range(1, 4), (0.0, 0.0), 0.7, 40)
-    leaver = replace(first[4], position=first[4].position + np.where(np.arange(20)[:, None] > 9, 30.0, 0.0))
+    leaver = replace(
+        first.by_id(4), position=first.by_id(4).position + np.where(np.arange(20)[:, None] > 9, 30.0, 0.0)
+    )
     tracks = TrackSet((*(track[:20] for track in then), leaver))
     found = gt.groups(tracks)
     assert set(found.group[found.track_id == 1]) == {0}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import mot
+from format_samples import sample_of
 from refusals import refused
 
 from graphtrack import io
@@ -34,43 +34,27 @@ def test_a_native_table_is_diagnosed(mark: str, decimal: str, before: str, name:
     error = refused(path)
     assert NAMES[mark] in error.found and ("decimal commas" in error.found) == (decimal == ",")
     assert str(refused(path, format="csv")) == str(error)
-    track = io.read(path, **named(error))[7]
+    track = io.read_identified(path, **named(error)).by_id(7)
     np.testing.assert_allclose(track.position[:, 0], 1.5 + np.arange(4) / 8)
 
 
 @pytest.mark.parametrize("mark", [";", "\t"])
 @pytest.mark.parametrize("format", [None, "mot"])
 def test_numbers_without_a_header_are_diagnosed(format: str | None, mark: str, tmp_path: Path) -> None:
-    path = tmp_path / "boxes.txt"
-    path.write_bytes(mot())
-    expected = io.read(path)
-    path.write_bytes(mot().replace(b",", mark.encode()))
+    path = sample_of("mot").write(tmp_path)
+    expected = io.read_identified(path)
+    path.write_text(path.read_text().replace(",", mark))
     error = refused(path, format=format)
     assert NAMES[mark] in error.found
-    found = io.read(path, **named(error))
-    np.testing.assert_array_equal(found[1].pixel, expected[1].pixel)
-
-
-@pytest.mark.parametrize("name", ["table.csv", "table.txt"])
-def test_utf_16_is_read_by_its_mark_and_told_without_one(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    for mark, encoding in (
-        ("\ufeff", "utf-16-le"),
-        ("\ufeff", "utf-16-be"),
-        ("", "utf-16-le"),
-        ("", "utf-16-be"),
-    ):
-        path.write_bytes((mark + TABLE).encode(encoding))
-        options = {} if mark else named(refused(path))
-        assert io.read(path, **options).n_frames == 4
+    found = io.read_identified(path, **named(error))
+    np.testing.assert_array_equal(found.by_id(1).pixel, expected.by_id(1).pixel)
 
 
 def test_a_line_before_the_header_and_a_decimal_comma_are_named(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("sep=,\n" + TABLE)
     error = refused(path)
-    assert error.found == "the line 'sep=,'"
-    assert io.read(path, **named(error)).n_frames == 4
+    assert error.found == "the line 'sep=,'" and io.read_identified(path, **named(error)).n_frames == 4
     path.write_text('track_id,frame,t,x,y\n7,0,"0,5",1,2\n')
     error = refused(path)
     assert "decimal point" in error.expected and (error.line, error.column) == (2, "t")

@@ -45,14 +45,11 @@ def test_ids_of_a_tracker_are_the_tracks() -> None:
     everything = gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01, person=None)
     assert [track.track_id for track in everything] == [2, 5, 7]
 
-
-def test_results_of_ultralytics_are_the_same_tracks() -> None:
-    def results(frame: int) -> SimpleNamespace:
-        one = detections(frame)
+    def result(one: Any) -> SimpleNamespace:
         boxes = SimpleNamespace(xyxy=one.xyxy, conf=one.confidence, cls=one.class_id, id=one.tracker_id)
         return SimpleNamespace(boxes=boxes, names={0: "person", 16: "dog"}, keypoints=None)
 
-    assert_walks(gt.from_ultralytics(map(results, range(FRAMES)), fps=4.0, metres_per_pixel=0.01))
+    assert_walks(gt.from_ultralytics(map(result, found), fps=4.0, metres_per_pixel=0.01))
 
 
 def test_detections_without_ids_are_associated() -> None:
@@ -86,8 +83,5 @@ def test_what_the_package_trackers_gives_is_taken() -> None:
 def test_what_does_not_fit_together_is_refused(found: Any, told: str) -> None:
     with pytest.raises(InputError, match=told):
         gt.from_supervision(found, fps=4.0)
-
-
-def test_a_frame_rate_is_needed() -> None:
     with pytest.raises(InputError, match="fps"):
         gt.from_supervision([detections(0)], fps=0.0)

@@ -14,6 +14,7 @@ from graphtrack.forecasting.recorded import read_forecasts
 from graphtrack.interaction.tables import read_group_table
 
 COLUMNS = {"id": "agent", "t": "timestamp", "lat": "lat", "lon": "lon"}
+SPEC = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
 
 
 def walks() -> pd.DataFrame:
@@ -32,10 +33,8 @@ def test_points_keep_their_places_times_and_names_in_files(tmp_path: Path) -> No
     points.to_file(tmp_path / "walks.gpkg")
     points.to_parquet(tmp_path / "walks.parquet")
     given = walks().dropna()
-    for found in (
-        geopandas.read_file(tmp_path / "walks.gpkg"),
-        geopandas.read_parquet(tmp_path / "walks.parquet"),
-    ):
+    read = geopandas.read_file(tmp_path / "walks.gpkg"), geopandas.read_parquet(tmp_path / "walks.parquet")
+    for found in read:
         assert found.crs.to_epsg() == 4326
         np.testing.assert_allclose(found.geometry.x, given.lon, atol=1e-9)
         np.testing.assert_allclose(found.geometry.y, given.lat, atol=1e-9)
@@ -47,13 +46,9 @@ def test_points_keep_their_places_times_and_names_in_files(tmp_path: Path) -> No
 def test_the_command_line_writes_them_by_the_ending(tmp_path: Path) -> None:
     geopandas = pytest.importorskip("geopandas")
     walks().to_csv(tmp_path / "walks.csv", index=False)
-    columns = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
     for ending in ("gpkg", "geoparquet"):
-        out = tmp_path / f"smoothed.{ending}"
-        done = run(
-            *("smooth", tmp_path / "walks.csv", "--columns", columns, "--model", "position", "-o", out),
-            program="graphtrack",
-        )
+        more = ("--columns", SPEC, "--model", "position", "-o", tmp_path / f"smoothed.{ending}")
+        done = run("smooth", tmp_path / "walks.csv", *more, program="graphtrack")
         assert done.returncode == 0, done.stderr
     layer = geopandas.read_file(tmp_path / "smoothed.gpkg")
     table = geopandas.read_parquet(tmp_path / "smoothed.geoparquet")
@@ -71,10 +66,9 @@ def test_the_command_line_writes_them_by_the_ending(tmp_path: Path) -> None:
 
 def test_tables_of_groups_looks_and_forecasts_name_people(tmp_path: Path) -> None:
     walks().assign(body_deg=90.0, head_deg=90.0).to_csv(tmp_path / "walks.csv", index=False)
-    columns = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
     for command in ("groups", "attention", "forecast"):
         out = tmp_path / f"{command}.csv"
-        done = run(command, tmp_path / "walks.csv", "--columns", columns, "-o", out, program="graphtrack")
+        done = run(command, tmp_path / "walks.csv", "--columns", SPEC, "-o", out, program="graphtrack")
         assert done.returncode == 0, done.stderr
         table = pd.read_csv(out)
         names = dict(zip(table["track_id"], table["label"], strict=True))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import gzip
 import json
 import os
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import graphtrack as gt
 from graphtrack.errors import InputError
@@ -35,8 +35,7 @@ def test_a_table_of_a_million_columns_is_read_and_its_names_are_not_all_listed(t
     names = ",".join(f"c{k}" for k in range(n))
     path.write_text(f"{HEADER},{names}\n" + "".join(row + ",1" * n + "\n" for row in ROWS[1:3]))
     done = command("info", path)  # it ran for more than half an hour
-    assert done.returncode == 0
-    assert len(done.stdout + done.stderr) < 2000
+    assert done.returncode == 0 and len(done.stdout + done.stderr) < 2000
     assert "999990 more" in done.stderr
 
 
@@ -52,16 +51,8 @@ def test_a_gzip_bomb_is_refused_in_little_memory(tmp_path: Path, text: bytes) ->
         resource.setrlimit(resource.RLIMIT_DATA, (2**31, 2**31))
 
     done = command("info", path, preexec_fn=bounded)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert "more than 200 times its size" in done.stderr
-
-
-def test_a_file_of_blank_lines_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "blank.csv"
-    path.write_bytes(HEADER.encode() + b"\r\n" * 2_000_000)
-    with pytest.raises(InputError, match="2000000 lines"):
-        gt.read(path)
 
 
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "ndjson", "ndjson.gz", "parquet", "sqlite", "txt", "nc"])
@@ -96,30 +87,6 @@ def test_terminals_that_are_not_utf8_show_escapes(tmp_path: Path, name: str) -> 
     assert "1 track" in done.stdout and "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-@pytest.mark.parametrize("zone", [None, "UTC"])
-def test_parquet_with_timestamps_is_read(tmp_path: Path, unit: str, zone: str | None) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    path, n = tmp_path / "a.parquet", 10
-    first = datetime.datetime(2026, 3, 1, 12)
-    moments = pa.array([first + datetime.timedelta(seconds=k) for k in range(n)], pa.timestamp(unit, zone))
-    x = np.arange(n) * 0.5
-    columns = {"track_id": np.ones(n, int), "frame": np.arange(n), "t": moments, "x": x, "y": x}
-    pq.write_table(pa.table(columns), path)
-    (track,) = gt.read(path)
-    assert track.t == pytest.approx(12 * 3600.0 + np.arange(n))  # from midnight, as texts of CSV
-    with pytest.raises(InputError, match="--no-stream"):
-        _stream(path, tmp_path)
-
-
-def _stream(path: Path, folder: Path) -> None:
-    from graphtrack.scale import open_dataset, smooth_dataset
-
-    smooth_dataset(open_dataset(path), folder / "o.parquet", model=gt.Model("position"))
-
-
 def test_a_comment_before_the_header_is_told(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("\n# recorded in the hall\n" + TEXT)
@@ -129,20 +96,16 @@ def test_a_comment_before_the_header_is_told(tmp_path: Path) -> None:
     assert gt.read(path).n_frames == 20  # NumPy's savetxt writes names behind this mark
 
 
-def refused(path: Path, **options: object) -> str:
-    with pytest.raises(InputError) as caught:
-        gt.read(path, **options)
-    return str(caught.value)
-
-
 def test_lists_and_workbooks_are_told_what_they_are(tmp_path: Path) -> None:
     for name in ("a.json", "a.txt"):
         (tmp_path / name).write_text('[{"track_id": 1, "frame": 0, "t": 0, "x": 0, "y": 0}]')
-        assert "found a JSON list, expected one JSON object a line" in refused(tmp_path / name)
+        assert "found a JSON list, expected one JSON object a line" in str(refused(tmp_path / name))
     for name in ("a.xlsx", "a.csv"):
         with zipfile.ZipFile(tmp_path / name, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("xl/workbook.xml", "<workbook/>" * 99)
-        assert "Excel" in refused(tmp_path / name) and "saved as CSV" in refused(tmp_path / name)
+        assert (
+            "Excel" in refused(tmp_path / name).found and "saved as CSV" in refused(tmp_path / name).expected
+        )
 
 
 @pytest.mark.parametrize("name", ["label", "who"])
@@ -154,7 +117,7 @@ def test_half_a_surrogate_pair_is_no_text(tmp_path: Path, name: str) -> None:
         del row["track_id"]
         options = {"columns": "id=who"}
     path.write_text(json.dumps(row) + "\n")
-    said = refused(path, **options)
+    said = str(refused(path, **options))
     assert "line 1" in said and "surrogate" in said  # it was an error of the output, without a place
 
 
@@ -164,9 +127,3 @@ def test_brackets_without_end_in_a_model_file_are_one_error(tmp_path: Path) -> N
     for load in (gt.Model.load, gt.ForecastParameters.load, load_parameters):
         with pytest.raises(InputError, match="brackets within brackets"):
             load(path)
-
-
-def test_an_empty_pattern_selects_nobody(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text(TEXT)
-    done = command("info", tmp_path / "a.csv", "--select", "")
-    assert done.returncode == 2 and "empty pattern" in done.stderr

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from format_samples import made_tracks, sample_of
+from format_samples import sample_of
 
 import graphtrack as gt
 from graphtrack import io
@@ -26,17 +27,12 @@ def rows(identity: int, n: int = 3) -> pd.DataFrame:
 def csv(identity: int, folder: Path, n: int = 3) -> gt.TrackSet:
     text = rows(0, n).to_csv(index=False).replace("\n0,", f"\n{identity},")
     (folder / "a.csv").write_text(text)
-    return io.read(folder / "a.csv")
-
-
-def long_csv(identity: int, folder: Path) -> gt.TrackSet:
-    """A file that pyarrow reads."""
-    return csv(identity, folder, 10_000)
+    return io.read_identified(folder / "a.csv")
 
 
 def parquet(identity: int, folder: Path) -> gt.TrackSet:
     rows(identity).to_parquet(folder / "a.parquet")
-    return io.read(folder / "a.parquet")
+    return io.read_identified(folder / "a.parquet")
 
 
 def table(identity: int, folder: Path) -> gt.TrackSet:
@@ -49,14 +45,14 @@ def other(format: str, before: str, after: str) -> Callable[[int, Path], gt.Trac
     def read(identity: int, folder: Path) -> gt.TrackSet:
         path = sample_of(format).write(folder)
         path.write_text(path.read_text().replace(before, after.format(identity), 1))
-        return io.read(path)
+        return io.read_identified(path)
 
     return read
 
 
 READERS = {
     "csv": csv,
-    "long csv": long_csv,
+    "long csv": partial(csv, n=10_000),  # pyarrow reads it
     "parquet": parquet,
     "table": table,
     "mot": other("mot", "1,1,", "1,{},"),
@@ -68,12 +64,8 @@ READERS = {
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_the_largest_identity_is_itself(reader: str, tmp_path: Path) -> None:
+def test_the_largest_identity_is_itself_and_larger_ones_are_refused(reader: str, tmp_path: Path) -> None:
     assert LARGEST_ID in {track.track_id for track in READERS[reader](LARGEST_ID, tmp_path)}
-
-
-@pytest.mark.parametrize("reader", READERS)
-def test_larger_ones_are_refused(reader: str, tmp_path: Path) -> None:
     for identity in TOO_LARGE:
         with pytest.raises(InputError, match="id") as caught:
             READERS[reader](identity, tmp_path)
@@ -83,17 +75,9 @@ def test_larger_ones_are_refused(reader: str, tmp_path: Path) -> None:
 def test_files_with_the_largest_identities_are_merged_into_one_that_can_be_read(tmp_path: Path) -> None:
     for name in ("a.csv", "b.csv"):
         pd.concat([rows(0), rows(LARGEST_ID)]).to_csv(tmp_path / name, index=False)
-    merged = io.read([tmp_path / "a.csv", tmp_path / "b.csv"])
+    merged = io.read_identified([tmp_path / "a.csv", tmp_path / "b.csv"])
     assert len({track.track_id for track in merged}) == 4
     io.write(merged, tmp_path / "merged.csv")
-    assert {track.track_id for track in io.read(tmp_path / "merged.csv")} == {t.track_id for t in merged}
-
-
-def test_a_file_name_that_is_no_text_still_names_its_tracks(tmp_path: Path) -> None:
-    io.write(made_tracks(), tmp_path / "a.csv")
-    odd = tmp_path / "caf\udce9.csv"
-    rows(1).to_csv(tmp_path / "plain.csv", index=False)
-    (tmp_path / "plain.csv").rename(odd)
-    merged = io.read([tmp_path / "a.csv", odd])
-    io.write(merged, tmp_path / "merged.csv")
-    assert "caf\ufffd" in {track.label for track in io.read(tmp_path / "merged.csv")}
+    assert {track.track_id for track in io.read_identified(tmp_path / "merged.csv")} == {
+        t.track_id for t in merged
+    }

@@ -1,13 +1,18 @@
-"""NDJSON as a file: the table, bounds and words of CSV; and what a stream answered, read as a file."""
+"""NDJSON as a file, answers of a stream read as one, and notes on speeds that no pedestrian has."""
 
 import json
+import re
+import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 from format_samples import made_tracks
 from refusals import refused
 
+import graphtrack as gt
 from graphtrack import io
+from graphtrack.errors import InputWarning
 from graphtrack.tracks.schema import COLUMNS, INTEGERS, TOGETHER
 
 ROW = {"track_id": 1, "frame": 0, "t": 0.0, "x": 1.0, "y": 2.0}
@@ -43,11 +48,15 @@ def test_what_csv_refuses_is_refused_in_the_same_words(name, value, tmp_path):
 
 
 def test_null_and_no_key_are_empty_cells_and_unknown_keys_a_note(tmp_path):
+    io.write(made_tracks(), tmp_path / "a.ndjson")
+    written = [json.loads(line) for line in (tmp_path / "a.ndjson").read_text().splitlines()]
+    assert written[2]["x"] is None and written[0]["label"] == "person 3, made"
+    assert type(written[0]["track_id"]) is type(written[0]["frame"]) is int
     rows = [ROW | {"body_deg": 90, "mood": [1, {"a": None}]}, ROW | {"frame": 1, "t": 1, "body_deg": None}]
     rows += [{"track_id": 1, "frame": 2, "t": 2}]
-    tracks = io.read(write(tmp_path / "a.jsonl", rows))
-    np.testing.assert_array_equal(tracks[1].body, [np.pi / 2, np.nan, np.nan])
-    np.testing.assert_array_equal(tracks[1].position, [[1, 2], [1, 2], [np.nan, np.nan]])
+    tracks = io.read_identified(write(tmp_path / "a.jsonl", rows))
+    np.testing.assert_array_equal(tracks.by_id(1).body, [np.pi / 2, np.nan, np.nan])
+    np.testing.assert_array_equal(tracks.by_id(1).position, [[1, 2], [1, 2], [np.nan, np.nan]])
     assert tracks.summary.notes == ("ignored columns mood",)
 
 
@@ -70,13 +79,6 @@ def test_bad_rows_are_placed(line, column, tmp_path):
     assert (error.path, error.line, error.column) == (str(path), 4, column)
 
 
-def test_written_rows_are_objects_with_null_where_nothing_is_known(tmp_path):
-    io.write(made_tracks(), tmp_path / "a.ndjson")
-    rows = [json.loads(line) for line in (tmp_path / "a.ndjson").read_text().splitlines()]
-    assert rows[2]["x"] is None and rows[0]["label"] == "person 3, made"
-    assert type(rows[0]["track_id"]) is type(rows[0]["frame"]) is int
-
-
 def answers():
     """As `graphtrack track -` gives them: of a late and a repeated row the frame is the newest one again."""
     answer = ROW | {"vx": 0.0, "vy": 0.0, "x_std": 0.1, "y_std": 0.1, "body_deg": None, "status": "new"}
@@ -94,10 +96,58 @@ def answers():
 
 
 def test_the_answers_of_a_stream_are_read(tmp_path):
-    tracks = io.read(write(tmp_path / "a.ndjson", answers()))
-    np.testing.assert_array_equal(tracks[1].frame, [0, 1, 3, 4])
-    np.testing.assert_array_equal(tracks[1].position[:, 0], [np.nan, 1, 5, 1])
-    assert tracks[1].velocity is not None and tracks[1].body is None
+    tracks = io.read_identified(write(tmp_path / "a.ndjson", answers()))
+    np.testing.assert_array_equal(tracks.by_id(1).frame, [0, 1, 3, 4])
+    np.testing.assert_array_equal(tracks.by_id(1).position[:, 0], [np.nan, 1, 5, 1])
+    assert tracks.by_id(1).velocity is not None and tracks.by_id(1).body is None
     summary = tracks.summary
     assert (summary.rows_read, summary.rows_used, sum(summary.refused.values())) == (9, 4, 5)
     assert not summary.notes
+
+
+def walkers(n: int = 12, steps: int = 40, hz: float = 10.0, noise: float = 0.1) -> pd.DataFrame:
+    """People who walk at 1.3 m/s, seen with noise (metres, each axis)."""
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame({"track_id": np.repeat(np.arange(n), steps), "frame": np.tile(np.arange(steps), n)})
+    table["t"] = table.frame / hz
+    table["x"] = 1.3 * table.t + rng.normal(0.0, noise, len(table))
+    table["y"] = table.track_id + rng.normal(0.0, noise, len(table))
+    return table
+
+
+def told(table: pd.DataFrame) -> list[str]:
+    """The notes on speeds."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", InputWarning)
+        notes = gt.TrackSet.from_table(table).summary.notes
+    found = [note for note in notes if "faster than" in note]
+    assert [str(one.message) for one in caught] == [f"table: {note}" for note in found]
+    return found
+
+
+def test_centimetres_and_a_wrong_rate_are_told_with_numbers() -> None:
+    centimetres = walkers()
+    centimetres[["x", "y"]] *= 100.0
+    (note,) = told(centimetres)
+    found = re.match(r"12 of 12 tracks move faster than 12 m/s \(median (\d+), greatest (\d+)\)", note)
+    assert found is not None and 125 <= float(found[1]) <= float(found[2]) <= 140
+    assert all(word in note for word in ("metres", "fps", "homography", "metres_per_pixel"))
+    fast = walkers()
+    fast["t"] /= 100.0
+    assert len(told(fast)) == 1
+    standing = walkers(noise=0.01)
+    standing.loc[standing.track_id >= 2, "x"] = standing.track_id
+    standing[["x", "y"]] *= 100.0
+    assert told(standing)[0].startswith("2 of 12 tracks")
+
+
+def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
+    noisy = walkers(hz=30.0, noise=0.5)
+    steps = np.hypot(noisy.x.diff(), noisy.y.diff()) * 30.0
+    assert np.median(steps.dropna()) > 12.0 and not told(noisy)
+    jumping = walkers()
+    jumping.loc[jumping.frame % 10 == 0, "x"] += 500.0
+    assert not told(jumping)
+    odd = walkers()
+    odd.loc[odd.track_id == 0, "x"] *= 100.0
+    assert not told(odd)

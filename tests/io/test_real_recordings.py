@@ -60,11 +60,9 @@ def heading_errors(tracks: TrackSet, channel: str, seconds: float, slowest: floa
     ],
 )
 def test_counts(name: str, rows: int, used: int, people: int, data_dir: Path) -> None:
-    tracks = io.read(data_dir / name)
-    assert tracks.summary.rows_read == rows
-    assert tracks.summary.rows_used == used == tracks.n_frames
-    assert len(tracks) == people
-    assert not any("faster than" in note for note in tracks.summary.notes)
+    tracks = io.read_identified(data_dir / name)
+    assert tracks.summary.rows_read == rows and tracks.summary.rows_used == used == tracks.n_frames
+    assert len(tracks) == people and not any("faster than" in note for note in tracks.summary.notes)
 
 
 @pytest.mark.parametrize(
@@ -78,40 +76,40 @@ def test_counts(name: str, rows: int, used: int, people: int, data_dir: Path) ->
         ("tud/TUD-Stadtmitte/gt.txt", 1.0, 1.4),
         ("caviar/xml/mws1gt.xml", 1.0, 1.7),
         ("caviar/xml/fra2gt.xml", 1.0, 1.7),
+        ("salsa/features.txt", -0.1, 0.1),  # they stand
     ],
 )
 def test_people_walk_at_a_walking_pace(name: str, slowest: float, fastest: float, data_dir: Path) -> None:
-    assert slowest < np.nanmedian(speeds(io.read(data_dir / name), 1.0)) < fastest
+    seconds = 3.0 if "salsa" in name else 1.0
+    assert slowest < np.nanmedian(speeds(io.read_identified(data_dir / name), seconds)) < fastest
 
 
-def test_standing_people_of_the_poster_session_stand(data_dir: Path) -> None:
-    assert np.median(speeds(io.read(data_dir / "salsa/features.txt"), 3.0)) < 0.1
+@pytest.mark.parametrize(
+    ("name", "seconds", "slowest", "degrees"),
+    [
+        ("kitti/label_02/0012.txt", 0.3, 0.5, 10.0),
+        ("mocap/tracks_30hz.csv.gz", 0.3, 0.5, 10.0),
+        ("caviar/xml/mws1gt.xml", 0.25, 0.8, 18.0),
+        ("caviar/xml/fra2gt.xml", 0.25, 0.8, 18.0),
+    ],
+)
+def test_people_face_where_they_walk(
+    name: str, seconds: float, slowest: float, degrees: float, data_dir: Path
+) -> None:
+    tracks = io.read_identified(data_dir / name)
+    error = heading_errors(tracks.select("*_walk_*") if "mocap" in name else tracks, "body", seconds, slowest)
+    assert len(error) > 40 and np.rad2deg(np.median(np.abs(error))) < degrees
 
 
 def test_the_corridor_through_its_point_pairs(data_dir: Path) -> None:
     folder = data_dir / "caviar/corridor"
-    tracks = io.read(folder / "fols1gt.xml", point_pairs=folder / "homography_points.txt", **CORRIDOR)
+    tracks = io.read_identified(
+        folder / "fols1gt.xml", point_pairs=folder / "homography_points.txt", **CORRIDOR
+    )
     moving = speeds(tracks, 1.0)
     assert 0.7 < np.median(moving[moving > 0.3]) < 1.6
     corners = tracks.camera.image_to_ground([[60.0, 153.0], [367.0, 200.0]])
     np.testing.assert_allclose(corners, [[0.0, 0.0], [3.82, 8.78]], atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["kitti/label_02/0012.txt", "mocap/tracks_30hz.csv.gz"])
-def test_people_face_where_they_walk(name: str, data_dir: Path) -> None:
-    tracks = io.read(data_dir / name)
-    if "mocap" in name:
-        tracks = tracks.select("*_walk_*")
-    error = heading_errors(tracks, "body", 0.3, 0.5)
-    assert len(error) > 40
-    assert np.rad2deg(np.median(np.abs(error))) < 10.0
-
-
-@pytest.mark.parametrize("name", ["mws1gt", "fra2gt"])
-def test_shoulders_of_the_lobby_are_square_to_the_motion(name: str, data_dir: Path) -> None:
-    error = heading_errors(io.read(data_dir / f"caviar/xml/{name}.xml"), "body", 0.25, 0.8)
-    assert len(error) > 100
-    assert np.rad2deg(np.median(np.abs(error))) < 18.0
 
 
 def test_heads_are_seen_above_the_feet_by_the_camera_of_the_lobby(data_dir: Path) -> None:
@@ -127,10 +125,10 @@ def test_heads_are_seen_above_the_feet_by_the_camera_of_the_lobby(data_dir: Path
 
 
 def test_zara_is_mirrored_and_its_control_points_lie_on_the_published_walks(data_dir: Path) -> None:
-    zara = io.read(data_dir / "ucy/zara01/annotation.vsp")
+    zara = io.read_identified(data_dir / "ucy/zara01/annotation.vsp")
     assert any("right-handed" in note for note in zara.summary.notes)
     # OpenTraj's table of the same walks keeps the mirrored ground: the same x, the opposite y.
-    for walk in io.read(data_dir / "ucy/zara01/obsmat.txt"):
-        spline = zara[walk.track_id - 1]
+    for walk in io.read_identified(data_dir / "ucy/zara01/obsmat.txt"):
+        spline = zara.by_id(walk.track_id - 1)
         x, y = (np.interp(walk.frame, spline.frame, axis) for axis in spline.position.T)
         assert np.median(np.hypot(x - walk.position[:, 0], y + walk.position[:, 1])) < 0.25

@@ -1,4 +1,4 @@
-"""What is written is read back: through CSV, gzip, Parquet and DataFrames."""
+"""Round trips through CSV, gzip, Parquet and DataFrames."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from format_samples import made_tracks
 from hypothesis import given, settings
@@ -18,6 +19,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.formats.native import _header, _read_fast, _read_slowly
 from graphtrack.io.source import Source
+from graphtrack.tracks.table import arrow_array
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_ID
 
@@ -30,6 +32,8 @@ OPTIONAL = {
     "score": (st.floats(0.0, 1e6),),
     "velocity": (METRES, 2),
     "true_body": (ANGLES,),
+    "gait_offset": (ANGLES,),
+    "aligned_p": (st.floats(0.0, 1.0),),
 }
 
 
@@ -96,23 +100,11 @@ def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"tracks{suffix}"
         io.write(written, path)
-        read = io.read(path)
+        read = io.read_identified(path)
         assert_same(written, read)
+        assert_same(written, TrackSet.from_table(written.to_table()))
         assert read.summary.rows_read == read.summary.rows_used == written.n_frames
         assert [entry.name for entry in Path(folder).iterdir()] == [path.name]
-
-
-@pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")
-@settings(deadline=None, max_examples=20)
-@given(written=tracks())
-def test_tables_give_back_the_tracks(written: TrackSet) -> None:
-    assert_same(written, TrackSet.from_table(written.to_table()))
-
-
-def test_every_channel_of_the_table(tmp_path: Path) -> None:
-    path = tmp_path / "made.csv"
-    io.write(made_tracks(), path)
-    assert_same(made_tracks(), io.read(path))
 
 
 CELL = st.one_of(
@@ -147,11 +139,11 @@ def test_pixels_become_metres_by_a_homography(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("track_id,frame,t,u,v\n1,0,0,100,200\n1,1,1,110,200\n1,2,2,110,-2000\n1,3,3,,\n")
     homography = np.array([[0.01, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.001, 1.0]])
-    tracks = io.read(path, homography=homography)
+    tracks = io.read_identified(path, homography=homography)
     assert tracks.summary.refused == {"at or beyond the camera's horizon": 1}
-    np.testing.assert_allclose(tracks[1].position[:2], np.array([[1.0, -2.0], [1.1, -2.0]]) / 1.2)
-    assert np.isnan(tracks[1].position[2]).all()
-    np.testing.assert_array_equal(tracks[1].pixel[:2], [[100, 200], [110, 200]])
+    np.testing.assert_allclose(tracks.by_id(1).position[:2], np.array([[1.0, -2.0], [1.1, -2.0]]) / 1.2)
+    assert np.isnan(tracks.by_id(1).position[2]).all()
+    np.testing.assert_array_equal(tracks.by_id(1).pixel[:2], [[100, 200], [110, 200]])
     assert tracks.camera == GroundCamera.from_homography(homography)
 
 
@@ -159,7 +151,7 @@ def test_several_files_are_merged_under_ids_of_their_own(tmp_path: Path) -> None
     plain = made_tracks().map(lambda track: replace(track, label=""))
     for name in ("first", "second"):
         io.write(plain, tmp_path / f"{name}.csv.gz")
-    merged = io.read([tmp_path / "first.csv.gz", tmp_path / "second.csv.gz"])
+    merged = io.read_identified([tmp_path / "first.csv.gz", tmp_path / "second.csv.gz"])
     assert [track.label for track in merged] == ["first", "first", "second", "second"]
     assert len({track.track_id for track in merged}) == 4
     assert merged.summary.rows_used == 2 * plain.n_frames
@@ -172,7 +164,7 @@ def test_mot_text_gives_back_positions(with_camera: bool, tmp_path: Path) -> Non
     path = tmp_path / "made.txt"
     written = replace(made_tracks(), camera=camera if with_camera else None)
     io.write(written, path)
-    read = io.read(path)
+    read = io.read_identified(path)
     for one, other in zip(written, read, strict=True):
         seen = np.isfinite(one.position).all(axis=1)
         np.testing.assert_array_equal(other.frame, one.frame[seen])
@@ -181,12 +173,26 @@ def test_mot_text_gives_back_positions(with_camera: bool, tmp_path: Path) -> Non
             np.testing.assert_allclose(other.pixel, camera.ground_to_image(other.position), atol=2e-3)
         else:
             assert other.pixel is None
+    io.write(made_tracks(), path, homography=np.diag([0.01, -0.01, 1.0]))
+    np.testing.assert_allclose(np.loadtxt(path, delimiter=",")[:, 5], 170.0)
 
 
-def test_mot_text_takes_a_homography(tmp_path: Path) -> None:
-    io.write(made_tracks(), tmp_path / "made.txt", homography=np.diag([0.01, -0.01, 1.0]))
-    box = np.loadtxt(tmp_path / "made.txt", delimiter=",")[:, 2:6]
-    np.testing.assert_allclose(box[:, 3], 170.0)
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.array([1.5, np.nan, -0.0, np.inf]),
+        np.arange(20.0)[::2],
+        np.array([3, -(2**62)]),
+        np.array(["Zoë", None, ""], dtype=object),
+        np.array([], dtype=object),
+        np.array(["2026-01-01", "NaT"], dtype="datetime64[us]"),
+        np.array([True, False]),
+    ],
+)
+def test_columns_are_what_pyarrow_makes_of_them(values: np.ndarray) -> None:
+    found, expected = arrow_array(values), pa.array(values, from_pandas=True)
+    found.validate(full=True)
+    assert found.type == expected.type and found.equals(expected)
 
 
 def test_writing_to_places_that_cannot_be(tmp_path: Path) -> None:

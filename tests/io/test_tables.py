@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from refusals import refused
 
 import graphtrack as gt
 from graphtrack import io
+from graphtrack.errors import InputError
+from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.read_write import rows_of_file, tracks_of
+from graphtrack.io.read_write import rows_of_file, tracks_given
 from graphtrack.tracks.time import from_dates, from_numbers, from_text
 
 STEPS = np.arange(4)
@@ -62,19 +65,19 @@ def test_a_table_is_read_as_said_and_written_as_read(times, name: str, tmp_path:
     given, options = times
     table, path = frame(given), tmp_path / name
     if name == "in memory":
-        tracks = io.read(table, columns=COLUMNS, **options)
+        tracks = io.read_identified(table, columns=COLUMNS, **options)
     else:
         write = {"csv": table.to_csv, "parquet": table.to_parquet}.get(name[6:])
         if write is None:
             table.to_json(path, orient="records", lines=True, double_precision=15)
         else:
             write(path, index=False)
-        tracks = io.read(path, columns=SPEC, **options)
+        tracks = io.read_identified(path, columns=SPEC, **options)
     check(tracks)
     for ending in (".csv", ".parquet", ".ndjson"):
         out = tmp_path / f"out{ending}"
         io.write(tracks, out)
-        check(io.read(out, columns=COLUMNS, **options))
+        check(io.read_identified(out, columns=COLUMNS, **options))
     back = tracks.to_table(as_read=True)
     assert list(back["agent"]) == list(table["agent"]) and "label" not in back
     if isinstance(given, list) or given.dtype.kind == "i":
@@ -91,17 +94,17 @@ def test_frames_of_pandas_and_polars_keep_their_dates() -> None:
         times = pd.date_range("2025-10-26 01:59:59.8", periods=4, freq="100ms", tz=zone)
         table = frame(times)
         for one in (table, polars.from_pandas(table), {name: table[name] for name in table}):
-            tracks = io.read(one, columns=COLUMNS)
+            tracks = io.read_identified(one, columns=COLUMNS)
             check(tracks)
             assert list(tracks.to_table(as_read=True)["timestamp"]) == list(table["timestamp"])
     native = {"agent": "label", "timestamp": "t", "pos_x": "x", "pos_y": "y"}
     table = frame().rename(columns=native).assign(track_id=[1] * 4 + [2] * 4, frame=[*STEPS, *STEPS])
-    check(tracks_of(polars.from_pandas(table)))
+    check(tracks_given(polars.from_pandas(table)))
 
 
 @pytest.mark.parametrize(("units", "metre"), [("cm", 0.01), ("mm", 0.001), ("ft", 0.3048), ("m", 1.0)])
 def test_units_of_length(units: str, metre: float, tmp_path: Path) -> None:
-    tracks = io.read(frame(scale=1.0 / metre), columns=COLUMNS, units=units)
+    tracks = io.read_identified(frame(scale=1.0 / metre), columns=COLUMNS, units=units)
     check(tracks)
     moving = tracks.map(lambda track: replace(track, velocity=track.position))
     native, back = moving.to_table(), moving.to_table(as_read=True)
@@ -122,12 +125,10 @@ def test_whole_counts_come_back_to_the_last_digit(count: int, steps: list[int]) 
 def test_text_and_dates_come_back_and_count_from_midnight() -> None:
     texts = ["2024-02-29T23:59:59.999-01:00", "2024-02-29T24:00:00.000-01:00".replace("29T24", "29T23")]
     t, scale = from_text([texts[0], ""], None)
-    assert scale.restored(t[:1])[0] == texts[0] and np.isnan(t[1])
-    assert t[0] == 3599.999
+    assert scale.restored(t[:1])[0] == texts[0] and np.isnan(t[1]) and t[0] == 3599.999
     dates = np.array(["2024-02-29T23:59:59.999", "NaT"], dtype="M8[us]")
     t, scale = from_dates(dates, "", None)
-    assert t[0] == 86399.999 and np.isnan(t[1])
-    assert scale.restored(t[:1])[0] == dates[0]
+    assert t[0] == 86399.999 and np.isnan(t[1]) and scale.restored(t[:1])[0] == dates[0]
 
 
 IDENTITIES = {
@@ -144,16 +145,15 @@ def test_identities_come_back_as_they_were(case, tmp_path: Path) -> None:
     said, back = case
     path = tmp_path / "table.csv"
     path.write_text("who,t,x,y\n" + "".join(f"{who},{k},{k},0\n" for who in said for k in STEPS))
-    tracks = io.read(path, columns="id=who")
-    assert list(tracks.to_table(as_read=True)["who"][::4]) == back
-    assert len(tracks.select(said[0])) == 1
+    tracks = io.read_identified(path, columns="id=who")
+    assert list(tracks.to_table(as_read=True)["who"][::4]) == back and len(tracks.select(said[0])) == 1
 
 
 def test_files_of_one_scene_count_from_the_same_and_keep_their_people(tmp_path: Path) -> None:
     days = [[f"2025-11-{day}T10:00:0{k}Z" for k in STEPS] for day in (23, 24)]
     for k, day in enumerate(days):
         frame(day).to_csv(tmp_path / f"{k}.csv", index=False)
-    tracks = io.read([tmp_path / "0.csv", tmp_path / "1.csv"], columns=COLUMNS)
+    tracks = io.read_identified([tmp_path / "0.csv", tmp_path / "1.csv"], columns=COLUMNS)
     back = tracks.to_table(as_read=True)
     assert list(back["agent"].unique()) == ["anna", "bob", "anna (2)", "bob (2)"]
     assert list(back["timestamp"].unique()) == [*days[0], *days[1]]
@@ -162,26 +162,22 @@ def test_files_of_one_scene_count_from_the_same_and_keep_their_people(tmp_path: 
     assert "numbers in" in error.found and "text in" in error.found
 
 
-def test_a_wide_table_has_columns_for_each(tmp_path: Path) -> None:
+def test_columns_for_each_person_and_columns_that_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "wide.csv"
     wide = pd.DataFrame({"time": STEPS / 10})
     for who, x in X.items():
         wide[f"{who}_x"], wide[f"{who}_y"] = x, -0.25
     wide.loc[1, ["bob_x", "bob_y"]] = np.nan
     wide.to_csv(path, index=False)
-    tracks = io.read(path, columns="t=time,x=*_x,y=*_y")
+    tracks = io.read_identified(path, columns="t=time,x=*_x,y=*_y")
     assert [len(track) for track in tracks] == [4, 3] and [track.label for track in tracks] == list(X)
     io.write(tracks, tmp_path / "long.csv")
-    assert [track.label for track in io.read(tmp_path / "long.csv", columns="t=time")] == list(X)
+    assert [track.label for track in io.read_identified(tmp_path / "long.csv", columns="t=time")] == list(X)
     assert "match" in refused(path, columns="t=time,x=x_*,y=y_*").expected
     wide.drop(columns="bob_y").to_csv(path, index=False)
     assert refused(path, columns="t=time,x=*_x,y=*_y").column == "bob_y"
-
-
-def test_columns_are_counted_where_nothing_names_them(tmp_path: Path) -> None:
-    path = tmp_path / "table.txt"
     frame().to_csv(path, index=False, header=False, sep=" ")
-    check(io.read(path, columns="id=1,t=2,x=3,y=4", delimiter="space"))
+    check(io.read_identified(path, columns="id=1,t=2,x=3,y=4", delimiter="space"))
 
 
 def test_detections_have_times_and_no_identities(tmp_path: Path) -> None:
@@ -250,18 +246,9 @@ def test_a_bad_cell_is_named_by_line_and_by_the_name_of_the_file(case, tmp_path:
     path.write_text("\n".join(map(",".join, rows)) + "\n")
     error = refused(path, columns=COLUMNS, time_unit=unit)
     assert (error.line, error.column) == (4, column)
-
-
-def test_a_clock_that_jumps_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "table.csv"
     path.write_text("agent,timestamp,pos_x,pos_y\n" + "".join(f"anna,{t},0,0\n" for t in (0, 1, 2, 1)))
-    error = refused(path, columns=COLUMNS)
+    error = refused(path, columns=COLUMNS)  # a clock that jumps
     assert "anna again at 1" in error.found and error.line == 5
-    path.write_text(
-        "agent,frame,timestamp,pos_x,pos_y\n" + "".join(f"a,{k},{10 - k},0,0\n" for k in range(3))
-    )
-    error = refused(path, columns=COLUMNS)
-    assert error.column == "t" and error.line == 3
 
 
 def test_degrees_become_metres_and_come_back(tmp_path: Path) -> None:
@@ -270,21 +257,21 @@ def test_degrees_become_metres_and_come_back(tmp_path: Path) -> None:
     table = frame().assign(pos_y=48.137 + np.r_[STEPS, STEPS] * 1e-5, pos_x=11.575)
     table.to_csv(path, index=False)
     options = {"columns": "id=agent,t=timestamp,lat=pos_y,lon=pos_x"}
-    tracks = io.read(path, **options)
+    tracks = io.read_identified(path, **options)
     # A degree of latitude is 111.2 km there.
-    steps = np.diff(tracks[1].position, axis=0)
+    steps = np.diff(tracks.by_id(1).position, axis=0)
     np.testing.assert_allclose(steps, [[0.0, 1.112]] * 3, atol=2e-3)
     io.write(tracks, out)
     np.testing.assert_allclose(pd.read_csv(out)[["pos_x", "pos_y"]], table[["pos_x", "pos_y"]], atol=1e-10)
-    again = io.read(out, **options)
-    np.testing.assert_allclose(again[1].position, tracks[1].position, atol=1e-6)
+    again = io.read_identified(out, **options)
+    np.testing.assert_allclose(again.by_id(1).position, tracks.by_id(1).position, atol=1e-6)
     # The same places by easting and northing.
     from pyproj import Transformer
 
     east, north = Transformer.from_crs(4326, 25832, always_xy=True).transform(table.pos_x, table.pos_y)
     table.assign(pos_x=east, pos_y=north).to_csv(path, index=False)
-    metres = io.read(path, columns=COLUMNS, crs="EPSG:25832")
-    np.testing.assert_allclose(metres[1].position, tracks[1].position, atol=1e-3)
+    metres = io.read_identified(path, columns=COLUMNS, crs="EPSG:25832")
+    np.testing.assert_allclose(metres.by_id(1).position, tracks.by_id(1).position, atol=1e-3)
     np.testing.assert_allclose(metres.to_table(as_read=True)["pos_x"], east, atol=1e-6)
 
 
@@ -308,3 +295,68 @@ def test_places_that_are_none_are_told_in_a_line(case, tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text(f"t,lat,lon\n{row}\n")
     assert said in str(refused(path, columns="lat=lat,lon=lon", **options))
+
+
+PEOPLE = (7, 8, 9)
+
+
+def rows(names):
+    """Rows of three people under other names: native column → name."""
+    native = [
+        {"track_id": one, "frame": k, "t": k / 10, "x": round(0.1 * k + one, 3), "y": float(one)}
+        for k in range(12)
+        for one in PEOPLE
+    ]
+    return [{name: row[key] for key, name in names.items()} for row in native]
+
+
+def written(rows, path):
+    if path.suffix == ".csv":
+        pd.DataFrame(rows).to_csv(path, index=False)
+    elif path.suffix == ".parquet":
+        pd.DataFrame(rows).to_parquet(path)
+    else:
+        path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return path
+
+
+def is_read(tracks):
+    assert [one.track_id for one in tracks] == list(PEOPLE)
+    for one in tracks:
+        np.testing.assert_allclose(one.position[:, 0], 0.1 * np.arange(12) + one.track_id)
+        np.testing.assert_allclose(np.diff(one.t), 0.1)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".ndjson"])
+@pytest.mark.parametrize(
+    "name", ["id", "ID", "person", "agent_id", "ped_id", "pedestrian", "tid", "Track ID", "PersonID"]
+)
+def test_identities_are_kept_under_their_common_names(tmp_path, suffix, name):
+    names = {"frame": "frame", "track_id": name, "x": "x", "y": "y"}
+    tracks = gt.read(written(rows(names), tmp_path / f"a{suffix}"), fps=10)
+    is_read(tracks)
+    assert any("as track_id" in note for note in tracks.summary.notes)
+
+
+def test_units_in_names_count_and_native_columns_are_what_they_are(tmp_path):
+    table = rows({"t": "t", "track_id": "id", "x": "x", "y": "y"})
+    factors = {"id": ("id", 1), "t": ("time_ms", 1000), "x": ("pos_x_cm", 100), "y": ("pos_y_cm", 100)}
+    units = [{name: of * row[key] for key, (name, of) in factors.items()} for row in table]
+    is_read(gt.read(written(units, tmp_path / "a.csv")))
+    native = rows({name: name for name in ("t", "track_id", "frame", "x", "y")})
+    both = [row | {"id": 1, "time": 5.0, "pos_x": 0.0} for row in native]
+    is_read(gt.read(written(both, tmp_path / "a.csv")))
+    path = written(rows({"frame": "frame", "track_id": "device", "x": "x", "y": "y"}), tmp_path / "a.csv")
+    assert any("'device' may be an identity" in note for note in gt.read(path, fps=10).summary.notes)
+
+
+def test_two_names_of_one_column_are_an_error(tmp_path):
+    table = [row | {"person": 1} for row in rows({"frame": "frame", "track_id": "id", "x": "x", "y": "y"})]
+    with pytest.raises(InputError, match=r"'id' and 'person'.*--columns id=NAME"):
+        gt.read(written(table, tmp_path / "a.csv"), fps=10)
+    is_read(gt.read(tmp_path / "a.csv", fps=10, columns="id=id"))
+
+
+def test_pixels_are_never_taken_for_metres():
+    options, notes = with_synonyms(["frame", "track_id", "u", "v", "pos_x", "pos_y"], ReadOptions())
+    assert options.columns is None and not notes

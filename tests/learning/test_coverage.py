@@ -1,6 +1,6 @@
 """How often the stated 95 % intervals hold the parameters that simulated people were made with.
 
-One command prints the table of docs/model.md:
+One command prints the table of docs/results/model.md:
 ``pytest tests/learning/test_coverage.py -m slow -s``
 """
 

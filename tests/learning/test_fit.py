@@ -1,9 +1,8 @@
-"""Learning: evidence against exact likelihoods, recovery of simulated parameters, interruption."""
+"""Learning: evidence against exact likelihoods, recovery of simulated parameters."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -127,37 +126,6 @@ def test_what_the_data_do_not_show_is_kept_and_said() -> None:
     (std,) = [one for one in found.learned if one.name == "likelihood.position_std"]
     assert "not identified" in std.note
     assert std.value == std.start == found.model.parameters.likelihood.position_std
-
-
-class _Stopped(Exception):
-    """Somebody pulled the plug."""
-
-
-def test_a_fit_that_was_interrupted_goes_on_to_the_same_end(tmp_path: Path) -> None:
-    tracks, journal = unknown("position", 7, 4, 25), tmp_path / "model.toml.progress"
-    whole = fit(tracks, "position", hold_out=0.0)
-
-    def stop(count: int) -> None:
-        if count == 30:
-            raise _Stopped
-
-    with pytest.raises(_Stopped):
-        fit(tracks, "position", hold_out=0.0, journal=journal, progress=stop)
-    with journal.open("a", encoding="utf-8") as file:
-        file.write('["1 half a li')
-    counts: list[int] = []
-    resumed = fit(tracks, "position", hold_out=0.0, journal=journal, progress=counts.append)
-    assert counts[0] == 30  # what was known was not evaluated again
-    assert [vars(one) for one in resumed.learned] == [vars(one) for one in whole.learned]
-    assert not journal.exists()
-
-
-def test_the_progress_of_other_data_is_not_used(tmp_path: Path) -> None:
-    journal = tmp_path / "progress"
-    journal.write_text('"another fingerprint"\n["shown", [0.0], [1.0]]\n', encoding="utf-8")
-    counts: list[int] = []
-    fit(unknown("position", 8, 3, 20), "position", journal=journal, progress=counts.append)
-    assert counts[0] == 1
 
 
 def test_the_evidence_of_couplings_is_not_known() -> None:

@@ -1,4 +1,4 @@
-"""What forecasts are learned from: all at once as frame by frame, and found again where it is known."""
+"""Learning of forecasts: training data, and parameters found where they are known."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, lead, mean_turn
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.learning import forecasts as learning
-from graphtrack.learning.forecasts import errors_at_once, forecasts, recording, rows_of
+from graphtrack.learning.forecasts import forecasts, recording
 
 STEP = 0.4
 
@@ -25,14 +25,6 @@ def crowd(count=15, seed=1, steps=30):
         frame = int(rng.integers(0, 30)) + np.arange(steps)
         people.append(gt.Track(k, frame, STEP * frame, where))
     return gt.TrackSet(tuple(people))
-
-
-@pytest.mark.parametrize("changed", [{}, {"stop_speed": 0.45, "companion_weight": 4.0, "place_prior": 0.3}])
-def test_errors_at_once_are_those_of_forecasts_frame_by_frame(changed):
-    parameters, scene = replace(ForecastParameters(), **changed), recording(crowd())
-    found = learning.outcomes(scene, parameters)
-    one_by_one = learning.relative_errors(found.error, found.straight)
-    assert errors_at_once(rows_of(scene), parameters) == pytest.approx(one_by_one, rel=1e-3)
 
 
 def test_what_came_of_people_is_where_they_were_and_unknown_when_they_had_left():

@@ -34,12 +34,12 @@ from websockets.exceptions import ConnectionClosed
 MOST_SECONDS = 0.1
 """Within which 99 % of the rows are to be answered."""
 GROWTH = 1.1
-"""How much more memory there may be in the end than at a fifth of the time."""
+"""Largest ratio of the memory at the end to that at a fifth of the time."""
 
 
 @dataclass
 class Told:
-    """What the clients saw: seconds from each row to its answer, rows sent, and answers that were errors.
+    """Results of the clients: seconds from each row to its answer, rows sent, and answers that were errors.
 
     ``ends``: how connections were closed that lost rows.
     """
@@ -54,22 +54,15 @@ def row(person: int, frame: int, rate: float) -> str:
     """Somebody who walks in a circle, a little noisy."""
     t, angle = frame / rate, person + 0.3 * frame / rate
     noise = 0.02 * math.sin(7.0 * frame + 3.0 * person)
-    return json.dumps(
-        {
-            "track_id": person,
-            "frame": frame,
-            "t": t,
-            "x": 4.0 * math.cos(angle) + noise,
-            "y": 4.0 * math.sin(angle) - noise,
-            "body_deg": math.degrees(angle) + 90.0 + 300.0 * noise,
-            "head_deg": math.degrees(angle) + 90.0 - 300.0 * noise,
-        }
-    )
+    place = {"x": 4.0 * math.cos(angle) + noise, "y": 4.0 * math.sin(angle) - noise}
+    ahead = math.degrees(angle) + 90.0
+    turned = {"body_deg": ahead + 300.0 * noise, "head_deg": ahead - 300.0 * noise}
+    return json.dumps({"track_id": person, "frame": frame, "t": t, **place, **turned})
 
 
 @lru_cache(64)
 def messages(people: int, frame: int, rate: float, together: bool) -> list[str]:
-    """What a client sends of a frame; all streams see the same people, so that clients cost little."""
+    """Messages of a frame; all streams see the same people, so that clients cost little."""
     rows = [row(person, frame, rate) for person in range(people)]
     return ["\n".join(rows)] if together else rows
 
@@ -132,9 +125,8 @@ async def slow(address: str, rate: float, end: float) -> None:
         async with connect(address, max_queue=1) as socket:
             try:
                 for frame in range(1 << 30):
-                    await asyncio.wait_for(
-                        socket.send(row(0, frame, rate)), max(0.01, end - time.monotonic())
-                    )
+                    left = max(0.01, end - time.monotonic())
+                    await asyncio.wait_for(socket.send(row(0, frame, rate)), left)
             finally:
                 socket.transport.abort()
 
@@ -207,10 +199,8 @@ async def service(options: list[str]) -> AsyncIterator[tuple[int, int]]:
 async def measure(options: list[str], given: argparse.Namespace) -> bool:
     """Load one service and print what came of it; whether nothing was lost."""
     told, memories = Told(), []
-    async with service([*options, "--model", given.model, "--max-streams", str(given.streams + 8)]) as (
-        port,
-        pid,
-    ):
+    more = ["--model", given.model, "--max-streams", str(given.streams + 8)]
+    async with service([*options, *more]) as (port, pid):
         address = f"ws://127.0.0.1:{port}/v1/streams/"
         begin = time.monotonic() + 3.0
         end = begin + given.seconds
@@ -244,11 +234,9 @@ async def measure(options: list[str], given: argparse.Namespace) -> bool:
         f"processor µs of each of {answered:.0f} rows, those of the unruly too: "
         f"streams {streams:.0f}, server {server:.0f}, these clients {clients:.0f}"
     )
-    bars = {
-        "nothing lost": told.errors == 0,
-        f"99 % within {1e3 * MOST_SECONDS:.0f} ms": nearly_all <= 1e3 * MOST_SECONDS,
-        "memory flat": memories[-1] <= GROWTH * memories[0],
-    }
+    within = f"99 % within {1e3 * MOST_SECONDS:.0f} ms"
+    bars = {"nothing lost": told.errors == 0, within: nearly_all <= 1e3 * MOST_SECONDS}
+    bars["memory flat"] = memories[-1] <= GROWTH * memories[0]
     print("; ".join(f"{name}: {'yes' if holds else 'NO'}" for name, holds in bars.items()))
     if told.ends:
         print("connections ended early:", ", ".join(sorted(told.ends)))
@@ -258,17 +246,11 @@ async def measure(options: list[str], given: argparse.Namespace) -> bool:
 def main() -> None:
     """Without states, then with them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--streams", type=int, default=20)
-    parser.add_argument("--people", type=int, default=20)
-    parser.add_argument("--rate", type=float, default=25.0)
-    parser.add_argument("--model", default="joint")
-    parser.add_argument(
-        "--rows",
-        dest="together",
-        action="store_false",
-        help="a message for each row and each answer, in place of one for each frame",
-    )
+    defaults = {"seconds": 60.0, "streams": 20, "people": 20, "rate": 25.0, "model": "joint"}
+    for name, value in defaults.items():
+        parser.add_argument(f"--{name}", type=type(value), default=value)
+    told = "a message for each row and each answer, in place of one for each frame"
+    parser.add_argument("--rows", dest="together", action="store_false", help=told)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         kept = [asyncio.run(measure(options, given)) for options in ([], ["--state", folder])]

@@ -1,4 +1,4 @@
-"""Calibrated covariances, beyond the inverse curvature: against closed forms and simulations."""
+"""Calibrated covariances: against closed forms, simulations and the documented formulas in NumPy."""
 
 from __future__ import annotations
 
@@ -7,10 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibrated import calibrated
+from calibration_formulas import calibrated as documented
+from walks import walk
 
-from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.inference.chain.batch import solve_packed
-from graphtrack.inference.chain.covariance import calibration_of, lag_variances, seconds_behind
+from graphtrack.inference.chain.covariance import (
+    calibrate_tracks,
+    calibration_of,
+    lag_variances,
+    seconds_behind,
+)
 from graphtrack.inference.chain.initialisation import pack
 from graphtrack.inference.result import seconds_to_ends
 from graphtrack.model import Model, Parameters
@@ -57,8 +64,7 @@ def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
         calibration = calibration_of(replace(Parameters(), orientation=orientation))
         turns = calibration.body_turns, calibration.head_turns
         body, head = (lag_variances(share * seconds, lasting, ends)[1] for lasting in turns)
-        assert head == pytest.approx(found, rel=0.1)
-        assert body == pytest.approx(4.0 * head)
+        assert head == pytest.approx(found, rel=0.1) and body == pytest.approx(4.0 * head)
 
 
 @pytest.mark.parametrize("preset", ["separate", "joint-body", "joint"])
@@ -68,17 +74,9 @@ def test_an_estimate_is_so_many_seconds_behind_somebody_who_turns(preset: str, p
     rate, t = 0.02, np.arange(0.0, 12.0, 0.1)
     heading, speed = rate * t, 1.3
     place = speed / rate * np.column_stack([np.sin(heading), 1.0 - np.cos(heading)])
-    track = Track(
-        track_id=1,
-        frame=np.arange(len(t)),
-        t=t,
-        position=place,
-        position_std=np.full(len(t), position_std),
-        body=heading,
-        body_kappa=np.full(len(t), 2.0),
-        head=heading,
-        head_kappa=np.full(len(t), 3.0),
-    )
+    noise = {"position_std": position_std, "body_kappa": 2.0, "head_kappa": 3.0}
+    given = {name: np.full(len(t), value) for name, value in noise.items()}
+    track = Track(1, np.arange(len(t)), t, place, body=heading, head=heading, **given)
     model = Model(preset)
     found = solve_packed(pack([track], model), model)
     covariance, velocity = found.covariance[-1], found.states[-1, 2:4]
@@ -146,3 +144,59 @@ def test_the_presets_state_more_than_steady_ones_and_stay_positive_definite() ->
 
 def test_seconds_to_the_nearer_end() -> None:
     assert seconds_to_ends(np.array([3.0, 3.5, 5.0, 6.0])).tolist() == [0.0, 0.5, 1.0, 0.0]
+
+
+LASTING = Parameters(
+    MotionParameters(lasting_std=0.4, sway_std=0.02),
+    OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.4, body_white_share=0.3),
+)
+"""Parameters in which nothing that the calibration depends on is 0, or alike for body and head."""
+
+
+def random_covariances(rng: np.random.Generator, count: int, scale: float) -> FloatArray:
+    """Covariances (count, 6, 6), positive definite."""
+    root = scale * rng.normal(size=(count, 6, 6))
+    return np.asarray(root @ np.swapaxes(root, 1, 2))
+
+
+def assert_calibrated(found: FloatArray, expected: FloatArray, within: float) -> None:
+    """Positions and velocities to rounding; angles as near as the table of their spreads is."""
+    scale = np.sqrt(np.abs(np.einsum("nii->ni", expected)))
+    apart = (found - expected) / (scale[:, :, None] * scale[:, None, :])
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+    assert np.nanmax(np.abs(apart[:, :4, :4]), initial=0.0) < 1e-11
+    assert np.nanmax(np.abs(apart), initial=0.0) < within
+
+
+@pytest.mark.parametrize("parameters", [Parameters(), LASTING, STILL], ids=["default", "lasting", "steady"])
+@pytest.mark.parametrize("missing", [[], [4], [5], [4, 5]])
+def test_covariances_are_those_of_the_documented_formulas(missing: list[int], parameters: Parameters) -> None:
+    rng, n = np.random.default_rng(0), 150  # more frames than are taken at a time
+    # The table is coarse from 100 to 1000 rad², where an angle may be anything.
+    for scale, within in ((1e-3, 1e-6), (0.1, 1e-4), (1.0, 5e-4), (30.0, 0.1), (1e4, 1e-6)):
+        covariance, velocity = random_covariances(rng, n, scale), rng.normal(size=(n, 2))
+        ends = rng.choice([0.0, 0.02, 0.5, 30.0], n)
+        covariance[:, missing] = covariance[:, :, missing] = np.nan
+        expected = documented(covariance, velocity, parameters, ends)
+        assert_calibrated(calibrated(covariance, velocity, parameters, ends), expected, within)
+
+
+def test_a_frame_that_is_known_for_certain_is_calibrated() -> None:
+    given = np.zeros((1, 6, 6)), np.zeros((1, 2)), Parameters()
+    found = calibrated(*given)
+    np.testing.assert_allclose(found, documented(*given))
+    assert not found[0, 4:].any()
+
+
+def test_frames_of_several_tracks_are_calibrated_by_the_ends_of_their_own() -> None:
+    rng, tracks = np.random.default_rng(3), [walk(9, seed=1), walk(130, seed=2, uneven=True), walk(1)]
+    packed = pack(tracks, Model("joint"))
+    scale = 10.0 ** rng.uniform(-3.0, 1.0, (140, 1, 1))
+    covariance, states = random_covariances(rng, 140, 1.0) * scale, rng.normal(size=(140, 6))
+    covariance[9, 4], covariance[9, :, 4], covariance[12] = np.nan, np.nan, np.nan
+    resting = Parameters(MotionParameters(lasting_std=0.0), OrientationParameters(head_turn_rate=0.0))
+    for parameters in (Parameters(), LASTING, resting):
+        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
+        expected, found = documented(covariance, states[:, 2:4], parameters, ends), covariance.copy()
+        calibrate_tracks(found, states, packed.offsets, packed.t, calibration_of(parameters))
+        assert_calibrated(found, expected, 2e-3)

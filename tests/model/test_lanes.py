@@ -79,10 +79,6 @@ def straight(x: float) -> float:
     return chosen if any_of(negate(x >= 0.75)) else 7.0
 
 
-def test_floats_choose_as_branches_would() -> None:
-    assert [straight(x) for x in (0.25, 0.6, 0.9)] == [-1.0, 0.6, 7.0]
-
-
 @compiled
 def branch(x: FloatArray, found: FloatArray) -> bool:
     """x where it is more than ½, put into the lanes where it is less than ¾; whether any is more than 1."""
@@ -95,8 +91,13 @@ def test_lanes_choose_and_are_put_each_for_itself() -> None:
     x, found = np.linspace(0.0, 1.0, LANES)[None], np.full((1, 6, LANES), 7.0)
     assert not branch(x, found)
     np.testing.assert_array_equal(found[0, 0], np.where(x[0] < 0.75, np.where(x[0] > 0.5, x[0], -1.0), 7.0))
-    assert (found[0, 1:] == 7.0).all()
-    assert branch(x + 0.5, found)
+    assert (found[0, 1:] == 7.0).all() and branch(x + 0.5, found)
+    assert [straight(x) for x in (0.25, 0.6, 0.9)] == [-1.0, 0.6, 7.0]
+
+
+@compiled
+def one_float(x: float) -> tuple[int, float, bool]:
+    return lane_count(x), lane_of(x, 0), only_lane(x > 0.0, 0)
 
 
 @compiled
@@ -112,20 +113,12 @@ def test_lanes_can_be_taken_and_put_one_by_one() -> None:
     x, found = np.random.default_rng(0).normal(size=(1, LANES)), np.zeros((2, LANES))
     assert one_by_one(x, found) == LANES
     np.testing.assert_array_equal(found, [np.zeros(LANES), 2.0 * x[0]])
-
-
-@compiled
-def one_float(x: float) -> tuple[int, float, bool]:
-    return lane_count(x), lane_of(x, 0), only_lane(x > 0.0, 0)
-
-
-def test_a_float_is_its_only_lane() -> None:
     assert one_float(-2.5) == (1, -2.5, True)
 
 
 @compiled
 def through_views(matrices: FloatArray, rows: FloatArray, frames: FloatArray, records: np.ndarray) -> None:
-    """What stands in one view of lanes into others."""
+    """Copy numbers from one view of lanes into others."""
     blocks, short, seen = lane_array(matrices), lane_rows(rows, 3), lane_records(frames, records)
     for k in range(2):
         block = blocks[k]

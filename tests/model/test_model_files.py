@@ -1,9 +1,11 @@
+"""Model files: parameters, presets and what is known of a scene, saved and loaded."""
+
 from __future__ import annotations
 
 import dataclasses
 import pickle
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,35 +60,15 @@ def refused(folder: Path, text: str) -> InputError:
 @given(preset=st.sampled_from(sorted(presets)), parameters=PARAMETERS)
 def test_a_saved_model_loads_as_it_was(tmp_path: Path, preset: str, parameters: Parameters) -> None:
     path = tmp_path / "model.toml"
-    Model(preset, parameters).save(path)
-    loaded = Model.load(path)
-    assert loaded.preset == preset
-    assert loaded.parameters == parameters
-
-
-@given(preset=st.sampled_from(sorted(presets)), parameters=PARAMETERS)
-def test_models_pickle_and_convert_to_dictionaries(preset: str, parameters: Parameters) -> None:
     model = Model(preset, parameters)
-    for copy in (pickle.loads(pickle.dumps(model)), Model.from_dict(model.to_dict())):
+    model.save(path)
+    copies = Model.load(path), pickle.loads(pickle.dumps(model)), Model.from_dict(model.to_dict())
+    for copy in (*copies, Model.named(path), Model.named(str(path))):
         assert (copy.preset, copy.parameters) == (preset, parameters)
         assert [type(term) for term in copy.terms] == [type(term) for term in model.terms]
-
-
-def test_a_saved_model_is_plain_toml_with_every_parameter(tmp_path: Path) -> None:
-    Model("separate").save(tmp_path / "model.toml")
-    content = tomllib.loads((tmp_path / "model.toml").read_text(encoding="utf-8"))
-    assert content.pop("preset") == "separate"
-    assert content == dataclasses.asdict(Parameters())
-
-
-@pytest.mark.parametrize("preset", sorted(presets))
-def test_named_takes_presets_files_and_models(tmp_path: Path, preset: str) -> None:
-    model = Model.named(preset)
-    assert model.preset == preset
-    assert Model.named(model) is model
-    model.save(tmp_path / "model.toml")
-    assert Model.named(tmp_path / "model.toml").preset == preset
-    assert Model.named(str(tmp_path / "model.toml")).preset == preset
+    assert Model.named(model) is model and Model.named(preset).preset == preset
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert content == {"preset": preset, **dataclasses.asdict(parameters)}
 
 
 @pytest.mark.parametrize("preset", presets)
@@ -120,25 +102,6 @@ def test_an_unknown_name_is_answered_with_the_known_ones(name: str) -> None:
         Model(name)
 
 
-@pytest.mark.parametrize("value", ["7", "true", '"unknown"', '["joint"]'])
-def test_a_preset_that_is_none_is_named(tmp_path: Path, value: str) -> None:
-    assert "position, separate, joint" in str(refused(tmp_path, f"preset = {value}\n"))
-
-
-@pytest.mark.parametrize(
-    ("text", "found"), [("[motoin]\n", "the unknown table 'motoin'"), ("foo = 1\n", "the unknown key 'foo'")]
-)
-def test_an_unknown_table_or_key_is_named(tmp_path: Path, text: str, found: str) -> None:
-    error = refused(tmp_path, text)
-    assert error.found == found
-    assert "preset" in error.expected and "motion, orientation, coupling, gait, likelihood" in error.expected
-
-
-@pytest.mark.parametrize("text", ["motion = 3\n", "[[motion]]\nacceleration_density = 1.0\n"])
-def test_what_should_be_a_table_is_named(tmp_path: Path, text: str) -> None:
-    assert refused(tmp_path, text).expected == "a table [motion]"
-
-
 @pytest.mark.parametrize("text", ["", "[motion]\ninitial_speed_std = 0.7\n"])
 def test_a_file_without_a_preset_has_the_one_that_no_file_at_all_has(tmp_path: Path, text: str) -> None:
     path = tmp_path / "model.toml"
@@ -148,6 +111,29 @@ def test_a_file_without_a_preset_has_the_one_that_no_file_at_all_has(tmp_path: P
     assert found.preset == default.preset
     assert found.parameters.likelihood == default.parameters.likelihood
     assert Model.load(path).preset == Model.named(None).preset == "full"
+
+
+KNOWN = "position, separate, joint"
+WRONG = [
+    ("preset = 7\n", "7", KNOWN),
+    ('preset = "unknown"\n', "'unknown'", KNOWN),
+    ('preset = ["joint"]\n', "['joint']", KNOWN),
+    ("[motoin]\n", "the unknown table 'motoin'", "motion, orientation, coupling, gait, likelihood"),
+    ("foo = 1\n", "the unknown key 'foo'", "preset"),
+    ("motion = 3\n", "", "a table [motion]"),
+    ("[[motion]]\nacceleration_density = 1.0\n", "", "a table [motion]"),
+    ("[motion]\nspeling = 1.0\n", "motion.speling", "acceleration_density"),
+    ("[motion]\nacceleration_density = 1e-300\n", "density = 1e-300", "a number in [1e-05, 10000] m²/s³"),
+    ('[likelihood]\nrobust = "tukey"\n', "likelihood.robust = ", "huber"),
+    ("[likelihood]\nrobust = []\n", "likelihood.robust = ", "huber"),
+    ("[likelihood]\nimage_frame = 1\n", "likelihood.image_frame = ", "true"),
+]
+
+
+@pytest.mark.parametrize(("text", "found", "expected"), WRONG)
+def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, text: str, found: str, expected: str) -> None:
+    error = refused(tmp_path, text)
+    assert found in error.found and expected in error.expected
 
 
 def small_tracks() -> gt.TrackSet:
@@ -174,19 +160,6 @@ def test_estimates_are_finite_where_a_parameter_is_as_low_or_as_high_as_it_may_b
                 assert all(np.isfinite(values).all() for values in (*states, *spreads)), (table, key, value)
 
 
-def test_a_value_beyond_its_range_is_refused_with_the_range_and_its_unit(tmp_path: Path) -> None:
-    error = refused(tmp_path, "[motion]\nacceleration_density = 1e-300\n")
-    assert error.found == "motion.acceleration_density = 1e-300"
-    assert error.expected == "a number in [1e-05, 10000] m²/s³"
-
-
-@pytest.mark.parametrize("table", ["motion", "orientation", "coupling", "likelihood"])
-def test_an_unknown_key_is_named_with_its_table(tmp_path: Path, table: str) -> None:
-    error = refused(tmp_path, f"[{table}]\nspeling = 1.0\n")
-    assert f"{table}.speling" in error.found
-    assert all(f.name in error.expected for f in dataclasses.fields(getattr(Parameters(), table)))
-
-
 def test_a_value_that_is_no_number_in_range_is_named(tmp_path: Path) -> None:
     for (table, key), (low, high) in NUMBERS.items():
         outside = [repr(value) for value in (low - 1e-3 * (1.0 + abs(low)), 2.0 * high)]
@@ -194,22 +167,11 @@ def test_a_value_that_is_no_number_in_range_is_named(tmp_path: Path) -> None:
             error = refused(tmp_path, f"[{table}]\n{key} = {value}\n")
             assert f"{table}.{key} = " in error.found, value
             assert "a number in " in error.expected
-
-
-def test_zero_is_refused_where_it_divides_and_taken_elsewhere(tmp_path: Path) -> None:
-    for (table, key), (low, _) in NUMBERS.items():
-        text = f"[{table}]\n{key} = 0.0\n"
+        zero = f"[{table}]\n{key} = 0.0\n"
         if low > 0.0:
-            assert f"{table}.{key}" in refused(tmp_path, text).found
+            assert f"{table}.{key}" in refused(tmp_path, zero).found
         else:
-            assert getattr(getattr(load(tmp_path, text).parameters, table), key) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("robust", '"tukey"'), ("robust", "true"), ("robust", "[]"), ("image_frame", "1")]
-)
-def test_options_that_are_no_numbers_are_checked_too(tmp_path: Path, key: str, value: str) -> None:
-    assert f"likelihood.{key} = " in refused(tmp_path, f"[likelihood]\n{key} = {value}\n").found
+            assert getattr(getattr(load(tmp_path, zero).parameters, table), key) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -261,3 +223,53 @@ def test_the_weight_of_a_coupling_is_a_share_of_the_correlation_time(correlation
     assert 0.0 < weight <= 1.0
     assert weight == pytest.approx(min(1.0, step / correlation) if correlation else 1.0)
     assert coupling.weights(None) == 1.0
+
+
+RANGES = {one.name: one.metadata["range"] for one in fields(gt.SceneParameters)}
+SCENES = st.fixed_dictionaries({}, optional={name: st.floats(*limits) for name, limits in RANGES.items()})
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(known=SCENES)
+def test_what_is_known_of_a_scene_loads_as_it_was_saved(tmp_path: Path, known: dict[str, float]) -> None:
+    path, model = tmp_path / "model.toml", gt.Model("joint", scene=known)
+    model.save(path)
+    for copy in (gt.Model.load(path), pickle.loads(pickle.dumps(model)), gt.Model.from_dict(model.to_dict())):
+        assert dict(copy.scene) == known
+    assert ("scene" in tomllib.loads(path.read_text("utf-8"))) == bool(known)
+
+
+def test_a_scene_stays_with_a_model_whose_parameters_change() -> None:
+    scene = gt.SceneParameters(detection_probability=0.7)
+    assert gt.Model(scene=scene).scene == asdict(scene)
+    model = gt.Model("position", scene={"death_rate": 0.2})
+    assert model.with_parameters(gt.Parameters()).scene == {"death_rate": 0.2}
+    assert model.with_scene(None).scene == {} and "scene.death_rate=0.2" in repr(model)
+
+
+@pytest.mark.parametrize(
+    ("text", "found", "expected"),
+    [
+        ("[scene]\ndeath_rat = 1.0\n", "key scene.death_rat", "death_rate"),
+        ("[scene]\ndetection_probability = 1.5\n", "scene.detection_probability = 1.5", "[0.01, 0.999]"),
+        ("[scene]\nlongest_gap = -1\n", "scene.longest_gap = -1", "[0.05, 60] s"),
+        ("[scene]\nposition_std = nan\n", "scene.position_std = nan", "m"),
+        ("[scene]\nclutter_density = 'low'\n", "scene.clutter_density = 'low'", "1/m²"),
+        ("scene = 3\n", "scene = 3", "a table [scene]"),
+        ("[scnee]\n", "the unknown table 'scnee'", "scene"),
+    ],
+)
+def test_what_is_wrong_in_a_scene_is_named_with_its_file(
+    tmp_path: Path, text: str, found: str, expected: str
+) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(gt.InputError) as caught:
+        gt.Model.load(path)
+    assert caught.value.path == str(path)
+    assert caught.value.found == found and expected in caught.value.expected
+
+
+def test_a_stream_goes_on_with_the_scene_that_it_began_with() -> None:
+    known = gt.Model("position", scene={"death_rate": 0.2})
+    assert settings_of(known, "chain", 2.0, None, None)["model.scene.death_rate"] == 0.2

@@ -92,8 +92,7 @@ def told(track: Track, move: float = 0.4) -> Track:
 def test_it_is_solved_as_gtsam_solves_it_offline_and_online() -> None:
     track = told(walk(30, seed=4))
     found, graph = (smooth_track(track, MODEL, engine=engine) for engine in ("chain", "gtsam"))
-    assert found.engine == "chain"
-    assert found.cost == pytest.approx(graph.cost, rel=1e-7)
+    assert found.engine == "chain" and found.cost == pytest.approx(graph.cost, rel=1e-7)
     np.testing.assert_allclose(difference(found.track.head, graph.track.head), 0.0, atol=1e-4)
     for engine, near in (("chain", 1e-4), ("fixed-lag", 1e-2)):
         last = track_online(track, MODEL, engine=engine, lag=100.0)
@@ -128,12 +127,6 @@ def test_its_input_reaches_the_engines_of_gtsam() -> None:
     assert difference(last.head, offline.head[-1]) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_an_input_of_another_size_is_told() -> None:
-    track = replace(walk(5), inputs={"window": np.zeros(5)})
-    with pytest.raises(InputError, match=r"input 'window' of one number .*, expected 2 numbers"):
-        smooth_track(track, MODEL, engine="gtsam")
-
-
 def test_what_brings_nothing_new_takes_the_engine_that_there_is() -> None:
     class Faster(Motion):
         kernels, fields = Motion.kernels, Motion.fields
@@ -143,13 +136,20 @@ def test_what_brings_nothing_new_takes_the_engine_that_there_is() -> None:
     assert program_of(MODEL) is program_of(Model("separate", terms=[LooksAtWindow]))
 
 
-def test_a_child_s_kernels_are_not_taken_from_its_parent() -> None:
+def test_what_it_cannot_do_is_told() -> None:
+    """An input of another size, a child that takes its parent's kernels, and learning."""
+
     class Wider(LooksAtWindow):
         def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
             return 2.0 * super().cost(states, track, camera)
 
+    track = replace(walk(5), inputs={"window": np.zeros(5)})
+    with pytest.raises(InputError, match=r"input 'window' of one number .*, expected 2 numbers"):
+        smooth_track(track, MODEL, engine="gtsam")
     with pytest.raises(InputError, match="Wider"):
         smooth_track(walk(5), Model("position", terms=[Wider]), engine="chain")
+    with pytest.raises(InputError, match="LooksAtWindow"):
+        fit(gt.TrackSet((walk(30), walk(30, seed=1, track_id=2))), MODEL)
 
 
 def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
@@ -171,7 +171,7 @@ def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
 
 
 def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
-    """What is remembered of a frame of one kind would be the first frame's bearing of the window."""
+    """A cached frame would keep the first frame's bearing of the window."""
     track = replace(walk(20, seed=2), body=None, head=None, body_kappa=None, head_kappa=None)
     whole, rows = pack([track], MODEL).records, FrameRows(MODEL)
     rows.make(len(track), np.zeros(2), np.array([0, len(track)]), np.zeros((0, N)))
@@ -180,11 +180,6 @@ def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
     assert np.ptp(whole["window_cos"]) > 0.01
     for name in ("window_cos", "window_sin", "window_kappa", "x", "y", "position_information"):
         np.testing.assert_allclose(rows.problem.records[name], whole[name], rtol=1e-12, err_msg=name)
-
-
-def test_it_is_not_learned() -> None:
-    with pytest.raises(InputError, match="LooksAtWindow"):
-        fit(gt.TrackSet((walk(30), walk(30, seed=1, track_id=2))), MODEL)
 
 
 SCRIPT = """

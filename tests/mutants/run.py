@@ -23,9 +23,8 @@ LONGEST = 3600.0
 
 NO_END = "no end"
 
-MODEL = ("tests/model", "tests/inference")
-READERS = ("tests/io",)
-TRACKING = ("tests/evaluation/tracking",)
+TESTS = "model inference"
+"""Folders of the tests that should notice a mistake, unless its headline names others."""
 
 
 @dataclass(frozen=True)
@@ -38,184 +37,19 @@ class Mutant:
     name: str
     old: str
     new: str
-    tests: tuple[str, ...] = MODEL
+    tests: tuple[str, ...]
 
 
-MUTANTS = (
-    # Terms: cost, gradient, curvature, normaliser.
-    Mutant(
-        "motion-body-curvature-sign",
-        "mixed = (-s_theta - by_phi / speed) / speed",
-        "mixed = (-s_theta + by_phi / speed) / speed",
-    ),
-    Mutant(
-        "motion-body-gauss-newton-factor",
-        "s_theta = kappa * excess * across",
-        "s_theta = 2.0 * kappa * excess * across",
-    ),
-    Mutant(
-        "coupling-weight-of-first-frame",
-        "short = (dt > 0.0) & (dt < self.correlation_time)",
-        "short = dt < self.correlation_time",
-    ),
-    Mutant(
-        "steered-jacobian-entry",
-        "transition[HEAD, p] -= speed * w * aim_place",
-        "transition[HEAD, p] -= speed * w * aim_spread",
-    ),
-    Mutant(
-        "steered-covariance-factor",
-        "once * once / (2.0 * rate * rate))",
-        "once * once / (rate * rate))",
-    ),
-    Mutant(
-        "motion-normaliser-factor",
-        "dt**2) ** 2 / 12.0",
-        "dt**2) ** 2 / 3.0",
-        (*MODEL, "tests/learning"),
-    ),
-    Mutant(
-        "outlier-curvature-factor",
-        "- inlier * (1.0 - inlier) * slope * slope",
-        "- inlier * slope * slope",
-    ),
-    Mutant(
-        "classes-curvature-factor",
-        "kappa * scale * (along - kappa * square) + slope * slope",
-        "kappa * scale * (along - square) + slope * slope",
-    ),
-    Mutant(
-        "derived-residual-factor",
-        "residual[row] = left[pivot] / root",
-        "residual[row] = left[pivot] * root",
-    ),
-    Mutant(
-        "pixel-swapped-columns",
-        "vx, vy = to_image[1, 0] / depth - pv * cx, to_image[1, 1] / depth - pv * cy",
-        "vx, vy = to_image[1, 0] / depth - pv * cy, to_image[1, 1] / depth - pv * cx",
-    ),
-    Mutant(
-        "huber-factor",
-        "robust_threshold * (distance - 0.5 * robust_threshold), cost",
-        "robust_threshold * (distance - robust_threshold), cost",
-    ),
-    Mutant(
-        "drift-circle-off-by-one",
-        "row[_LAST] = own + share * (behind + first - 2.0 * own)",
-        "row[_LAST] = own + share * (behind + row[1] - 2.0 * own)",
-    ),
-    Mutant(
-        "switch-back-not-adjoint",
-        "follows_near += ahead * modes.share[j - BINS]",
-        "follows_near += ahead * modes.anywhere[j - BINS]",
-    ),
-    Mutant(
-        "lead-of-the-other-coupling",
-        "squared_excess(vx, vy, shared.speed_threshold),\n            modes.lead - left,",
-        "squared_excess(vx, vy, shared.speed_threshold),\n            gait.head.lead - left,",
-    ),
-    # The solver.
-    Mutant(
-        "inverse-cholesky-entry",
-        "m42 = -m44 * (l42 * m22 + l43 * m32)",
-        "m42 = -m44 * (l42 * m22)",
-    ),
-    Mutant(
-        "step-accepted-though-worse",
-        "worse = running & negate(found <= cost)",
-        "worse = running & negate(found <= cost + 1.0)",
-    ),
-    Mutant(
-        "gap-filled-from-the-far-side",
-        "earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap]",
-        "earlier = last >= 0 and t[gap] - t[last] >= t[k] - t[gap]",
-    ),
-    Mutant(
-        "quarter-turn-sign",
-        "unturned = turned if q == 2 else -turned",
-        "unturned = turned",
-    ),
-    Mutant(
-        "masked-view-reaches-every-lane",
-        "value = builder.select(given.mask, value, builder.load(pointer, align=8))",
-        "pass",
-    ),
-    Mutant(
-        "another-lane-s-mode-sums",
-        "modes[k, 0] = lane_of(held[k, 2], lane)",
-        "modes[k, 0] = lane_of(held[k, 2], 0)",
-    ),
-    # Covariances.
-    Mutant(
-        "pull-of-the-frame-before-added",
-        "total -= link[k - 1, j, i] * solution[k - 1, j]",
-        "total += link[k - 1, j, i] * solution[k - 1, j]",
-    ),
-    Mutant(
-        "lag-of-past-and-future-at-the-end",
-        "return past, past + (1.0 - newest) * 0.5 * square",
-        "return past, past + 0.5 * square",
-    ),
-    Mutant(
-        "turn-across-with-the-wrong-sign",
-        "across = covariance[HEAD, VY] * vx - covariance[HEAD, VX] * vy",
-        "across = covariance[HEAD, VY] * vx + covariance[HEAD, VX] * vy",
-    ),
-    # The online window.
-    Mutant(
-        "turn-counted-twice",
-        "    frame.body_turn_kappa = 0.0\n",
-        "",
-    ),
-    Mutant(
-        "lag-off-by-one",
-        "observation.t - lag - TIME_TOLERANCE",
-        "observation.t - lag + TIME_TOLERANCE",
-    ),
-    Mutant(
-        "modes-before-off-by-one",
-        "normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])",
-        "normalise(modes.filtered_body[end - begin - 1], windows.modes_before[slot, BODY_MODE])",
-    ),
-    # Readers.
-    Mutant(
-        "eth-swapped-column",
-        "np.column_stack([table.metres(2), table.metres(4)])",
-        "np.column_stack([table.metres(2), table.metres(3)])",
-        READERS,
-    ),
-    Mutant(
-        "mirrored-shoulders",
-        "quarter = -np.pi / 2.0 if not camera.is_mirrored else np.pi / 2.0",
-        "quarter = -np.pi / 2.0",
-        READERS,
-    ),
-    Mutant(
-        "whole-numbers-unbounded",
-        "bad = (np.abs(values) > highest) | (values != np.floor(values))",
-        "bad = values != np.floor(values)",
-        READERS,
-    ),
-    # Scores of tracks and identities.
-    Mutant(
-        "mota-pairs-are-not-kept",
-        "KEEPING * kept + similarity",
-        "similarity",
-        TRACKING,
-    ),
-    Mutant(
-        "hota-matching-without-the-whole-sequence",
-        "alike[np.ix_(truth, estimates)] * similarity",
-        "similarity",
-        TRACKING,
-    ),
-    Mutant(
-        "hota-rows-count-twice",
-        "of_person + of_track - rows",
-        "of_person + of_track",
-        TRACKING,
-    ),
-)
+def mutants() -> list[Mutant]:
+    """Mistakes of ``mistakes.txt``: a headline ``@ name (folders)``, lines ``-``, and ``+`` for them."""
+    found = []
+    for part in re.split(r"^@ ", (Path(__file__).parent / "mistakes.txt").read_text("utf-8"), flags=re.M)[1:]:
+        head, *lines = part.splitlines()
+        name, _, folders = head.partition(" (")
+        old, new = ("\n".join(line[2:] for line in lines if line[:1] == sign) for sign in "-+")
+        tests = tuple(f"tests/{one}" for one in (folders.removesuffix(")") or TESTS).split())
+        found.append(Mutant(name, old, new, tests))
+    return found
 
 
 def copy_tree(folder: Path) -> None:
@@ -237,7 +71,7 @@ def find(tree: Path, piece: str) -> Path:
 
 
 def fails(tree: Path, tests: tuple[str, ...]) -> str:
-    """What pytest says of the first test that fails; "" if all pass."""
+    """The line of pytest that names the first failed test; "" if all pass."""
     environment = {
         **os.environ,
         "PYTHONPATH": str(tree),
@@ -289,7 +123,7 @@ def first_failure(tree: Path, tests: tuple[str, ...]) -> str:
 
 def main(names: list[str]) -> None:
     """Judge the mutants of these names, or all."""
-    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    chosen = [mutant for mutant in mutants() if not names or mutant.name in names]
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
         copy_tree(tree)

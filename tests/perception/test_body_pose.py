@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from sklearn.decomposition import sparse_encode
 
 from perception.pose.body import BodyPose
-from perception.pose.classes import PoseClasses
 from perception.pose.classifier import evaluate
 from perception.pose.features import fisher_projection, sparse_weights
 from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
@@ -83,15 +80,3 @@ def test_as_published_it_is_the_normalised_weight_of_the_classes_of_the_hog_itse
     found = np.exp(model.log_likelihood(image))
     np.testing.assert_allclose(found, of_class / of_class.sum(), atol=0.02)
     assert found.min() < 1e-6  # there is no floor
-
-
-def test_a_model_as_published_is_one_after_it_was_saved(learned_from: PedestrianSet, tmp_path: Path) -> None:
-    people = learned_from
-    model = BodyPose.as_published().fit(people.images, PoseClasses.circle(8).index(people.body))
-    model.save(tmp_path / "body.npz")
-    again = BodyPose.load(tmp_path / "body.npz")
-    assert all(getattr(again, name) == getattr(model, name) for name in BodyPose.options)
-    assert not again.calibrated
-    np.testing.assert_allclose(
-        again.log_likelihoods(people.images[:4]), model.log_likelihoods(people.images[:4]), atol=0.05
-    )

@@ -54,7 +54,7 @@ def test_people_who_cannot_be_told_apart_are_refused_as_graphtrack_does(
     with pytest.raises(InputError) as here:
         read_boxes(path)
     with pytest.raises(InputError) as there:
-        io.read(path, associate="never")
+        io.read_identified(path, associate="never")
     assert str(here.value) == str(there.value) and here.value.line == line
 
 

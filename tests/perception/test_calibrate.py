@@ -13,7 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import read_calibration
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
-from perception.ground.calibration import CalibrationParameters, FoundView, found_view, people_of, thinned
+from perception.ground.calibration import FoundView, found_view, people_of
 from perception.ground.fitting import RADIUS, RADIUS_STD, View, box_heights
 from perception.synthetic.cameras import Camera
 
@@ -128,10 +128,7 @@ def test_false_detections_hardly_matter(identified: bool) -> None:
 def test_the_scale_is_that_of_people() -> None:
     camera = Camera((0.0, 0.0, 4.0), 1.0, -0.45, 1100.0, SIZE)
     boxes = crowd(camera, np.random.default_rng(3))
-    small, large = (
-        found_view(boxes, SIZE, np.random.default_rng(0), CalibrationParameters(person_height=height))
-        for height in (0.85, 1.7)
-    )
+    small, large = (found_view(boxes, SIZE, np.random.default_rng(0), height) for height in (0.85, 1.7))
     assert large.view.height == pytest.approx(2.0 * small.view.height)
     assert large.view.focal == pytest.approx(small.view.focal)
 
@@ -180,12 +177,6 @@ def test_detections_of_one_person_are_joined_from_frame_to_frame() -> None:
     other = [PersonBox(k, 2 * k + 1, (400.0, 50.0, 40.0, 100.0), identified=False) for k in range(3)]
     who = people_of([*walk, *other])
     assert len(set(who[:5])) == 1 and len(set(who[5:])) == 1 and who[0] != who[5]
-
-
-def test_a_sample_has_as_many_boxes_of_each_person_as_can_be() -> None:
-    who = np.repeat([0, 1, 2], [100, 10, 3])
-    chosen = thinned(who, 23, np.random.default_rng(0))
-    assert np.bincount(who[chosen]).tolist() == [10, 10, 3]
 
 
 def written(folder: Path, boxes: list[PersonBox]) -> tuple[Path, Path]:

@@ -37,15 +37,6 @@ def test_of_one_kind_nothing_is_certain(all_of_them: bool) -> None:
     assert certainty.of(np.array([3.0]))[0] == pytest.approx(0.9 if all_of_them else 0.1, abs=0.01)
 
 
-def test_it_is_written_down_and_read_again() -> None:
-    one = Certainty(np.array([-1.0, 2.0]), np.array([-0.5, 0.25]))
-    again = Certainty.from_record(one.to_record())
-    np.testing.assert_array_equal(again.of(np.arange(-3.0, 4.0)), one.of(np.arange(-3.0, 4.0)))
-    for bad in ({"said": [0.0]}, {"said": [], "found": []}, {"said": [0.0], "found": [0.0, 1.0]}):
-        with pytest.raises((KeyError, ValueError)):
-            Certainty.from_record(bad)
-
-
 def straight(track_id: int, frames: int, speed: float, y: float) -> Track:
     frame = np.arange(frames)
     t = 0.4 * frame

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from perception.images.pixels import enlarged
 from perception.trackers import color, sigma_pi_cues
-from perception.trackers.sigma_pi_cues import activation, foreground, integral, overlap, running_average, sums
+from perception.trackers.sigma_pi_cues import activation, integral, overlap, sums
 
 
 def test_sums_over_windows_are_direct_sums() -> None:
@@ -48,20 +48,6 @@ def test_an_activation_rises_from_0_to_1(middle: float, width: float) -> None:
     assert (np.diff(values) >= 0.0).all()
 
 
-def test_what_stays_still_is_absorbed_after_the_time_that_its_contrast_takes() -> None:
-    background = np.full((4, 4, 3), 50.0, np.float32)
-    image = background.copy()
-    image[1:3, 1:3, 2] = 150.0
-    frames = 0
-    while foreground(background, image, 20.0).any():
-        expected = np.zeros((4, 4))
-        expected[1:3, 1:3] = 1.0
-        np.testing.assert_array_equal(foreground(background, image, 20.0), expected)
-        background = running_average(background, image, 0.05)
-        frames += 1
-    assert frames == int(np.ceil(np.log(20.0 / 100.0) / np.log(0.95)))
-
-
 def test_every_pixel_is_in_the_bin_of_its_hue_saturation_and_value() -> None:
     image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(float)
@@ -87,11 +73,6 @@ def test_back_projection_finds_the_colour_of_the_target() -> None:
     assert color.weighed_histogram(numbers, 0.0 * inside).sum() == 0.0
 
 
-def descriptors(count: int, seed: int) -> np.ndarray:
-    values = np.random.default_rng(seed).exponential(1.0, (count, sigma_pi_cues.DIMENSION)) ** 2
-    return np.sqrt(values / values.sum(axis=1, keepdims=True)).astype(np.float32)
-
-
 def test_features_match_themselves_after_a_shift_of_the_image() -> None:
     picture = cv2.GaussianBlur(np.random.default_rng(0).normal(128, 90, (120, 160)), (0, 0), 2.0)
     grey = np.clip(128 + 6 * (picture - 128), 0, 255).astype(np.uint8)
@@ -105,30 +86,5 @@ def test_features_match_themselves_after_a_shift_of_the_image() -> None:
     match = (moved.descriptors @ still.descriptors.T).argmax(axis=1)
     shift = still.points[match] - moved.points
     assert np.mean(np.abs(shift - [12, 8]).max(axis=1) < 1.5) > 0.6
-    assert sigma_pi_cues.matching_rate(moved.descriptors, still.descriptors, 0.9) > 0.6
+    assert np.mean(sigma_pi_cues.similarity(moved.descriptors, still.descriptors) >= 0.9) > 0.6
     assert len(sigma_pi_cues.detect(sift, np.zeros((50, 50), np.uint8)).points) == 0
-
-
-def test_similarity_to_a_memory_is_the_greatest_weighted_one() -> None:
-    new, frames, weights = descriptors(7, 0), [descriptors(5, 1), descriptors(3, 2)], np.array([0.4, 1.0])
-    expected = [
-        max(w * float(one @ known) for frame, w in zip(frames, weights, strict=True) for known in frame)
-        for one in new
-    ]
-    np.testing.assert_allclose(sigma_pi_cues.memory_similarity(new, frames, weights), expected, rtol=1e-5)
-    assert (sigma_pi_cues.memory_similarity(new, [], np.zeros(0)) == 0.0).all()
-
-
-def test_features_of_the_background_speak_against_the_target() -> None:
-    target, background = np.array([0.95, 0.95, 0.7, 0.5]), np.array([0.6, 0.93, 0.97, 0.6])
-    scores = sigma_pi_cues.point_scores(target, background, 0.85, 0.1)
-    np.testing.assert_allclose(scores, [1.0, -0.3, -1.0, 0.0], atol=1e-9)
-
-
-def test_points_in_windows_are_counted_one_by_one() -> None:
-    rng = np.random.default_rng(0)
-    points, windows = rng.uniform(0, 100, (40, 2)), rng.uniform(5, 60, (25, 4))
-    found = sigma_pi_cues.inside(points, windows)
-    for i, (left, top, width, height) in enumerate(windows):
-        for j, (x, y) in enumerate(points):
-            assert found[i, j] == (left <= x < left + width and top <= y < top + height)

@@ -62,25 +62,6 @@ def test_the_arrow_points_down_to_the_camera_and_right_at_a_quarter(
     assert len(changed(turned, opposite, pans=True))
 
 
-@pytest.mark.parametrize(("tilt", "above"), [(0.6, True), (-0.6, False)])
-def test_the_tilts_hand_is_above_the_level_where_the_head_looks_up(
-    estimate: BoxEstimate, tilt: float, above: bool
-) -> None:
-    grey = np.full((480, 200, 3), 100, np.uint8)
-    classes = BlobTracker().pan_classes
-    level, nodding = (draw(grey, 1, replace(estimate, tilt=t), classes) for t in (0.0, tilt))
-    without = draw(grey, 1, estimate, classes)
-    assert (level != without).any() and level.shape == without.shape
-    # Rows of the hand where the level one is not; the text above has changed as well.
-    changed_rows = np.flatnonzero((level != nodding).any(axis=2)[:, 200:].any(axis=1))
-    middle = changed_rows.max() if above else changed_rows[changed_rows > changed_rows.min() + 20].min()
-    drawn = (nodding[:, 200:] == (60, 240, 255)).all(axis=2) & (level[:, 200:] != nodding[:, 200:]).any(
-        axis=2
-    )
-    rows = np.flatnonzero(drawn.any(axis=1))
-    assert (rows.mean() < middle) == above
-
-
 def test_not_found_is_shown(estimate: BoxEstimate) -> None:
     rows, columns = changed(estimate, replace(estimate, found=False)).T
     assert ((rows < 12.0) & (columns < 60.0)).any()
@@ -94,24 +75,6 @@ def test_pictures_of_a_video_have_one_size_whatever_is_drawn(estimate: BoxEstima
         draw(image, k, item, BlobTracker().pan_classes).shape for k, item in enumerate((estimate, bare, many))
     }
     assert len(shapes) == 1
-
-
-def test_a_bar_is_as_long_as_its_value(estimate: BoxEstimate) -> None:
-    image = blob_image(CENTRE)
-    lengths = []
-    for value in (0.0, 0.5, 1.0, 7.0, float("nan")):
-        picture = draw(image, 1, replace(estimate, confidence=0.0, cues={"red": value}))
-        full = draw(image, 1, replace(estimate, confidence=0.0, cues={"red": 0.0}))
-        lengths.append(np.unique(np.argwhere((picture != full)[34 + 24 + 16 : 34 + 24 + 21])[:, 1]).size)
-    assert lengths[0] == lengths[4] == 0
-    assert lengths[1] == pytest.approx(lengths[2] / 2, abs=2) and lengths[2] == lengths[3] > 100
-
-
-def test_long_names_are_written_to_their_end(estimate: BoxEstimate) -> None:
-    image = blob_image(CENTRE)
-    long = "reliability motion·colour·shape "
-    pictures = [draw(image, 1, replace(estimate, cues={long + end: 0.0})) for end in ("one", "two")]
-    assert (pictures[0] != pictures[1]).any()
 
 
 @pytest.mark.parametrize("name", ["film.mp4", "film.avi"])

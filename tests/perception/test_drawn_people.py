@@ -9,9 +9,8 @@ import pytest
 
 from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from perception.drawing.marks import LIGHT, likely, peak, person_colour
+from perception.drawing.marks import LIGHT, person_colour
 from perception.drawing.people import DrawnPerson, draw_people
-from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 
 CAMERAS = {
@@ -58,13 +57,6 @@ def test_a_head_points_as_it_would_on_the_ground_below(camera: GroundCamera, k: 
     assert 0.5 < np.linalg.norm(away, axis=1).max() < 0.7
 
 
-def test_who_may_look_anywhere_has_a_whole_circle() -> None:
-    camera = CAMERAS["from above"]
-    picture = draw_people(GREY, 0, [person(camera, None, None)], camera)
-    found = near(picture, FOOT, person_colour(3))
-    assert len(np.unique(np.degrees(direction(found)) % 360.0 // 30.0)) == 12
-
-
 def test_boxes_are_where_they_are_in_colours_that_hold() -> None:
     camera = CAMERAS["from above"]
     alone = draw_people(GREY, 0, [person(camera, 0, 0, 7)], camera)
@@ -94,19 +86,3 @@ def test_what_is_out_of_sight_is_no_error() -> None:
         np.eye(12)[0],
     )
     assert draw_people(GREY, 0, [behind], street).shape == GREY.shape
-
-
-def test_likely_classes_are_the_fewest_that_hold_95_percent() -> None:
-    rng = np.random.default_rng(0)
-    for sharpness in (0.1, 1.0, 10.0):
-        p = rng.dirichlet(np.full(12, 1.0 / sharpness))
-        chosen = likely(p)
-        assert p[chosen].sum() >= 0.95 > p[chosen].sum() - p[chosen].min()
-        assert chosen.all() or p[chosen].min() >= p[~chosen].max()
-
-
-def test_the_arrow_is_at_the_likeliest_direction_though_the_opposite_is_likely_too() -> None:
-    eight = PoseClasses.circle(8)
-    p = np.array([0.4, 0.1, 0.0, 0.0, 0.35, 0.0, 0.0, 0.1])
-    assert peak(p, eight) == pytest.approx(0.0)
-    assert 0.0 < peak(np.roll(p, -1) + 0.1 * np.eye(8)[0], eight) + np.pi / 4 < np.pi / 4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from perception.images.pixels import as_uint8, crop, grey_stack, intersection_over_union
+from perception.images.pixels import as_uint8, crop
 from perception.pose.features import (
     SIDE,
     SkinColours,
@@ -48,15 +48,6 @@ def test_two_levels_give_the_papers_720_values_and_ignore_contrast() -> None:
     assert hog.shape == (1, 720)
     np.testing.assert_allclose(hog, multi_level_hog(image * 2, ((2, 2), (4, 4))), atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(hog.reshape(20, 36), axis=1), 1.0, atol=1e-4)
-
-
-def test_hog_of_one_image_is_that_of_the_batch_and_an_even_one_has_none() -> None:
-    images = np.random.default_rng(0).integers(0, 256, (3, 64, 64)).astype(np.uint8)
-    images[2] = 9
-    levels = ((2, 2), (4, 4))
-    one_by_one = np.vstack([multi_level_hog(image[None], levels) for image in images])
-    np.testing.assert_allclose(multi_level_hog(images, levels), one_by_one)
-    assert not one_by_one[2].any()
 
 
 def test_the_grid_has_the_papers_191_points_inside_the_disc() -> None:
@@ -127,16 +118,3 @@ def test_a_crop_repeats_the_border_and_refuses_boxes_that_hold_nothing() -> None
     for bad in ((0, 0, 0, 2), (0, 0, 2, -1), (9, 0, 2, 2), (-5, 0, 2, 2), (0, np.nan, 2, 2)):
         with pytest.raises(InputError):
             crop(image, bad)
-
-
-def test_overlap_of_boxes() -> None:
-    box = (0.0, 0.0, 10.0, 10.0)
-    found = intersection_over_union([box, (1.0, 0.0, 10.0, 10.0), (20.0, 0.0, 5.0, 5.0)], box)
-    np.testing.assert_allclose(found, [1.0, 90.0 / 110.0, 0.0])
-
-
-def test_grey_images_are_resized_and_equalised() -> None:
-    image = np.random.default_rng(0).integers(100, 120, (20, 30, 3)).astype(np.uint8)
-    stack = grey_stack([image, image[..., 0]], 64, 48, equalise=True)
-    assert stack.shape == (2, 48, 64)
-    assert np.ptp(stack[0]) > 200

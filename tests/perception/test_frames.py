@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command import run
 
+from graphtrack import io
 from graphtrack.errors import InputError
 from perception.images.frames import FrameSource
 
@@ -159,3 +163,49 @@ def test_of_a_video_that_was_cut_off_what_can_be_read_is_kept(tmp_path: Path, su
     frames = list(FrameSource.open(path))
     assert len([frame for frame in frames if frame.image is not None]) in range(18, 22)
     assert frames[-1].reason == f"the video ends at frame {len(frames) - 1} of 40"
+
+
+def filmed(path: Path, milliseconds: list[int]) -> Path:
+    """A video whose frames have these time stamps."""
+    av = pytest.importorskip("av", reason="the extra video has it")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for k, at in enumerate(milliseconds):
+            frame = av.VideoFrame.from_ndarray(np.roll(IMAGE, k, axis=0), format="bgr24")
+            frame.pts, frame.time_base = at, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+UNEVEN = [0, 40, 80, 333, 400, 520]
+
+
+def test_times_of_a_variable_frame_rate_are_those_of_the_container(tmp_path: Path) -> None:
+    video, boxes = filmed(tmp_path / "film.mp4", UNEVEN), tmp_path / "boxes.txt"
+    boxes.write_text("".join(f"{k},1,20,5,16,40,1,-1,-1,-1\n" for k in range(len(UNEVEN))))
+    done = run("observe", video, "--boxes", boxes, "-o", tmp_path / "o.csv")
+    assert done.returncode == 0 and "times by the video's time stamps" in done.stderr
+    (track,) = io.read_identified(tmp_path / "o.csv")
+    np.testing.assert_allclose(track.t, np.array(UNEVEN) / 1000.0, atol=1e-6)
+    done = run("observe", video, "--boxes", boxes, "--fps", 10, "-o", tmp_path / "o.csv")
+    assert "time stamps" not in done.stderr
+    np.testing.assert_allclose(
+        io.read_identified(tmp_path / "o.csv").tracks[0].t, np.arange(len(UNEVEN)) / 10.0
+    )
+
+
+def test_times_are_by_the_nominal_rate_where_that_holds_or_nothing_else_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    even = FrameSource.open(filmed(tmp_path / "even.mp4", [0, 40, 80, 120, 160]))
+    clock = even.clock(25.0)
+    assert clock.stamps is None and not caplog.records
+    np.testing.assert_allclose(clock.seconds([0, 3, 10]), [0.0, 0.12, 0.4])
+    uneven = FrameSource.open(filmed(tmp_path / "uneven.mp4", UNEVEN))
+    np.testing.assert_allclose(uneven.clock(20.0).seconds([3, 5, 7]), [0.333, 0.52, 0.62], atol=1e-6)
+    monkeypatch.setitem(sys.modules, "av", None)
+    caplog.clear()
+    assert uneven.clock(20.0).stamps is None and "no PyAV (the extra video)" in caplog.text

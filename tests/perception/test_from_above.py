@@ -42,7 +42,7 @@ def follow(room: Path, output: Path, *arguments: object) -> Done:
 
 def away(boxes: BoxCamera, room: Path) -> np.ndarray:
     """Metres between the places of a room's exact boxes and the truth."""
-    (truth,) = io.read(room / "truth.csv")
+    (truth,) = io.read_identified(room / "truth.csv")
     at = dict(zip(truth.frame.tolist(), truth.position, strict=True))
     found = [(boxes.position(item.box), at[item.frame]) for item in read_boxes(room / "boxes.txt")]
     return np.array([np.linalg.norm(place - true) for place, true in found])
@@ -67,26 +67,6 @@ def test_the_middle_of_a_box_from_above_is_a_better_place_than_its_lower_edge(
     assert away(BoxCamera(GROUND, middle_at=0.5), rooms["robot"]).mean() < 0.2
 
 
-def test_places_from_above_come_back_with_their_spread() -> None:
-    boxes = BoxCamera(GROUND, smallest_std=1e-6, middle_at=1.0)
-    box = np.array([70.0, 80.0, 24.0, 36.0])
-    place = boxes.position(box)
-    np.testing.assert_allclose(boxes.box_centre(place, 36.0), [82.0, 98.0], atol=1e-3)
-    np.testing.assert_allclose(GROUND.image_to_ground(boxes.foot(box)), place, atol=1e-4)
-    rng = np.random.default_rng(0)
-    particles, weights = box + rng.normal(0.0, 0.3, (4000, 4)), rng.dirichlet(np.ones(4000))
-    places = boxes.position(particles)
-    off = places - weights @ places
-    covariance = (weights[:, None] * off).T @ off
-    expected = np.sqrt(np.trace(covariance) / 2.0)
-    assert boxes.position_std(box, particles, weights) == pytest.approx(expected, rel=0.03)
-    middle = particles[:, :2] + particles[:, 2:] / 2.0
-    off = middle - weights @ middle
-    np.testing.assert_allclose(
-        boxes.pixel_covariance(place, covariance), (weights[:, None] * off).T @ off, rtol=0.05, atol=0.01
-    )
-
-
 def test_what_the_middle_of_a_box_needs() -> None:
     with pytest.raises(InputError, match="a calibration"):
         BoxCamera(GroundCamera.from_scale(0.01), middle_at=1.0)
@@ -107,7 +87,10 @@ def test_sigma_pi_gives_places_near_the_truth(rooms: dict[str, Path], tmp_path: 
     for target, options, least in (("person", (), 25), ("robot", ("--middle-at", 0.5), 10)):
         done = follow(rooms[target], tmp_path / "o.csv", *options)
         assert done.returncode == 0 and "no camera" not in done.stderr, done.stderr
-        (truth,), (track,) = io.read(rooms[target] / "truth.csv"), io.read(tmp_path / "o.csv")
+        (truth,), (track,) = (
+            io.read_identified(rooms[target] / "truth.csv"),
+            io.read_identified(tmp_path / "o.csv"),
+        )
         at = dict(zip(truth.frame.tolist(), truth.position, strict=True))
         seen = [k for k, p in enumerate(track.position) if np.isfinite(p).all() and track.frame[k] in at]
         errors = [np.linalg.norm(track.position[k] - at[int(track.frame[k])]) for k in seen]

@@ -17,7 +17,8 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import write_calibration
-from perception.detection.background import Background, Backgrounds, background_samples, reduced
+from perception.detection import rescoring
+from perception.detection.background import Background, Backgrounds, background_samples
 from perception.detection.boxes import foot_point
 from perception.detection.ground_search import (
     Candidates,
@@ -27,13 +28,10 @@ from perception.detection.ground_search import (
     joined,
     strongest,
 )
-from perception.detection.hog import TALL, foot_boxes
+from perception.detection.hog import TALL
 from perception.detection.rescoring import (
-    FEATURES,
-    Certainty,
     GroundDetector,
     PersonProbability,
-    TeachingParameters,
     learning_frames,
     taught,
 )
@@ -41,7 +39,12 @@ from perception.images.frames import Frame
 from perception.synthetic import Camera
 from perception.synthetic.clips import CAMERA, FPS, SIZE, PastedStreet, pasted_street
 
-SEARCHED = TeachingParameters(least_boxes=4, least_people=4)
+
+@pytest.fixture
+def little_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few people who walk shortly are enough."""
+    monkeypatch.setattr(rescoring, "LEAST_BOXES", 4)
+    monkeypatch.setattr(rescoring, "LEAST_PEOPLE", 4)
 
 
 @pytest.fixture(scope="module")
@@ -156,12 +159,6 @@ def test_long_recordings_have_several_backgrounds_and_bounded_samples() -> None:
     assert background_samples(numbers[:100], 25.0) == []
 
 
-def test_large_frames_are_reduced_for_it() -> None:
-    assert reduced(np.zeros((1080, 1920, 3), np.uint8)).shape == (540, 960, 3)
-    images = [np.full((4, 6, 3), value, np.uint8) for value in (10, 20, 90)]
-    assert (Background.of(images).median == 20).all()
-
-
 # -- candidates --------------------------------------------------------------------------------------------
 
 
@@ -170,22 +167,6 @@ def test_the_weaker_of_two_at_one_place_is_dropped() -> None:
     kept = strongest(foot, np.full(4, 85.0), np.array([1.0, 2.0, 0.5, 0.4]), (0.4, 0.5))
     assert kept.tolist() == [1, 2, 3]
     assert strongest(foot, np.full(4, 85.0), np.array([1.0, 2.0, 0.5, 0.4]), (0.4, 0.5), 2).tolist() == [1, 2]
-
-
-def test_joined_candidates_lie_between() -> None:
-    found = Candidates(
-        np.array([[100.0, 100.0], [108.0, 100.0], [300.0, 100.0]]),
-        np.full(3, 102.0),
-        np.array([0.8, 0.8, 0.5]),
-        np.zeros((3, FEATURES), np.float16),
-    )
-    one, other = joined(found, (0.4, 0.6)).foot
-    assert one[0] == pytest.approx(104.0, abs=1e-6) and other[0] == pytest.approx(300.0)
-
-
-def test_frames_of_another_size_are_refused(street: PastedStreet) -> None:
-    with pytest.raises(InputError, match="320 × 240"):
-        GroundSearch(street.camera, SIZE).candidates(np.zeros((100, 100, 3), np.uint8), None)
 
 
 def test_moved_cameras_have_no_foreground(street: PastedStreet) -> None:
@@ -221,10 +202,10 @@ def precision_and_recall(
 
 
 def test_people_are_found_and_what_is_taught_helps(
-    street: PastedStreet, candidates: dict[int, Candidates]
+    street: PastedStreet, candidates: dict[int, Candidates], little_teaches: None
 ) -> None:
     untaught = PersonProbability.untaught(foreground=True)
-    of_street = taught(candidates, street.camera, FPS, np.random.default_rng(0), parameters=SEARCHED)
+    of_street = taught(candidates, street.camera, FPS, np.random.default_rng(0))
     assert of_street is not None and of_street.people >= 4
     before, after = (precision_and_recall(street, candidates, one) for one in (untaught, of_street))
     assert sum(after) >= sum(before) - 0.02
@@ -232,11 +213,11 @@ def test_people_are_found_and_what_is_taught_helps(
 
 
 def test_what_was_taught_holds_for_other_people(
-    street: PastedStreet, candidates: dict[int, Candidates]
+    street: PastedStreet, candidates: dict[int, Candidates], little_teaches: None
 ) -> None:
     first = set(list(candidates)[: len(candidates) // 2])
     half = {k: candidates[k] for k in first}
-    of_half = taught(half, street.camera, FPS, np.random.default_rng(0), parameters=SEARCHED)
+    of_half = taught(half, street.camera, FPS, np.random.default_rng(0))
     assert of_half is not None
     said, true = [], []
     for item in street.boxes[len(first) :]:
@@ -258,18 +239,6 @@ def test_nothing_is_taught_where_nobody_walks(
     assert taught({}, street.camera, FPS, np.random.default_rng(0)) is None
     none = candidates[3].taken(np.zeros(0, np.int64))
     assert taught({0: none}, street.camera, FPS, np.random.default_rng(0)) is None
-
-
-def test_what_was_taught_is_written_down_and_read_again() -> None:
-    weight, known = np.linspace(-1, 1, FEATURES).astype(np.float32), Certainty(np.zeros(1), np.ones(1))
-    one = PersonProbability(weight, 0.5, 2.0, 0.4, -1.0, 7, 90, known)
-    again = PersonProbability.from_record(one.to_record())
-    assert again.even == one.even == pytest.approx(1.0 / (1.0 + np.exp(-1.0)))
-    assert PersonProbability.untaught(foreground=True).even == 0.5
-    np.testing.assert_array_equal(again.weight, one.weight)
-    assert (again.bias, again.first, again.taught, again.offset, again.people) == (0.5, 2.0, 0.4, -1.0, 7)
-    with pytest.raises(ValueError):
-        PersonProbability.from_record(one.to_record() | {"weight": "AAAA"})
 
 
 def test_few_frames_of_a_long_recording_are_learned_from() -> None:
@@ -358,8 +327,3 @@ def test_a_calibration_of_another_image_size_is_one_line(written: list[object], 
     assert done.returncode == 2 and done.stderr.count("error:") == 1
     assert "frames of 320 × 240 pixels, expected those of the calibration" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["camera.ci"]
-
-
-def test_boxes_stand_on_their_feet() -> None:
-    (left, top, width, height) = foot_boxes(np.array([[50.0, 90.0]]), np.array([51.0]))[0].tolist()
-    assert (left + width / 2, top + height, height) == (50.0, 90.0, 51.0)

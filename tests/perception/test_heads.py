@@ -17,7 +17,6 @@ from perception.pose.head_detection import (
     HeadCandidates,
     HeadLocaliser,
     candidate_windows,
-    non_maximum_suppression,
     select_along_track,
     select_so_far,
 )
@@ -25,10 +24,6 @@ from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedest
 
 People = tuple[PedestrianSet, PedestrianSet]
 EASY = PedestrianVariation(size=(80, 110), occluded=0.0)
-
-
-def test_there_are_441_different_blocks() -> None:
-    assert len(np.unique(block_corners(), axis=0)) == 441
 
 
 def test_block_histograms_are_sums_over_the_pixels() -> None:
@@ -112,17 +107,6 @@ def test_it_finds_heads(fitted: HeadLocaliser, people: People) -> None:
         assert len(found.boxes) >= 1 and (np.diff(found.scores) <= 0).all()
 
 
-def test_there_is_a_head_in_anything(fitted: HeadLocaliser) -> None:
-    assert len(fitted.locate(np.full((60, 30), 90, np.uint8)).boxes) >= 1
-
-
-def test_boxes_grow_with_the_picture(people: People) -> None:
-    fitted, image = load_head_localiser(), people[1].images[0]
-    twice = np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)
-    small, large = fitted.locate(image).boxes[0], fitted.locate(twice).boxes[0]
-    assert intersection_over_union(small * 2.0, large) > 0.5
-
-
 def test_a_saved_model_says_the_same(fitted: HeadLocaliser, people: People, tmp_path: Path) -> None:
     fitted.save(tmp_path / "heads.npz")
     again = HeadLocaliser.load(tmp_path / "heads.npz")
@@ -137,11 +121,6 @@ def test_wrong_use_is_refused() -> None:
         HeadLocaliser().fit([np.zeros((20, 10), np.uint8)], np.zeros((2, 4)))
     with pytest.raises(InputError):
         BoostedBlocks.fit(np.zeros((4, 441, 9), np.float32), np.ones(4, np.int64), "differential")
-
-
-def test_suppression_keeps_the_best_of_each_heap() -> None:
-    boxes = np.array([[0, 0, 10, 10], [1, 0, 10, 10], [30, 0, 10, 10], [31, 1, 10, 10]], float)
-    assert non_maximum_suppression(boxes, np.array([0.5, 0.9, 0.8, 0.7]), 0.3) == [1, 2]
 
 
 def drawn_candidates(count: int) -> list[HeadCandidates]:

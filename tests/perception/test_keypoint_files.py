@@ -264,7 +264,7 @@ def test_body_and_head_are_those_of_the_skeleton(street: Path, tmp_path: Path) -
     common = "observe", street / "frames", "--homography", street / "homography.txt", "--fps", 5
     done = run(*common, "--keypoints", keypoints, "--boxes", street / "boxes.txt", "-o", out)
     assert done.returncode == 0, done.stderr
-    tracks = io.read(out)
+    tracks = io.read_identified(out)
     assert len(tracks) == 2
     for track in tracks:
         for classes, p, angle in (

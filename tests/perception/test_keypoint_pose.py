@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, wrap
-from perception.models import load_keypoint_pose, model_path
+from perception.models import load_keypoint_pose
 from perception.pose.classifier import reliability
 from perception.pose.keypoints import (
     BODY,
@@ -18,7 +17,6 @@ from perception.pose.keypoints import (
     N_POINTS,
     NAMES,
     USED,
-    features,
     in_coco_order,
     mirrored,
     places_of,
@@ -139,15 +137,6 @@ def test_training_learns_and_is_the_same_again(tmp_path: Path) -> None:
     assert models[0].card.figures["head_mean_error_deg"] < 45.0
 
 
-def test_features_do_not_depend_on_place_and_take_any_picture() -> None:
-    rng = np.random.default_rng(0)
-    people = make_skeletons(20, rng)
-    points = perceived(people.points, people.visibility, people.height, rng)
-    there = points[..., 2:] > 0.0
-    moved = np.where(there, points + np.array([300.0, -40.0, 0.0]), points)
-    np.testing.assert_allclose(features(moved), features(points), atol=1e-3)
-
-
 def test_conventions_are_turned_into_cocos_points() -> None:
     for number, places in BY_NUMBER.items():
         points = np.zeros((number, 3))
@@ -157,8 +146,3 @@ def test_conventions_are_turned_into_cocos_points() -> None:
     assert places_of(["nose", "left_eye"]) is None
     unknown = in_coco_order(np.full((17, 3), np.nan), range(17))
     np.testing.assert_array_equal(unknown, np.zeros((17, 3)))
-
-
-def test_a_model_of_another_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="kind"):
-        load_keypoint_pose(model_path("templates"))

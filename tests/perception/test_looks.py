@@ -41,17 +41,6 @@ def test_a_description_is_of_one_picture_alone(seeds: list[int]) -> None:
     np.testing.assert_array_equal(together, np.concatenate([describe([one], GREY) for one in pictures]))
 
 
-def test_of_nobody_there_is_none() -> None:
-    assert describe([], GREY).shape == (0, LENGTH)
-
-
-def test_histograms_are_whole() -> None:
-    """Their square roots are unit vectors, but for what rounding takes."""
-    for row in describe([picture(k) for k in range(9)], GREY) / 255.0:
-        squares = (row[:COLOURS].reshape(len(PARTS), -1) ** 2).sum(axis=1)
-        np.testing.assert_allclose(squares, 1.0, atol=0.05)
-
-
 def test_of_one_colour_the_histogram_is_where_the_colour_is() -> None:
     """Against an oracle that reads one pixel: the expected bin of each channel is the pixel's place."""
     image = np.full((50, 20, 3), (40, 60, 120), np.uint8)

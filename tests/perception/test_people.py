@@ -10,12 +10,10 @@ from perception.detection.boxes import Detections, boxes_of, read_boxes, write_b
 from perception.detection.hog import (
     CELL,
     ORIENTATIONS,
-    WINDOW,
     PeopleDetector,
     WindowFilter,
     gradient_blocks,
     mean_blocks,
-    resized,
 )
 from perception.synthetic import PedestrianVariation, make_pedestrians
 
@@ -42,17 +40,6 @@ def test_scores_are_those_of_opencv() -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-4)
 
 
-def test_a_filter_is_its_weights_on_a_window() -> None:
-    rng = np.random.default_rng(1)
-    grid = rng.normal(size=(20, 11, 3)).astype(np.float32)
-    some = WindowFilter(rng.normal(size=(WINDOW[1], WINDOW[0], 3)).astype(np.float32), 0.5)
-    scores = some.scores(grid)
-    assert scores.shape == (6, 5)
-    window = grid[2 : 2 + WINDOW[1], 4 : 4 + WINDOW[0]]
-    assert scores[2, 4] == pytest.approx(float((window * some.weight).sum()) + 0.5, rel=1e-4)
-    assert some.scores(grid[:3]).size == 0
-
-
 def test_means_are_of_the_same_pixels_as_gradients() -> None:
     values = np.zeros((80, 64), np.float32)
     values[16:32, 24:40] = 1.0
@@ -60,14 +47,6 @@ def test_means_are_of_the_same_pixels_as_gradients() -> None:
     assert means.shape[:2] == gradient_blocks(np.zeros((80, 64, 3), np.uint8)).shape[:2]
     assert means[2, 3, 0] == pytest.approx(1.0) and means[2, 4, 0] == pytest.approx(0.5)
     assert gradient_blocks(noise((80, 64, 3))).shape[2] == ORIENTATIONS
-
-
-def test_reducing_keeps_what_is_where() -> None:
-    image = np.zeros((400, 800, 3), np.uint8)
-    image[:, 600:] = 200
-    small = resized(image, (130, 65))
-    assert small.shape == (65, 130, 3)
-    assert abs(int(np.argmax(small[30, :, 0] > 100)) - round(130 * 0.75)) <= 1
 
 
 @pytest.mark.parametrize("height", [110, 240])
@@ -113,14 +92,3 @@ def test_detections_are_written_without_identities(tmp_path: object) -> None:
     write_boxes(boxes, path)
     again = read_boxes(path)
     assert again == boxes and not any(item.identified for item in again)
-
-
-def test_what_was_detected_is_written_down_and_read_again() -> None:
-    found = Detections(np.array([[1.5, 2.0, 3.0, 4.0]]), np.array([0.75]))
-    again = Detections.from_record(found.to_record())
-    np.testing.assert_array_equal(again.boxes, found.boxes)
-    np.testing.assert_array_equal(again.scores, found.scores)
-    none = Detections.from_record(Detections(np.empty((0, 4)), np.empty(0)).to_record())
-    assert none.boxes.shape == (0, 4)
-    with pytest.raises(ValueError):
-        Detections.from_record({"boxes": [1.0], "scores": [0.5]})

@@ -21,7 +21,7 @@ from perception.observe.pipeline import (
     observe_frame,
 )
 from perception.observe.tables import to_tracks
-from perception.pose.classes import PoseClasses, interpolated, world_likelihood
+from perception.pose.classes import PoseClasses, world_likelihood
 from perception.pose.head_detection import HeadCandidates
 from perception.storage import load_model
 from perception.synthetic import Camera
@@ -48,21 +48,14 @@ def test_angles_go_from_the_image_to_the_world_by_the_ray() -> None:
         assert found.sum() == pytest.approx(1.0)
 
 
-def test_interpolation_meets_the_classes_and_halves_between_them() -> None:
-    values = np.arange(8.0)[None]
-    np.testing.assert_allclose(interpolated(values, EIGHT, EIGHT.pan[None]), values)
-    between = interpolated(values, EIGHT, np.deg2rad([[22.5, -22.5]]))
-    np.testing.assert_allclose(between, [[0.5, 3.5]])
-
-
 def test_tracks_are_on_the_ground_and_those_beyond_the_horizon_are_left_out() -> None:
     camera = STREET.ground_camera()
     flat = np.log(np.full(8, 1.0 / 8.0))
     feet = camera.ground_to_image(np.array([[0.5, 1.0], [0.6, 1.0]]))
     items = [seen(0, tuple(feet[0]), flat), seen(1, tuple(feet[1]), flat), seen(2, (100.0, -500.0), flat)]
     tracks = to_tracks(by_frame(items), PoseClasses.circle(12, 3), camera, 10.0).tracks
-    np.testing.assert_allclose(tracks[1].position, [[0.5, 1.0], [0.6, 1.0]], atol=1e-6)
-    np.testing.assert_allclose(tracks[1].t, [0.0, 0.1])
+    np.testing.assert_allclose(tracks.by_id(1).position, [[0.5, 1.0], [0.6, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(tracks.by_id(1).t, [0.0, 0.1])
     with pytest.raises(InputError):
         to_tracks(by_frame(items[2:]), PoseClasses.circle(12), camera, 10.0)
     with pytest.raises(InputError):

@@ -13,7 +13,7 @@ from graphtrack.errors import InputError
 from perception.experiments.head_trackers import heads_of, slower
 from perception.trackers.sigma_pi import SigmaPiTracker
 from perception.trackers.sigma_pi_cues import ViewCue, descriptors
-from perception.trackers.sigma_pi_network import CueParameters, SigmaPiParameters
+from perception.trackers.sigma_pi_network import SigmaPiParameters
 from perception.trackers.tracker import Box, BoxDynamics, Cloud, predict
 
 SIZE = (160, 120)
@@ -57,7 +57,7 @@ def test_who_stands_from_the_first_frame_on_is_held_though_somebody_passes() -> 
 
 def test_views_are_liker_the_person_than_what_is_beside_and_blank_walls() -> None:
     image = lobby(0)
-    cue = ViewCue.of(CueParameters(), image, np.array(BOX))
+    cue = ViewCue.of(image, np.array(BOX))
     assert cue is not None
     cue.look(lobby(1))
     left, top, width, height = BOX
@@ -71,23 +71,22 @@ def test_views_are_liker_the_person_than_what_is_beside_and_blank_walls() -> Non
 
 
 def test_the_first_view_is_never_forgotten_and_known_ones_are_not_added() -> None:
-    cue = ViewCue(CueParameters(memory=3), lobby(0), np.array(BOX))
+    cue = ViewCue(lobby(0), np.array(BOX))
     cue.look(lobby(1))
     for _ in range(5):
         cue.adapt(np.array(BOX))
     assert not cue._later
-    for k in range(8):
+    for k in range(15):
         cue.look(np.repeat(texture(*SIZE, 120, 2, 10 + k).astype(np.uint8)[..., None], 3, axis=2))
         cue.adapt(np.array(BOX))
-    assert len(cue._later) == 3
+    assert len(cue._later) == 10
     cue.look(lobby(1))
     assert cue.gain(np.array([BOX]))[0] > 0.8
 
 
 def test_boxes_that_are_too_small_or_blank_have_no_view() -> None:
-    parameters = CueParameters()
-    assert ViewCue.of(parameters, lobby(0), np.array([40.0, 60.0, 24.0, 8.0])) is None
-    assert ViewCue.of(parameters, np.full((120, 160, 3), 90, np.uint8), np.array(BOX)) is None
+    assert ViewCue.of(lobby(0), np.array([40.0, 60.0, 24.0, 8.0])) is None
+    assert ViewCue.of(np.full((120, 160, 3), 90, np.uint8), np.array(BOX)) is None
     lengths = np.linalg.norm(descriptors(lobby(0)[..., 0], np.array([BOX, (0.0, 0.0, 30.0, 30.0)])), axis=1)
     assert (lengths <= 1.0 + 1e-6).all() and lengths[0] > 0.8
 

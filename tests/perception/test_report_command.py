@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import gc
-import json
 import shutil
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from command import run
@@ -25,9 +23,9 @@ from graphtrack.tracks.track import TrackSet
 from perception.adaptation import learning
 from perception.adaptation.learning import AdaptationParameters, learn
 from perception.adaptation.models import CameraModels
-from perception.cli import report as command
 from perception.detection.boxes import PersonBox
 from perception.drawing.people import ShownPerson, draw_tracked
+from perception.images.frames import FrameSource
 from perception.observe import pipeline
 from perception.observe.tables import METHODS, associated, estimated, numbered
 from perception.report import shown_by_frame, what_they_do
@@ -69,13 +67,17 @@ def test_the_folder_has_everything_and_is_read_as_its_estimates(
 ) -> None:
     folder, _ = reported
     assert {path.name for path in folder.iterdir()} == EVERYTHING
+    video = FrameSource.open(folder / "annotated.mp4")
+    assert video.count == 21 and video.fps == pytest.approx(FPS)
     tracks = gt.read(folder)
     assert [len(track) for track in tracks] == [7, 7, 7]
     feet = street.camera.image_to_ground(
         [(b.box[0] + b.box[2] / 2, b.box[1] + b.box[3]) for b in street.boxes]
     )
     np.testing.assert_allclose(np.concatenate([track.position for track in tracks]), feet, atol=0.6)
-    assert all(track.std("body") is not None and track.std("head") is not None for track in tracks)
+    assert all(
+        np.isfinite(track.std("body")).any() and np.isfinite(track.std("head")).any() for track in tracks
+    )
 
 
 def test_it_says_what_was_assumed(reported: tuple[Path, str]) -> None:
@@ -91,13 +93,6 @@ def test_it_says_what_was_assumed(reported: tuple[Path, str]) -> None:
         assert sum(words in line for line in assumed) == 1
         assert words in said and words in page
     assert page.count("data:image/jpeg;base64,") == 6
-
-
-def test_the_video_has_every_frame(reported: tuple[Path, str]) -> None:
-    video = cv2.VideoCapture(str(reported[0] / "annotated.mp4"))
-    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == 21
-    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(FPS)
-    video.release()
 
 
 def test_what_is_done_is_not_done_again(reported: tuple[Path, str], arguments: list[object]) -> None:
@@ -196,7 +191,7 @@ def test_another_method_repeats_only_what_depends_on_it(
     assert "estimates by `particle`" in (tmp_path / "out" / "assumptions.txt").read_text()
     first, second = (gt.read(folder) for folder in (reported[0], tmp_path / "out"))
     assert [track.track_id for track in first] == [track.track_id for track in second]
-    assert not np.array_equal(first[1].position, second[1].position)
+    assert not np.array_equal(first.by_id(1).position, second.by_id(1).position)
 
 
 def test_without_a_camera_or_a_view_that_tells_there_is_a_scale(
@@ -351,12 +346,6 @@ def test_what_is_learned_is_learned_once(
     assert len(learned) == 2 and looked == [*range(5), *range(4, 21)]
     assert (tmp_path / "at_once.csv").read_bytes() == (tmp_path / "apart.csv").read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {"camera.npz", "apart.csv", "at_once.csv"}
-
-
-def test_stages_say_what_they_said_before(reported: tuple[Path, str]) -> None:
-    stages = json.loads((reported[0] / "stages.json").read_text())
-    assert list(stages) == ["people", "ground", "models", "observations", "estimates", "video", "page"]
-    assert len(stages) == command._STAGES
 
 
 def test_the_page_says_who_is_in_a_group_and_who_looks_at_whom() -> None:

@@ -16,11 +16,10 @@ from perception.experiments.sigma_pi_runs import Tally, recordings
 from perception.images.pixels import Image
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.trackers.sigma_pi import SigmaPiTracker
-from perception.trackers.sigma_pi_cues import ColourCue, ShapeCue
+from perception.trackers.sigma_pi_cues import ShapeCue
 from perception.trackers.sigma_pi_network import (
     CUES,
     TERM_NAMES,
-    CueParameters,
     SigmaPiParameters,
     adapted,
     output,
@@ -117,19 +116,9 @@ def test_whoever_leaves_is_lost_and_found_again_by_what_was_learned() -> None:
     assert all(is_on(estimate, (150.0, 100.0)) for estimate in estimates[-15:])
 
 
-def test_colour_is_not_learned_from_pixels_without_weight() -> None:
-    cue = ColourCue(CueParameters(), shown(path(0), 0))
-    outside = np.ones(SIZE[::-1], bool)
-    cue.surroundings(outside)
-    cue.adapt(np.zeros(SIZE[::-1], np.float32))
-    assert cue.target is None
-    cue.adapt(np.ones(SIZE[::-1], np.float32))
-    assert cue.target is not None and cue.target.sum() == pytest.approx(1.0)
-
-
 def test_features_of_furniture_lower_the_shape_cue() -> None:
     window = np.array([box_at((60.0, 60.0))])
-    cue = ShapeCue(CueParameters())
+    cue = ShapeCue()
     cue.look(shown((60.0, 60.0), 0))
     cue.adapt(window[0])
     cue.look(shown((60.0, 60.0), 1))

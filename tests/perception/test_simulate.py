@@ -37,13 +37,13 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_street_has_frames_boxes_cameras_and_truth_that_agree(street: Path) -> None:
     frames = FrameSource.open(street / "video.mp4")
     assert frames.count == 4 and frames.fps == pytest.approx(4.0)
-    truth, boxes = io.read(street / "truth.csv"), read_boxes(street / "boxes.txt")
+    truth, boxes = io.read_identified(street / "truth.csv"), read_boxes(street / "boxes.txt")
     known = GroundCamera.from_homography(read_homography(street / "homography.txt"))
     calibrated = read_calibration(street / "camera.ci")
-    assert len(truth) == 2 and truth[0].t[1] == pytest.approx(0.25) and len(boxes) >= 4
+    assert len(truth) == 2 and truth.by_id(0).t[1] == pytest.approx(0.25) and len(boxes) >= 4
     for item in boxes:
         left, top, width, height = item.box
-        place = truth[item.track_id].true_position[item.frame]
+        place = truth.by_id(item.track_id).true_position[item.frame]
         foot = known.ground_to_image(place)
         np.testing.assert_allclose(calibrated.ground_to_image(place), foot, atol=1e-6)
         assert left - 0.2 * width < foot[0] < left + 1.2 * width
@@ -73,9 +73,9 @@ def test_keypoints_of_a_street_are_within_its_boxes_and_say_where_people_point(
         tmp_path / "o.csv",
     )
     assert done.returncode == 0, done.stderr
-    truth, errors = io.read(street / "truth.csv"), []
-    for track in io.read(tmp_path / "o.csv"):
-        known = truth[track.track_id]
+    truth, errors = io.read_identified(street / "truth.csv"), []
+    for track in io.read_identified(tmp_path / "o.csv"):
+        known = truth.by_id(track.track_id)
         angle = PoseClasses.circle(8).mean_pan(np.log(track.body_likelihood + 1e-9))
         errors.append(difference(angle, known.true_body[np.searchsorted(known.frame, track.frame)]))
     assert np.abs(np.concatenate(errors)).mean() < np.deg2rad(50.0)  # by chance 90°
@@ -99,7 +99,10 @@ def test_a_seed_gives_the_same_again_and_images_in_place_of_the_video(street: Pa
 def test_a_room_has_the_box_of_whoever_comes_in(tmp_path: Path) -> None:
     done = simulate("ceiling", tmp_path / "room")
     assert done.returncode == 0 and "30 images" in done.stderr
-    boxes, (truth,) = read_boxes(tmp_path / "room" / "boxes.txt"), io.read(tmp_path / "room" / "truth.csv")
+    boxes, (truth,) = (
+        read_boxes(tmp_path / "room" / "boxes.txt"),
+        io.read_identified(tmp_path / "room" / "truth.csv"),
+    )
     assert {item.frame for item in boxes} <= set(truth.frame.tolist()) and truth.track_id == 1
     first, *_, last = FrameSource.open(tmp_path / "room" / "video.mp4")
     left, top, width, height = (round(value) for value in boxes[-1].box)

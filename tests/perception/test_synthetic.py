@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from graphtrack.geometry.angles import difference, unit
+from graphtrack.geometry.angles import unit
 from perception.pose.classes import PoseClasses
 from perception.synthetic import (
     Camera,
@@ -79,15 +79,6 @@ def test_opposite_pans_are_mirror_images(pan: float, tilt: float) -> None:
     assert np.mean(np.abs(left - right[:, ::-1]).max(axis=-1) > 1e-4) < 0.002
 
 
-def test_the_nose_points_where_the_pan_says() -> None:
-    for pan, side in ((np.pi / 2, 1.0), (-np.pi / 2, -1.0)):
-        covered = head_picture(pan, hat="none").max(axis=-1) > 0.0
-        nose = FRONT.project((0.0, side * 0.12, -0.02))
-        opposite = FRONT.project((0.0, -side * 0.12, -0.02))
-        assert covered[int(nose[1]), int(nose[0])]
-        assert not covered[int(opposite[1]), int(opposite[0])]
-
-
 def test_skin_shows_from_the_front_and_not_from_behind() -> None:
     rng = np.random.default_rng(0)
     shares = []
@@ -123,14 +114,6 @@ def test_few_drawn_poses_have_some_of_every_class() -> None:
         assert of_class[12:24].sum() > 120
 
 
-def test_sizes_and_ranges_are_those_asked_for() -> None:
-    variation = HeadVariation(size=(10, 20), pan=(0.1, 0.2), tilt=(-0.2, -0.1))
-    heads = make_heads(20, np.random.default_rng(0), variation)
-    assert all(10 <= image.shape[0] <= 20 and image.dtype == np.uint8 for image in heads.images)
-    for angle, (low, high) in ((heads.pan, variation.pan), (heads.tilt, variation.tilt)):
-        assert ((angle >= low) & (angle <= high)).all()
-
-
 @pytest.mark.parametrize("camera", [STREET, CEILING])
 def test_boxes_are_those_of_the_pixels_that_change(camera: Camera) -> None:
     scene = Scene(
@@ -149,20 +132,6 @@ def test_boxes_are_those_of_the_pixels_that_change(camera: Camera) -> None:
     top_of_head = camera.project((0.8, 0.6, 1.7))
     assert head[0] - 2 <= top_of_head[0] <= head[0] + head[2] + 2
     assert head[1] - 2 <= top_of_head[1] <= head[1] + head[3] + 2
-
-
-def test_angles_in_the_image_are_those_of_the_trackers_camera() -> None:
-    rng = np.random.default_rng(0)
-    people = [
-        Person(plain(), Posture(tuple(rng.uniform(-2, 2, 2)), *rng.uniform(-3, 3, 2))) for _ in range(5)
-    ]
-    labels = render_frame(Scene(STREET, OVERHEAD), people, QUIET, rng, oversampling=1).labels
-    ground = STREET.ground_camera()
-    for label in labels:
-        for name in ("body", "head"):
-            expected = ground.image_angle(getattr(label, name), label.position)
-            found = getattr(label, f"{name}_in_image")
-            assert abs(difference(found, expected)) < 1e-6
 
 
 def test_a_wall_in_front_hides_and_a_wall_behind_does_not() -> None:

@@ -13,7 +13,7 @@ from perception.experiments.head_trackers import followed, tracking_error
 from perception.experiments.sigma_pi_runs import run_all
 from perception.images.pixels import enlarged
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
-from perception.trackers.color import BoxColours, ColourParameters, ColourTracker, bhattacharyya
+from perception.trackers.color import ColourParameters, ColourTracker, bhattacharyya, box_colours, hue_bins
 from perception.trackers.head_exemplars import load_head_exemplars
 from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
 from perception.trackers.registry import TRACKERS, make_tracker, parameters_of
@@ -24,7 +24,7 @@ MAKE: dict[str, Callable[..., Tracker]] = {
     "color": lambda **options: ColourTracker(exemplars=FACING, **options),
     "mixed-state": lambda **options: MixedStateTracker(exemplars=FACING, **options),
     "sampled": lambda **options: MixedStateTracker(
-        MixedStateParameters(labels="sampled", colour=None), exemplars=FACING, **options
+        MixedStateParameters(labels="sampled", colour=False), exemplars=FACING, **options
     ),
     "sigma-pi": lambda **options: make_tracker("sigma-pi", **options),
 }
@@ -64,9 +64,9 @@ def test_a_proposal_draws_its_share_of_the_centres() -> None:
 
 
 def test_histograms_count_the_pixels_of_their_boxes() -> None:
-    bins, colours = np.random.default_rng(2).integers(0, 110, (40, 50)), BoxColours(samples=12)
-    boxes = np.array([[5.0, 6.0, 12.0, 12.0], [30.0, 20.0, 12.0, 12.0]])
-    histograms = colours.of_boxes(bins, boxes)
+    bins = np.random.default_rng(2).integers(0, 110, (40, 50))
+    boxes = np.array([[5.0, 6.0, 24.0, 12.0], [20.0, 14.0, 24.0, 24.0]])
+    histograms = box_colours(bins, boxes)
     for found, (left, top, width, height) in zip(histograms, boxes.astype(int), strict=True):
         inside = bins[top : top + height, left : left + width]
         np.testing.assert_allclose(found, np.bincount(inside.ravel(), minlength=110) / inside.size)
@@ -76,7 +76,7 @@ def test_histograms_count_the_pixels_of_their_boxes() -> None:
 
 def test_pale_pixels_have_no_hue() -> None:
     image = np.array([[[0, 0, 255], [128, 128, 128], [4, 0, 0], [255, 0, 0]]], np.uint8)
-    red, grey, dark, blue = BoxColours().of_pixels(image)[0]
+    red, grey, dark, blue = hue_bins(image)[0]
     assert red < 100 and blue < 100 and red != blue
     assert grey == 100 + 5 and dark == 100
 

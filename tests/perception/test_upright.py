@@ -12,11 +12,11 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.formats.caviar import LOBBY_HEIGHT, lobby_camera
-from perception.adaptation.labels import LabelParameters, walking_labels
+from perception.adaptation.labels import walking_labels
 from perception.detection.boxes import PersonBox
-from perception.ground.upright import LeaningView, Standing, upright_picture
+from perception.ground.upright import LeaningView, upright_picture
 from perception.models import load_classifier, load_head_localiser
-from perception.observe.pipeline import Models, SeenPerson, head_in_image, observe_frame
+from perception.observe.pipeline import Models, head_in_image, observe_frame
 
 SIZE = (384, 288)
 PLACES = [(-3.0, 0.5), (-1.5, -1.0), (-2.0, 2.5)]
@@ -76,7 +76,6 @@ def test_observe_looks_at_the_turned_picture_and_knows_where_feet_and_head_are()
     (seen,) = observe_frame(image, 0, [PersonBox(0, 1, box)], models, pytest.fail)
     assert seen.standing is not None and seen.height == seen.standing.length
     assert np.linalg.norm(seen.foot - foot) < 0.2 * seen.height
-    assert SeenPerson.from_record(seen.to_record()).standing == seen.standing
     left, top, width, height = head_in_image(seen, 0)
     middle = np.array([left + width / 2.0, top + height / 2.0])
     assert np.linalg.norm(middle - head) < np.linalg.norm(middle - foot)
@@ -101,13 +100,5 @@ def test_who_shuffles_about_a_place_does_not_walk() -> None:
     walk = [PersonBox(k, 2, (20.0 + 3.0 * k, 100.0, 20.0, 60.0)) for k in range(40)]
     labels = walking_labels(still + walk, None, camera, 25.0)
     assert set(labels.person.tolist()) == {2}
-    assert len(walking_labels(walk, None, camera, 25.0, LabelParameters(least_way=9.0))) == 0
     low = [replace(item, box=(*item.box[:2], 6.0, 18.0)) for item in walk]
     assert len(walking_labels(low, None, camera, 25.0)) == 0
-
-
-def test_a_standing_person_turns_about_the_foot() -> None:
-    standing = Standing((50.0, 40.0), np.pi / 2.0, 20.0)
-    np.testing.assert_allclose(standing.in_image([20.0, 30.0]), [50.0, 40.0], atol=1e-9)
-    # What is above the foot in the turned picture is to its right in the image.
-    np.testing.assert_allclose(standing.in_image([20.0, 10.0]), [70.0, 40.0], atol=1e-9)

@@ -68,7 +68,7 @@ def table(report, title):
 
 def test_the_replay_holds_what_was_given(report, tracks):
     first, second, third, _ = report.replay["people"]
-    n = len(tracks[1])
+    n = len(tracks.by_id(1))
     assert delta_decode(first["group"], 1.0, n).tolist() == [0.0] * n and third["group"] is None
     assert delta_decode(second["group_p"], SURE_STEP, n) == pytest.approx(0.9)
     # The next one, and the first of the places, which stand behind the people.
@@ -336,9 +336,9 @@ def test_of_many_forecasts_some_are_shown_and_the_page_says_so(tracks, monkeypat
 
 def test_one_person_and_one_without_a_place_have_a_page():
     alone = standing(people=1)
-    lost = replace(alone[1], track_id=2, position=np.full_like(alone[1].position, np.nan))
+    lost = replace(alone.by_id(1), track_id=2, position=np.full_like(alone.by_id(1).position, np.nan))
     nobody = [replace(one, people=(), probability=np.ones((20, 1))) for one in looking(standing(people=2))]
-    for tracks in (alone, TrackSet((alone[1], lost))):
+    for tracks in (alone, TrackSet((alone.by_id(1), lost))):
         groups = grouped(tracks)
         groups = replace(groups, group=np.full(len(groups), -1))
         looks = nobody[: len(tracks)]

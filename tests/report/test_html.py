@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from made_up import ERRORS, NEES, observed, scene, walker
+from made_up import CALIBRATION, ERRORS, observed, scene, walker
 from page_scripts import delta_decode
 
 from graphtrack.errors import InputError
@@ -54,7 +54,7 @@ def full():
     estimates, observations = scene(people=3)
     return render_report(
         tracking_report(
-            estimates, observations, title="A square", comparison=ERRORS, consistency=NEES, events=()
+            estimates, observations, title="A square", comparison=ERRORS, calibration=CALIBRATION, events=()
         )
     )
 
@@ -121,11 +121,11 @@ def test_hostile_words_stay_words():
         title=HOSTILE,
         subtitle=HOSTILE,
         comparison=[{**row, "method": HOSTILE, "unit": HOSTILE} for row in ERRORS],
-        consistency=[{**row, "method": HOSTILE} for row in NEES],
+        calibration=[{**row, "method": HOSTILE} for row in CALIBRATION],
         cards=(Card(HOSTILE, HOSTILE, HOSTILE),),
         sections=(Section(HOSTILE, (Note(HOSTILE), DataTable(HOSTILE, (HOSTILE,), ((HOSTILE,),), HOSTILE))),),
     )
-    plain = tracking_report(*scene(people=1), comparison=ERRORS, consistency=NEES)
+    plain = tracking_report(*scene(people=1), comparison=ERRORS, calibration=CALIBRATION)
     page, usual = Page(render_report(report)), Page(render_report(plain))
     assert len(page.scripts) == len(usual.scripts)
     assert HOSTILE in " ".join(page.words)

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from made_up import ERRORS, NEES, observed, walker
+from made_up import ERRORS, observed, walker
 from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
-from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
+from graphtrack.report.plots import plot_angles, plot_errors, plot_tracks
 from graphtrack.report.plots.scene import CROWD
 from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR
 from graphtrack.tracks.track import Track, TrackSet
@@ -177,11 +177,6 @@ def test_errors_stand_at_their_median_with_their_spread(table):
     assert len([line for line in figure.axes[1].lines if line.get_marker() == "o"]) == 1  # NaN is left out
 
 
-def test_nees_is_filled_inside_its_band_and_hollow_outside():
-    dots = [line for line in plot_nees(NEES).axes[0].lines if line.get_marker() == "o"]
-    assert [line.get_markerfacecolor() == "white" for line in dots] == [True, False]
-
-
 def test_tables_that_lack_something_are_refused():
     with pytest.raises(InputError, match="at least one row"):
         plot_errors([])
@@ -189,8 +184,6 @@ def test_tables_that_lack_something_are_refused():
         plot_errors([ERRORS[0], {k: v for k, v in ERRORS[1].items() if k != "unit"}])
     with pytest.raises(InputError, match="a number"):
         plot_errors([{**ERRORS[0], "median": "much"}])
-    with pytest.raises(InputError, match="positive"):
-        plot_nees([{**NEES[0], "count": 0}])
 
 
 def test_matplotlib_is_not_loaded_before_it_is_needed():
@@ -219,24 +212,8 @@ def test_people_are_told_apart_by_colour_and_dashes():
     assert len(paths) == CROWD and len(looks) == 24
 
 
-def test_of_a_crowd_paths_are_drawn_over_a_map_of_time_and_by_the_way_they_went():
+def test_of_a_crowd_only_paths_are_drawn():
     few, crowd = plot_tracks(walkers_along(CROWD, 1.0)), plot_tracks(walkers_along(CROWD + 1, 1.0))
-    assert len(few.axes[0].texts) == CROWD and not few.axes[0].images
-    (density,) = crowd.axes[0].images
-    (paths,) = crowd.axes[0].collections
-    assert len(paths.get_segments()) == CROWD + 1 and not crowd.axes[0].texts
-    # Everybody walked for four seconds: the map holds just that time.
-    left, right, bottom, top = density.get_extent()
-    values = density.get_array().filled(0.0)
-    cell = (right - left) * (top - bottom) / values.size
-    assert values.sum() * cell == pytest.approx(4.0 * (CROWD + 1), rel=0.02)
-    titles = [axes.get_title(loc="left") for axes in crowd.axes[1:]]
-    assert f"towards +x: {CROWD + 1}" in titles
-
-
-def test_of_a_crowd_those_who_stay_and_those_who_walk_back_stand_apart():
-    there, back, staying = (walkers_along(20, step) for step in (1.0, -1.0, 0.1))
-    tracks = [track for group in (there, back, staying) for track in group]
-    people = TrackSet(tuple(replace(track, track_id=i) for i, track in enumerate(tracks)))
-    titles = [axes.get_title(loc="left") for axes in plot_tracks(people).axes]
-    assert {"towards +x: 20", "towards −x: 20", "stayed within 2 m: 20"} <= set(titles)
+    assert len(few.axes[0].texts) == CROWD and few.axes[0].collections
+    assert len(crowd.axes[0].lines) == CROWD + 1
+    assert not crowd.axes[0].texts and not crowd.axes[0].collections

@@ -40,11 +40,13 @@ def walkers(frame="map", names=("anna", "ben")):
 def test_people_keep_their_names_places_and_times(tmp_path, plugin):
     tracks = gt.read(record(tmp_path / "bag", {"/people": walkers()}, plugin))
     assert [one.label for one in tracks] == ["anna", "ben"]
-    np.testing.assert_allclose(tracks[2].position, np.column_stack([np.array(TIMES) + 1.0, np.ones(20)]))
-    np.testing.assert_allclose(np.diff(tracks[1].t), 0.1, atol=1e-9)
+    np.testing.assert_allclose(
+        tracks.by_id(2).position, np.column_stack([np.array(TIMES) + 1.0, np.ones(20)])
+    )
+    np.testing.assert_allclose(np.diff(tracks.by_id(1).t), 0.1, atol=1e-9)
     origin = tracks.as_read.time.origin
-    assert origin + round(tracks[1].t[3] * 1e9) == nanoseconds(TIMES[3])
-    np.testing.assert_array_equal(tracks[1].score, 0.5)
+    assert origin + round(tracks.by_id(1).t[3] * 1e9) == nanoseconds(TIMES[3])
+    np.testing.assert_array_equal(tracks.by_id(1).score, 0.5)
     assert tracks.summary.rows_read == tracks.summary.rows_used == 40
 
 
@@ -52,7 +54,7 @@ def test_a_file_of_a_bag_is_read_as_the_bag(tmp_path):
     for plugin, suffix in ((StoragePlugin.MCAP, "mcap"), (StoragePlugin.SQLITE3, "db3")):
         folder = record(tmp_path / suffix, {"/people": walkers()}, plugin)
         whole, alone = gt.read(folder), gt.read(folder / f"{suffix}.{suffix}")
-        np.testing.assert_array_equal(whole[1].position, alone[1].position)
+        np.testing.assert_array_equal(whole.by_id(1).position, alone.by_id(1).position)
 
 
 def test_identities_that_are_numbers_in_one_recording_and_text_in_the_next_are_refused(tmp_path):
@@ -82,7 +84,7 @@ def test_classes_of_detections_are_picked(tmp_path):
     assert len(both) == 2 and any("dog, person" in note for note in both.summary.notes)
     assert [one.label for one in dogs] == ["b"]
     assert dogs.summary.refused == {"of another class": 20}
-    assert dogs[1].position_std is None and dogs[1].body_kappa is None
+    assert dogs.by_id(1).position_std is None and dogs.by_id(1).body_kappa is None
 
 
 def test_poses_without_names_are_told_apart(tmp_path):
@@ -118,7 +120,7 @@ def test_a_topic_of_poses_is_one_person_and_a_pattern_several(tmp_path):
 def test_orientations_that_nobody_set_are_none(tmp_path):
     told = [(t, make("geometry_msgs/msg/PoseStamped", header=header(t), pose=pose(t, 0.0))) for t in TIMES]
     tracks = gt.read(record(tmp_path / "bag", {"/pose": told}))
-    assert tracks[1].body is None
+    assert tracks.by_id(1).body is None
     assert any("taken for unsaid" in note for note in tracks.summary.notes)
 
 
@@ -231,7 +233,7 @@ def test_messages_that_overtake_each_other_are_put_in_order(tmp_path):
     told = walkers()
     told[4], told[5] = told[5], told[4]
     tracks = gt.read(record(tmp_path / "bag", {"/people": told}))
-    np.testing.assert_allclose(tracks[1].position[:, 0], TIMES)
+    np.testing.assert_allclose(tracks.by_id(1).position[:, 0], TIMES)
 
 
 def test_without_stamps_times_are_those_of_the_recording(tmp_path):
@@ -239,7 +241,7 @@ def test_without_stamps_times_are_those_of_the_recording(tmp_path):
     for _, message in told:
         message.header.stamp = make("builtin_interfaces/msg/Time")
     tracks = gt.read(record(tmp_path / "bag", {"/people": told}))
-    np.testing.assert_allclose(np.diff(tracks[1].t), 0.1, atol=1e-9)
+    np.testing.assert_allclose(np.diff(tracks.by_id(1).t), 0.1, atol=1e-9)
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)

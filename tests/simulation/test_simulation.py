@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import integrate, stats
-from von_mises import von_mises_product
+from scipy import stats
 
 from graphtrack import InputError
-from graphtrack.geometry.angles import difference, direction, mean_resultant_length, von_mises_log_density
+from graphtrack.geometry.angles import difference, direction, mean_resultant_length
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.simulation.motion import sample_positions, sample_velocity
@@ -53,23 +52,6 @@ def test_motion_increments_have_the_covariance_of_the_model_at_uneven_steps() ->
     assert low < np.sum(velocity[:, 0] ** 2) / 0.8**2 < high
 
 
-@pytest.mark.parametrize(
-    ("mean_1", "kappa_1", "mean_2", "kappa_2"),
-    [(0.3, 2.0, 1.2, 5.0), (3.1, 4.0, -3.0, 1.0), (0.0, 3.0, np.pi - 0.2, 2.0), (1.0, 0.0, -2.0, 0.7)],
-)
-def test_von_mises_product_is_the_normalised_product_by_quadrature(
-    mean_1: float, kappa_1: float, mean_2: float, kappa_2: float
-) -> None:
-    def product(angle: float) -> float:
-        log = von_mises_log_density(angle, mean_1, kappa_1) + von_mises_log_density(angle, mean_2, kappa_2)
-        return float(np.exp(log))
-
-    mass, _ = integrate.quad(product, -np.pi, np.pi)
-    mean, kappa = von_mises_product(mean_1, kappa_1, mean_2, kappa_2)
-    for angle in np.linspace(-np.pi, np.pi, 9):
-        assert np.exp(von_mises_log_density(angle, mean, kappa)) == pytest.approx(product(angle) / mass)
-
-
 def test_without_couplings_head_and_body_know_nothing_of_each_other() -> None:
     def alignment(preset: str) -> float:
         tracks = simulate(preset, n_tracks=400, n_steps=3, rng=np.random.default_rng(3))
@@ -99,7 +81,7 @@ def test_presets_have_the_channels_of_their_model() -> None:
     model = Model("separate", Parameters(MotionParameters(initial_speed_std=0.01)))
     tracks = simulate(model, n_tracks=3, n_steps=7, fps=4.0, rng=rng)
     assert len(tracks) == 3 and all(len(track) == 7 and track.head is not None for track in tracks)
-    np.testing.assert_allclose(tracks[0].t, np.arange(7) / 4.0)
+    np.testing.assert_allclose(tracks.by_id(0).t, np.arange(7) / 4.0)
 
 
 def test_missing_observations_come_at_their_rate_and_never_first() -> None:

@@ -89,7 +89,7 @@ def hessian(cost: Callable[[np.ndarray], float], size: int, step: float = 2e-4) 
 def stated_blocks(
     covariance: np.ndarray, columns: Sequence[int], model: Model, estimate: Track
 ) -> np.ndarray:
-    """What is stated (n, 6, 6) of an estimate whose free columns have a joint covariance; NaN elsewhere."""
+    """Reported covariances (n, 6, 6), NaN elsewhere, of an estimate with a joint covariance."""
     assert estimate.velocity is not None
     m, used = len(columns), np.ix_(list(columns), list(columns))
     blocks = np.full((len(estimate), 6, 6), np.nan)

@@ -57,11 +57,7 @@ def filtered(
         share = coupling.weights(dt)
         excess = np.maximum(np.linalg.norm(velocity, axis=1) - coupling.speed_threshold, 0.0)
         body, first = turn(
-            angles[0],
-            kappas[0],
-            direction(velocity),
-            share * coupling.motion_body_kappa * excess**2,
-            rng,
+            angles[0], kappas[0], direction(velocity), share * coupling.motion_body_kappa * excess**2, rng
         )
         pull = np.full(particles, share * coupling.head_body_kappa)
         head, second = turn(angles[1], kappas[1], body, pull, rng)

@@ -66,7 +66,7 @@ ERRORS = [
     {"method": "graph", "metric": "head_error", "unit": "°", "median": 9.0, "low": 5.0, "high": 14.0},
 ]
 
-NEES = [
-    {"method": "kalman", "quantity": "position", "nees": 4.0, "dof": 2, "count": 100},
-    {"method": "graph", "quantity": "position", "nees": 2.1, "dof": 2, "count": 100},
+CALIBRATION = [
+    {"method": method, "quantity": "position", "nees": nees, "confidence": (0.5, 0.9), "coverage": (0.4, 0.8)}
+    for method, nees in (("kalman", 2.0), ("graph", 1.05))
 ]

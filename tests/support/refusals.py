@@ -13,6 +13,6 @@ from graphtrack.errors import InputError
 def refused(given: Any, **options: Any) -> InputError:
     """Return the error for an input that cannot be read, which is one line."""
     with pytest.raises(InputError) as caught:
-        io.read(given, **options)
+        io.read_identified(given, **options)
     assert "\n" not in str(caught.value)
     return caught.value

@@ -88,7 +88,7 @@ def test_series_are_in_degrees_without_jumps_and_with_their_intervals(tmp_path: 
     tracks = walks()
     gt.view(tracks, save=tmp_path / "run.rrd")
     found = read_recording(tmp_path / "run.rrd")
-    track = tracks[3]
+    track = tracks.by_id(3)
     body = np.array(list(found["/series/3/body"]["Scalars:scalars"].values()))
     assert np.abs(np.diff(body[:, 0])).max() < 10.0 < np.degrees(np.abs(np.diff(track.body)).max())
     np.testing.assert_allclose(np.exp(1j * np.radians(body[:, 0])), np.exp(1j * track.body), atol=1e-9)
@@ -139,7 +139,7 @@ def test_groups_and_forecasts_are_where_they_were_found(tmp_path: Path) -> None:
 
 
 def _position(tracks: gt.TrackSet, groups: gt.Groups, k: int) -> np.ndarray:
-    track = tracks[int(groups.track_id[k])]
+    track = tracks.by_id(int(groups.track_id[k]))
     return np.asarray(track.position[np.searchsorted(track.frame, groups.frame[k])])
 
 
@@ -180,7 +180,7 @@ def test_the_command_writes_what_python_writes(tmp_path: Path) -> None:
     found = read_recording(saved)
     np.testing.assert_allclose(
         [one[0] for one in found["/ground/people/8"]["Points2D:positions"].values()],
-        gt.read(tmp_path / "tracks.csv")[8].position,
+        gt.read(tmp_path / "tracks.csv").by_id(8).position,
         rtol=1e-6,
         atol=1e-6,
     )

@@ -322,12 +322,31 @@ SLOW = 0.3  # m/s below which somebody may stand: half of the slowest walk
 
 BRIEF = 0.5  # Seconds for which the estimated speed of somebody who stands may be above that
 
+_GOES_ON = 0.1  # Of the mean turn in a slow stretch, above which the frames around it turn on
+
 _TURN = 2.0 * math.pi
 
 
+@inner
+def turn_to(
+    problem: Problem, track: int, k: int, states: FloatArray, place: int, lane: int
+) -> tuple[float, float]:
+    """The turn of an orientation from frame k − 1 to frame k of a lane, and the variance of diffusion."""
+    frame = problem.records[problem.offsets[track] + k]
+    kappa = lane_of(frame.body_turn_kappa if place == BODY else frame.head_turn_kappa, lane)
+    turn = lane_of(states[k, place], lane) - lane_of(states[k - 1, place], lane)
+    return turn - _TURN * math.floor(turn / _TURN + 0.5), 1.0 / kappa if kappa > 0.0 else _TURN
+
+
 @compiled
-def unwind(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
-    """Put into ``workspace.again`` states with slow turns of over 180° reversed; whether there are any."""
+def unwind(
+    problem: Problem, track: int, n: int, states: FloatArray, dearer: float, workspace: Workspace
+) -> Any:
+    """Put into ``workspace.again`` states with slow turns of over 180° reversed; whether there are any.
+
+    ``dearer``: if positive, each turn is followed to its ends, at any speed, and turns of less are reversed
+    too, where diffusion alone makes that cost by no more than so much more.
+    """
     length, again = workspace.length[0], workspace.again
     found, copied = length < 0.0, False
     for lane in range(lane_count(length)):
@@ -338,8 +357,7 @@ def unwind(problem: Problem, track: int, n: int, states: FloatArray, workspace: 
                 vx, vy, step = lane_of(states[k, VX], lane), lane_of(states[k, VY], lane), 0.0
                 if k > 0:
                     since += lane_of(problem.records[problem.offsets[track] + k].dt, lane)
-                    step = lane_of(states[k, place], lane) - lane_of(states[k - 1, place], lane)
-                    step -= _TURN * math.floor(step / _TURN + 0.5)
+                    step = turn_to(problem, track, k, states, place, lane)[0]
                     turned += step
                 if vx * vx + vy * vy < SLOW * SLOW:
                     if begin < 0:
@@ -348,16 +366,34 @@ def unwind(problem: Problem, track: int, n: int, states: FloatArray, workspace: 
                 if begin < 0 or (since <= BRIEF and k < frames - 1):
                     continue
                 # The stretch is over: it lasted up to the frame after the last slow one.
-                if abs(at_slow) > math.pi:
+                variance = 0.0
+                if dearer > 0.0 and slow > begin:
+                    least = _GOES_ON * at_slow / (slow - begin)
+                    for m in range(begin + 1, slow + 1):
+                        variance += turn_to(problem, track, m, states, place, lane)[1]
+                    while begin > 0:
+                        step, diffuses = turn_to(problem, track, begin, states, place, lane)
+                        if not step * least > least * least:
+                            break
+                        begin, at_slow, variance = begin - 1, at_slow + step, variance + diffuses
+                    while slow < frames - 1:
+                        step, diffuses = turn_to(problem, track, slow + 1, states, place, lane)
+                        if not step * least > least * least:
+                            break
+                        slow, at_slow, variance = slow + 1, at_slow + step, variance + diffuses
+                # A turn costs half of its square over the variance.
+                if _TURN * (math.pi - abs(at_slow)) < dearer * variance:
                     if not copied:
                         copy_rows(0, n, states, again)
                         copied = True
                     this = only_lane(found, lane)
                     found |= this
                     first = lane_of(states[begin, place], lane)
-                    shorter = at_slow - _TURN * math.floor(at_slow / _TURN + 0.5)
+                    other = at_slow - _TURN * math.floor(at_slow / _TURN + 0.5)
+                    if other == at_slow:
+                        other -= math.copysign(_TURN, at_slow)
                     angles = masked(again, this)
                     for m in range(begin + 1, slow):
-                        angles[m, place] = first + shorter * ((m - begin) / (slow - begin))
+                        angles[m, place] = first + other * ((m - begin) / (slow - begin))
                 begin = -1
     return found

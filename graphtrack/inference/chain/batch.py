@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins, unwind
-from graphtrack.inference.chain.covariance import Calibration, calibrate_tracks, find_covariances
+from graphtrack.inference.chain.covariance import (
+    Calibration,
+    admit_rivals,
+    calibrate_tracks,
+    find_covariances,
+)
 from graphtrack.inference.chain.initialisation import (
     Seen,
     empty_result,
@@ -29,6 +34,7 @@ from graphtrack.inference.chain.newton import (
     COST,
     FIRST_COST,
     NOT_FINITE,
+    RIVAL_COST,
     STATUS,
     STEPS,
     Result,
@@ -49,6 +55,7 @@ from graphtrack.kernels.lanes import (
     lane_records,
     lane_rows,
     masked,
+    negate,
     only_lane,
 )
 from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, N, Problem, X, Y, number_rows
@@ -92,9 +99,22 @@ class Group(NamedTuple):
 # -- one group -----------------------------------------------------------------------------------------------
 
 
+NEAR = math.log(100.0)
+"""By how much another basin may cost more and still be a rival: the estimate is 100 times as likely."""
+
+
+TIE = 1e-8  # Of the cost, by which another basin has to cost less: less than that is rounding
+
+
 @inner
-def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
-    """Minimise the costs of a group, with ``search`` from another basin where that promises to cost less."""
+def settle(
+    whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool, last: bool
+) -> None:
+    """Minimise the costs of a group, with ``search`` from another basin where that promises to cost less.
+
+    ``last``: also from where turns of about 180° go the other way, and from rivals that were found with other
+    couplings.
+    """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, ended, again = group.workspace, group.workspace.ended, group.workspace.again
     nothing = 0.0 * workspace.length[0]
@@ -107,16 +127,25 @@ def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance:
         copy_rows(0, n, again, states)
     minimise(problem, track, n, states, max_iterations, tolerance, workspace)
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
+    # Couplings found with the states of one basin make it the cheapest: another must be far cheaper.
+    gain = NEAR if last and group.modes is not None else 0.0
+    rivals = ended[RIVAL_COST] < math.inf
+    if last and any_of(rivals):
+        copy_rows(0, n, workspace.rival, again)
+        ended[RIVAL_COST] = nothing + math.inf
+        challenge(group, n, rivals, gain, max_iterations, tolerance)
     if search:
         elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace)
-        challenge(group, n, elsewhere, max_iterations, tolerance)
-    wound = unwind(problem, track, n, states, workspace)
-    challenge(group, n, wound, max_iterations, tolerance)
+        challenge(group, n, elsewhere, 0.0, max_iterations, tolerance)
+    wound = unwind(problem, track, n, states, 4.0 * NEAR if last else 0.0, workspace)
+    challenge(group, n, wound, gain, max_iterations, tolerance)
 
 
 @inner
-def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, tolerance: float) -> None:
-    """Minimise from ``workspace.again`` where it lies ``elsewhere``, and stay there if that costs less."""
+def challenge(
+    group: Group, n: int, elsewhere: Any, gain: float, max_iterations: int, tolerance: float
+) -> None:
+    """Minimise from ``workspace.again`` where it lies ``elsewhere``; stay there if it costs ``gain`` less."""
     states, workspace = group.states, group.workspace
     ended, again, start = workspace.ended, workspace.again, workspace.start
     elsewhere &= ended[STATUS] < float(NOT_FINITE)
@@ -125,8 +154,10 @@ def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, toleran
             start[1, i] = start[0, i]
         first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
         minimise(group.problem, group.track, n, again, max_iterations, tolerance, workspace)
-        better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
-        keep_better(n, better, again, states, states)
+        lower = ended[COST] < cost - gain - TIE * (1.0 + abs(cost))
+        better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & lower
+        swap(n, better, again, states)
+        keep_rival(n, elsewhere, choose(better, cost, ended[COST]), again, states, workspace)
         for i in range(N):
             start[0, i] = choose(better, start[0, i], start[1, i])
         ended[FIRST_COST], ended[COST] = first_cost, choose(better, ended[COST], cost)
@@ -135,11 +166,48 @@ def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, toleran
 
 
 @inner
-def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states: FloatArray) -> None:
-    """States (n, 6) become the one where that is ``better``, else the other."""
+def swap(n: int, swapped: Any, one: FloatArray, other: FloatArray) -> None:
+    """Swap the states (n, 6) where ``swapped``."""
     for k in range(n):
         for i in range(N):
-            states[k, i] = choose(better, one[k, i], other[k, i])
+            here = one[k, i]
+            one[k, i] = choose(swapped, other[k, i], here)
+            other[k, i] = choose(swapped, here, other[k, i])
+
+
+@inner
+def keep_rival(
+    n: int, compared: Any, cost: Any, loser: FloatArray, states: FloatArray, workspace: Workspace
+) -> None:
+    """Keep states (n, 6) that lost where they lie in another basin and cost less than the rival before."""
+    ended, turned = workspace.ended, workspace.length[0] < 0.0
+    for k in range(n):
+        inside = workspace.length[0] > float(k)
+        for i in (BODY, HEAD):
+            turned |= inside & (math.cos(loser[k, i] - states[k, i]) < AT_END)
+    kept = compared & turned & (cost < ended[RIVAL_COST])
+    if any_of(kept):
+        for k in range(n):
+            for i in range(N):
+                workspace.rival[k, i] = choose(kept, loser[k, i], workspace.rival[k, i])
+        ended[RIVAL_COST] = choose(kept, cost, ended[RIVAL_COST])
+
+
+@inner
+def note_rivals(whole: Problem, group: Group, apart: FloatArray) -> None:
+    """Write into ``apart`` (N, 2) the turn to a rival, times the root of its probability."""
+    states, rival, ended = group.states, group.workspace.rival, group.workspace.ended
+    dearer = ended[RIVAL_COST] - ended[COST]
+    for lane in range(lane_count(dearer)):
+        if group.tracks[lane] < 0 or not lane_of(dearer, lane) < NEAR:
+            continue
+        begin = whole.offsets[group.tracks[lane]]
+        share = math.sqrt(1.0 / (1.0 + math.exp(lane_of(dearer, lane))))
+        for k in range(int(lane_of(group.workspace.length[0], lane))):
+            for i in range(2):
+                turn = lane_of(rival[k, BODY + i], lane) - lane_of(states[k, BODY + i], lane)
+                turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+                apart[begin + k, i] = share * turn
 
 
 @merged
@@ -150,9 +218,10 @@ def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    settle(whole, group, n, max_iterations, tolerance, as_variable(True))
+    settle(whole, group, n, max_iterations, tolerance, as_variable(True), as_variable(False))
     better = ended[COST] < cost
-    keep_better(n, better, states, before, states)
+    swap(n, negate(better), before, states)
+    keep_rival(n, cost < math.inf, choose(better, cost, ended[COST]), before, states, workspace)
     for i in range(N):
         start[0, i] = choose(better, start[0, i], first[i])
     ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
@@ -215,9 +284,11 @@ def solve_group(
     """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, most, search = group.workspace, options.max_iterations, options.search
+    ended = workspace.ended
     length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
     copy_rows(0, n, states, workspace.before)
-    settle(whole, group, n, most, tolerance, search)
+    ended[RIVAL_COST] = 0.0 * length + math.inf
+    settle(whole, group, n, most, tolerance, search, as_variable(gait is None))
     if gait is not None:
         # That was without couplings: from there both the modes and the states are found.
         put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
@@ -226,10 +297,13 @@ def solve_group(
             last = left == 0
             tolerance = options.tolerance if last else options.on_the_way
             renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
-            settle(whole, group, n, most, tolerance, search)
+            # What rivals cost with other couplings is no longer their cost.
+            ended[RIVAL_COST] = choose(ended[RIVAL_COST] < math.inf, 1e300, math.inf)
+            settle(whole, group, n, most, tolerance, search, last)
             if searched:
                 improve(whole, group, n, most, tolerance)
-    note(tracks, workspace.ended, result)
+    note(tracks, ended, result)
+    note_rivals(whole, group, result.apart)
     find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
     if gait is not None:
         add_glance_variance(n, group.modes.held, gait, group.covariance)
@@ -300,7 +374,7 @@ def _for_lanes(memory: Any) -> Any:
 
 @inner_allocating
 def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
-    """The arrays as the kernels see them; whoever calls keeps the arrays."""
+    """The arrays as the kernels see them; the caller keeps the arrays alive."""
     own = Problem(
         lane_records(arrays.frames, problem.records),
         problem.shared,
@@ -329,6 +403,7 @@ def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
         memory.kept,
         lane_array(memory.again),
         lane_array(memory.before),
+        lane_array(memory.rival),
     )
     states, covariance = lane_array(arrays.states), lane_array(arrays.covariance)
     return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays.modes))
@@ -498,6 +573,7 @@ def solve_packed(
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     if calibration is not None:
         calibrate_tracks(result.covariance, result.states, packed.offsets, packed.t, calibration)
+    admit_rivals(result.covariance, result.apart)
     return result
 
 

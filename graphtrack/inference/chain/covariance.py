@@ -347,3 +347,25 @@ def calibrate_tracks(
         for k in range(first, last + 1):
             ends[k] = min(t[k] - t[first], t[last] - t[k])
     calibrate(covariances, states, ends, calibration)
+
+
+@compiled
+def admit_rivals(covariances: FloatArray, apart: FloatArray) -> None:
+    """Add to covariances (n, 6, 6), in place, what another basin about as likely as the estimates' adds.
+
+    ``apart`` (n, 2): turns of body and head to it, times the root of its probability, of which the squares
+    are the mean squares about the estimates.
+    """
+    for k in range(len(covariances)):
+        if apart[k, 0] == 0.0 and apart[k, 1] == 0.0:
+            continue
+        covariance = covariances[k]
+        for i in range(2):
+            for j in range(2):
+                covariance[BODY + i, BODY + j] += apart[k, i] * apart[k, j]
+        for place in (BODY, HEAD):
+            variance = covariance[place, place]
+            if variance > UNIFORM_STD**2:
+                for i in range(N):
+                    covariance[place, i] *= UNIFORM_STD / math.sqrt(variance)
+                    covariance[i, place] *= UNIFORM_STD / math.sqrt(variance)

@@ -273,7 +273,7 @@ def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArra
         n, t, here = b - a, seen.t[a:b], states[a:b]
         solve_linear(linear, track, here, spread, memory)
         heading = angles[0, :n]
-        # Whoever stands has a path whose direction may go all around.
+        # The path of a standing person may point in any direction.
         if headings(here, max(seen.moving, SLOW), heading) == 0:
             headings(here, seen.moving, heading)
         for place, vectors, row in ((BODY, seen.body, 1), (HEAD, seen.head, 2)):
@@ -356,4 +356,4 @@ def empty_result(packed: PackedTracks) -> Result:
     n, m = len(packed.records), len(packed.tracks)
     steps, status = np.zeros((2, m), np.int64)
     states, covariance, modes = np.zeros((n, 6)), np.empty((n, 6, 6)), np.full((n, 3), np.nan)
-    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes)
+    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes, np.zeros((n, 2)))

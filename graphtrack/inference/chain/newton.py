@@ -31,16 +31,17 @@ class Workspace(NamedTuple):
     trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
     scratch: FloatArray  # (4, 6, 6) gradients of two frames, their Hessians, and the transition
     start: FloatArray  # (2, 6) the state of the first frame where the descent began, and where another did
-    ended: FloatArray  # (5,) first cost, cost, number of steps, how it ended, whether factored exactly
+    ended: FloatArray  # (6,) first cost, cost, steps, how it ended, whether factored exactly, cost of a rival
     length: FloatArray  # (1,) number of frames, beyond which a lane has no terms
     message: FloatArray  # (n, 7, 6) Hessian and gradient of each frame, those before eliminated; or (0, 7, 6)
     factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
     kept: NDArray[np.int64]  # (2,) the first frames, so many, are as they were factored; whether any may be
     again: FloatArray  # (n, 6) states in another basin
     before: FloatArray  # (n, 6) states to go back to
+    rival: FloatArray  # (n, 6) the states of the best basin that lost a comparison
 
 
-FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)  # Places in `Workspace.ended`
+FIRST_COST, COST, STEPS, STATUS, EXACT, RIVAL_COST = range(6)  # Places in `Workspace.ended`
 
 
 @allocating
@@ -55,11 +56,12 @@ def workspace(n: int) -> Workspace:
         np.empty((n, 4)),
         np.empty((4, N, N)),
         np.empty((2, N)),
-        np.empty(5),
+        np.empty(6),
         np.full(1, float(n)),
         np.empty((0, N + 1, N)),
         np.empty((0, N)),
         np.zeros(2, np.int64),
+        np.empty((n, N)),
         np.empty((n, N)),
         np.empty((n, N)),
     )
@@ -343,6 +345,7 @@ class Result(NamedTuple):
     modes: (
         FloatArray  # (N, 3) probability of an aligned body, its offset from the motion, and that of a glance
     )
+    apart: FloatArray  # (N, 2) what another basin adds to the deviations of body and head, in radians
 
 
 CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2  # How a descent ended

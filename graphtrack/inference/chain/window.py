@@ -42,7 +42,7 @@ _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """What the next observation reads of the last solution; a row for each frame."""
 _OF_FRAMES = ("body_heights", "head_heights", "states", *_FACTORISATION)
 _OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
-"""The arrays of a slot that move with a window: those with a row for each frame, beside its records, and
+"""The arrays of a slot that move with a window: those with a row for each frame, its records left out, and
 others."""
 
 _LEAST_FRAMES = 64

@@ -110,6 +110,7 @@ def memory_in(windows: Windows, slot: int, begin: int, memory: Workspace) -> Wor
         memory.kept,
         memory.again,
         memory.before,
+        memory.rival,
     )
 
 

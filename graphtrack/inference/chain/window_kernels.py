@@ -1,6 +1,6 @@
 """The sliding windows of the online chain engine: one call takes an observation of each of many people.
 
-Windows do not depend on each other: results are the same whoever is taken together.
+Windows do not depend on each other: results do not depend on which windows are solved together.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ from graphtrack.model.terms.position import CAUCHY
 
 _FAR = 0.5  # Radians beyond which a first guess is not better than that nothing turns
 _MOVED, _TURNED = 1e-2, 2e-3
-"""Metres or m/s, and radians, up to which a frame that has moved is not factored anew."""
+"""Metres or m/s, and radians, up to which a frame that has moved is not factored again."""
 _STILL = 1e-9  # All of these, up to which the frames before one that has moved do not follow it
 
 _RUN, _LONGEST_RUN = 3, 10
@@ -112,7 +112,7 @@ def solve_window(
     cost, exact = ended[COST], ended[EXACT] > 0.0
     again = np.empty((last + 1, N))
     if is_astray(problem, track, states):
-        # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
+        # The loss is not convex: a track that followed false positions may have to be searched for elsewhere.
         if kept > 0:
             kept = 0
             cost = cost_of(problem, track, n, states, memory)
@@ -132,7 +132,7 @@ def solve_window(
         cost, exact = move_if_less(
             problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
         )
-    if unwind(problem, track, n, states, memory):
+    if unwind(problem, track, n, states, 0.0, memory):
         assign(again, memory.again[:n])
         if kept > 0:
             cost = cost_of(problem, track, n, states, memory)

@@ -67,7 +67,7 @@ class _View:
         here = self._here(states)
         memory = workspace(len(here))
         memory.length[0] = len(here)
-        return self._there(memory) if unwind(self._problem, 0, len(here), here, memory) else None
+        return self._there(memory) if unwind(self._problem, 0, len(here), here, 0.0, memory) else None
 
     def _there(self, memory: Workspace) -> FloatArray:
         """The other states that the memory holds, in the world's frame."""

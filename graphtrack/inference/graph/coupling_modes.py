@@ -23,7 +23,7 @@ from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
 
 _LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
-_RECOUPLED = 0.01  # Share by which what the modes set has to change for a step's factors to be evaluated anew
+_RECOUPLED = 0.01  # Relative change of a coupling from which a step's factors are evaluated again
 _REST = 0.5  # Seconds for which basins are not searched after a descent that led nowhere better
 _SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # Of the descent in another basin
 

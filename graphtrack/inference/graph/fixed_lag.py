@@ -79,8 +79,8 @@ class FixedLag:
         self._newest = self._solve(replace(before, steps=steps, values=values, anchor=anchor))
 
     def recouple(self, steps: Sequence[Step]) -> None:
-        """Evaluate the couplings of some steps anew."""
-        if steps:  # all are linearised anew
+        """Evaluate the couplings of some steps again."""
+        if steps:  # all are linearised again
             self._newest = None
 
     def settled(self) -> Newest:

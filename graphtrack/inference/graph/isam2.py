@@ -119,7 +119,7 @@ class Isam2:
         self._slide()
 
     def recouple(self, steps: Sequence[Step]) -> None:
-        """Evaluate the couplings of some steps anew, with one update if there are any."""
+        """Evaluate the couplings of some steps again, with one update if there are any."""
         if not steps:
             return
         self._build_waiting()
@@ -227,7 +227,7 @@ class Isam2:
         self._custom[first.index] = {i: factor for i, factor in own.items() if there.exists(i)}
 
     def _build_waiting(self) -> None:
-        """Begin anew with a window that waits for it; if its factors raise, it goes on waiting."""
+        """Begin again with a window that waits for it; if its factors raise, it goes on waiting."""
         window = self._waiting
         if window is None:
             return

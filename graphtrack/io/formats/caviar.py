@@ -92,7 +92,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     return on_ground(rows.with_notes(foot_note), camera, notes).with_times(options.fps or FPS)
 
 
-def read_boxes(source: Source) -> Rows:
+def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     """The labelled objects in the order of the file, without those whose box is empty.
 
     The channel is ``box`` (n, 4): left, top, width and height in pixels.
@@ -290,8 +290,6 @@ CAVIAR = Format(
     name="caviar",
     description="CAVIAR ground truth (XML)",
     suffixes=(".xml",),
-    looks_like=lambda head, path: (
-        b"<dataset" in head and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
-    ),
     read=read,
+    read_boxes=read_boxes,
 )

@@ -1,23 +1,30 @@
-"""BIWI (ETH) and OpenTraj tables ``frame id x z y vx vz vy``, and splines of UCY crowds (``.vsp``)."""
+"""Crowds in datasets of trajectories: BIWI (ETH) and OpenTraj tables, UCY's splines, and TrajNet++.
+
+Lines of TrajNet++ are JSON objects, a ``scene`` or a position of a ``track`` (Kothari et al. 2021).
+"""
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, places_beside, rate_to_write
+from graphtrack.io.formats.ndjson import parse_line
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import mostly_numbers, parse_number, read_numbers
+from graphtrack.io.text import parse_number, read_numbers
 from graphtrack.tracks.detections import frames_between
 from graphtrack.tracks.table import Rows
-from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXELS
+from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_METRES, LARGEST_PIXELS, is_number
 
 ANNOTATED_HZ = 2.5
 
@@ -52,7 +59,6 @@ ETH = Format(
     name="eth",
     description="BIWI (ETH) obsmat: frame id x z y vx vz vy",
     suffixes=(),
-    looks_like=lambda head, path: mostly_numbers(head, None, (8,)),
     read=_read_eth,
 )
 
@@ -72,9 +78,7 @@ _OBSTACLES = re.compile(r"\s*\d{1,9}.*number of (line|cylinder) obstacles", re.A
 _WHOLE = {"frame"}
 
 
-def _homography_beside(path: Path) -> tuple[Path, ...]:
-    """Path of the data set's homography."""
-    return (path.parent / "H.txt",)
+_BESIDE = ("H.txt",)  # the data set's homography
 
 
 @dataclass(frozen=True)
@@ -116,13 +120,13 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     given = options.homography
     notes: tuple[str, ...] = ()
     if given is None and options.point_pairs is None and options.calibration is None:
-        (found,) = _homography_beside(source.path)
+        (found,) = places_beside(source.path, _BESIDE)
         if found.is_file():
-            given, notes = found, ("homography from H.txt beside the file",)
+            given, notes = found, ("homography from H.txt next to the file",)
         elif options.metres_per_pixel is None:
             raise InputError(
                 "no homography",
-                "H.txt beside the file, or a homography (row, column → metres)",
+                "H.txt next to the file, or a homography (row, column → metres)",
                 path=source.path,
             )
     if given is None:
@@ -223,7 +227,102 @@ UCY = Format(
     name="ucy",
     description="UCY crowds: splines of control points (.vsp)",
     suffixes=(".vsp",),
-    looks_like=lambda head, path: b"number of splines" in head.split(b"\n", 1)[0].lower(),
     read=_read_ucy,
-    beside=_homography_beside,
+    beside=_BESIDE,
+)
+
+
+_KINDS = ("scene", "track")
+_PREDICTED = "prediction_number"
+_LARGEST = {"f": LARGEST_FRAME, "p": LARGEST_ID, "x": LARGEST_METRES, "y": LARGEST_METRES}
+_PREDICTIONS = "predictions of a scene"
+_TRAJNET_LINE = 'a line {"scene": {…}} or {"track": {"f": frame, "p": person, "x": metres, "y": metres}}'
+
+
+def _read_trajnet(source: Source, options: ReadOptions) -> Rows:
+    """Read positions in metres. Scenes state the frame rate; predictions are refused."""
+    cells: list[list[float]] = []
+    lines: list[int] = []
+    rates: set[float] = set()
+    for number, line in enumerate(source.lines, 1):
+        if not line.strip():
+            continue
+        kind, values = _trajnet_line(source.path, number, line)
+        if kind == "scene":
+            if is_number(values.get("fps")) and values["fps"] > 0.0:
+                rates.add(float(values["fps"]))
+            continue
+        cells.append([_trajnet_number(source.path, number, values, key) for key in _LARGEST])
+        cells[-1].append(float(values.get(_PREDICTED) is not None))
+        lines.append(number)
+    if not cells:
+        raise InputError("no track", _TRAJNET_LINE, path=source.path)
+    table = np.array(cells)
+    frame = table[:, 0].astype(np.int64)
+    rows = Rows(
+        source.path,
+        "trajnet",
+        table[:, 1].astype(np.int64),
+        frame,
+        {"position": table[:, 2:4]},
+        lambda row: lines[row],
+    )
+    rows = rows.keep(table[:, 4] == 0.0, _PREDICTIONS)
+    if options.fps is not None:
+        return rows.with_times(options.fps)
+    if len(rates) != 1:
+        found = "no frame rate in a scene" if not rates else f"scenes of {len(rates)} frame rates"
+        raise InputError(found, "one rate in all scenes, or --fps", path=source.path)
+    step, rate = frames_between(rows.frame), rates.pop()
+    note = f"frame rate {rate * step:g} Hz: the scenes have {rate:g} Hz and the frames step by {step}"
+    return rows.with_notes(note).with_times(rate * step)
+
+
+def _trajnet_line(path: Path, number: int, line: str) -> tuple[str, dict[str, Any]]:
+    """Kind and values of a line."""
+    try:
+        pairs = parse_line(line)
+    except InputError as error:
+        raise InputError(error.found, _TRAJNET_LINE, path=path, line=number, column=error.column) from error
+    if len(pairs) == 1 and pairs[0][0] in _KINDS and isinstance(pairs[0][1], tuple):
+        return pairs[0][0], dict(pairs[0][1])
+    raise InputError(repr(line.strip()[:60]), _TRAJNET_LINE, path=path, line=number)
+
+
+def _trajnet_number(path: Path, line: int, values: dict[str, Any], key: str) -> float:
+    value: Any = values.get(key)
+    is_integer = key in ("f", "p")
+    if is_number(value) and abs(value) <= _LARGEST[key] and not (is_integer and value != int(value)):
+        return float(value)
+    kind = "an integer" if is_integer else "metres"
+    expected = f"{kind} within ±{_LARGEST[key]:g}"
+    raise InputError(repr(value)[:60], expected, path=path, line=line, column=key)
+
+
+def _write_trajnet(tracks: TrackSet, path: Path) -> None:
+    """Write positions, and a scene for each track, from its first frame with a position to its last."""
+    rate = rate_to_write(tracks, path)
+    known = [np.isfinite(track.position).all(axis=1) for track in tracks]
+    frames = [track.frame[some] for track, some in zip(tracks, known, strict=True)]
+    fps = rate / frames_between(np.concatenate(frames)) if any(map(len, frames)) else rate
+    positions = sorted(
+        (frame, track.track_id, *place)
+        for track, some in zip(tracks, known, strict=True)
+        for frame, place in zip(track.frame[some].tolist(), track.position[some].tolist(), strict=True)
+    )
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        for k, (track, own) in enumerate(zip(tracks, frames, strict=True)):
+            if len(own):
+                scene = {"id": k, "p": track.track_id, "s": int(own[0]), "e": int(own[-1]), "fps": fps}
+                stream.write(json.dumps({"scene": scene}) + "\n")
+        for values in positions:
+            stream.write(json.dumps({"track": dict(zip(_LARGEST, values, strict=True))}) + "\n")
+
+
+TRAJNET = Format(
+    name="trajnet",
+    description="TrajNet++: scenes and positions, a JSON object a line",
+    suffixes=(".trajnet.ndjson",),
+    read=_read_trajnet,
+    write=_write_trajnet,
 )

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, places_beside
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source, mostly
+from graphtrack.io.source import Source
 from graphtrack.io.text import Numbers, parse_number, read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_ID
@@ -32,20 +32,8 @@ _OXTS_COLUMNS = 30
 _EARTH_RADIUS = 6378137.0  # metres; the devkit's, of the WGS 84 ellipsoid at the equator
 
 
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether the lines are two numbers, a word and fourteen or fifteen more numbers."""
-
-    def matches(line: str) -> bool:
-        cells = line.split()
-        return len(cells) in (17, 18) and cells[2].isalpha() and parse_number(cells[0]) is not None
-
-    return mostly(head, matches)
-
-
-def beside(path: Path) -> tuple[Path, ...]:
-    """Paths of ego motion and calibration: the labels' name in folders next to theirs."""
-    root, name = path.absolute().parent.parent, path.name.removesuffix(".gz")
-    return root / "oxts" / name, root / "calib" / name
+BESIDE = ("../oxts/{name}", "../calib/{name}")
+"""Ego motion and calibration: the labels' name in folders next to theirs."""
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
@@ -70,7 +58,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         row = int(kept[np.argmax(identity[kept] < 0)])
         raise labels.fail(row, 1, "an id from 0: these are detections without identity")
     notes: list[str] = []
-    of_motion, of_sensors = beside(source.path)
+    of_motion, of_sensors = places_beside(source.path.absolute(), BESIDE)
     oxts = _given_or_beside(of_motion, "oxts", options.oxts, source.path, notes)
     calibration = _given_or_beside(of_sensors, "ego_calibration", options.ego_calibration, source.path, notes)
     poses = _read_poses(oxts)
@@ -115,7 +103,7 @@ def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:
 def _given_or_beside(
     found: Path, option: str, given: str | Path | None, labels: Path, notes: list[str]
 ) -> Path:
-    """The path that was given, or the one that was ``found`` beside the labels."""
+    """The path that was given, or the one that was ``found`` next to the labels."""
     if given is not None:
         return Path(given)
     if not found.is_file():
@@ -180,7 +168,6 @@ KITTI = Format(
     name="kitti",
     description="KITTI tracking labels with ego motion and calibration",
     suffixes=(),
-    looks_like=looks_like,
     read=read,
-    beside=beside,
+    beside=BESIDE,
 )

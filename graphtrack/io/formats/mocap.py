@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.recognition import MOCAP_COLUMNS
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_SECONDS
 
-_NEEDED = ("clip", "frame", "t_s", "x_m", "y_m", "shoulder_yaw_rad", "head_yaw_rad")
 _LARGEST_YAW = 1e4
-
-
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether the first line names the columns of a motion-capture table."""
-    cells = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].strip().split(b",")
-    return {name.encode() for name in _NEEDED} <= set(cells)
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
@@ -33,7 +25,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     """
     lines = source.lines
     header = lines[0].split(",")
-    for name in _NEEDED:
+    for name in MOCAP_COLUMNS:
         if name not in header:
             raise InputError("no such column", f"a column {name}", path=source.path, line=1, column=name)
     clip_column = header.index("clip")
@@ -83,6 +75,5 @@ MOCAP = Format(
     name="mocap",
     description="motion-capture table, a clip a track",
     suffixes=(),
-    looks_like=looks_like,
     read=read,
 )

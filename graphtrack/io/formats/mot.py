@@ -1,20 +1,27 @@
-"""MOTChallenge text: ``frame,id,left,top,width,height,confidence,x,y,z``."""
+"""MOTChallenge text: ``frame,id,left,top,width,height,confidence,x,y,z``.
+
+Frames of MOT text are numbered from 1, and programs such as TrackEval refuse a frame 0. A table whose frames
+begin at 0 is therefore written with one added to each, and its last column, z, is ``-0`` in place of ``0``:
+zero metres to every reader, and to this one the mark by which rows get their frames again.
+"""
 
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import PERSON_HEIGHT, placed_boxes, with_scores
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, places_beside
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import Numbers, mostly_numbers, read_numbers
+from graphtrack.io.text import Numbers, read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_ID, LARGEST_LIKELIHOOD, LARGEST_PIXELS
@@ -43,9 +50,15 @@ _CLASSES = (
 """The classes 1, 2, … of ground truth with nine columns (MOT16 and later)."""
 
 
-def beside(path: Path) -> tuple[Path, ...]:
-    """Paths of the file with a sequence's frame rate."""
-    return path.parent / "seqinfo.ini", path.parent.parent / "seqinfo.ini"
+FROM_ZERO = "-0"
+"""In the last column: the row's frame is one less in the table from which it was written."""
+
+SHIFTED = "frames are those of the table from which it was written, numbered from 0 (-0 in the last column)"
+"""Note on a file that has that mark in all rows."""
+
+
+BESIDE = ("seqinfo.ini", "../seqinfo.ini")
+"""The file with a sequence's frame rate."""
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
@@ -55,7 +68,8 @@ def read(source: Source, options: ReadOptions) -> Rows:
     nine columns they are class and visibility (ground truth of MOT16 and later). Without metres the foot
     point, the middle of the box's lower edge, is put on the ground by the camera of the options or by a
     scale. A confidence of 0 marks a row to be ignored. Of detections the confidence is the channel
-    ``score``, see `with_scores`. The frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
+    ``score``, see `with_scores`. Frames are those of the file, or of the table from which it was written (see
+    the module). The frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
     """
     rows = read_boxes(source, options)
     fps, note = _frame_rate(source.path, options)
@@ -87,7 +101,9 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     world = _world(table)
     if world is not None:
         channels["position"] = world
-    rows = Rows(source.path, "mot", identity, table.integers(0), channels, table.line_of)
+    frame, from_zero = table.integers(0), _counted_from_zero(table)
+    notes = (SHIFTED,) if from_zero.all() else ()
+    rows = Rows(source.path, "mot", identity, frame - from_zero, channels, table.line_of, notes=notes)
     rows = replace(rows, has_identity=not nobodys)
     if table.values.shape[1] == 9:
         rows = _of_classes(rows, table, options)
@@ -95,6 +111,12 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     if nobodys and (confidence < 0.0).any():  # 0 is a number like any other
         return rows
     return rows.keep(confidence != 0.0, IGNORED)
+
+
+def _counted_from_zero(table: Numbers) -> NDArray[np.bool_]:
+    """Rows (n,) with the mark `FROM_ZERO`."""
+    z = table.values[:, 9] if table.values.shape[1] == 10 else np.ones(len(table.values))
+    return np.signbit(z) & (z == 0.0)
 
 
 def _boxes_of(table: Numbers) -> FloatArray:
@@ -135,7 +157,7 @@ def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
 def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
     if options.fps is not None:
         return options.fps, ()
-    for info in beside(path):
+    for info in places_beside(path, BESIDE):
         if info.is_file():
             text = Source.open(info).text
             rate, width, height = (_setting(text, name) for name in ("frameRate", "imWidth", "imHeight"))
@@ -156,27 +178,36 @@ def write(tracks: TrackSet, path: Path) -> None:
 
     With a camera the box is that of a person 1.7 m tall and 0.41 times as wide whose foot point is the
     position; 1.7 m are as many pixels upwards as sideways on the ground, so the homography is enough.
-    Without a camera, or behind it, the box is −1, −1, −1, −1. Frames and ids are those of the tracks.
+    Without a camera, or behind it, the box is −1, −1, −1, −1. Ids are those of the tracks; frames too, unless
+    they begin at 0 (see the module).
+
+    Warns
+    -----
+    InputWarning
+        If the frames begin at 0, and are written as one more.
     """
-    lines = []
-    for track in tracks:
-        if track.track_id < 0:
-            raise InputError(f"track id {track.track_id}", "ids from 0 in MOT text")
-        lines.extend(_lines(track, _boxes(track, tracks)))
+    negative = next((track.track_id for track in tracks if track.track_id < 0), None)
+    if negative is not None:
+        raise InputError(f"track id {negative}", "ids from 0 in MOT text")
+    first = min((int(track.frame[0]) for track in tracks), default=1)
+    if first < 0:
+        raise InputError(f"frame {first}", "frames from 0 in MOT text")
+    if first == 0:
+        note = "frames begin at 0, and at 1 in MOT text: each is written as one more"
+        warnings.warn(note, InputWarning, stacklevel=2)
+    lines = [line for track in tracks for line in _lines(track, _boxes(track, tracks), first == 0)]
     lines.sort(key=lambda line: line[:2])
     with path.open("w", encoding="ascii", newline="\n") as stream:
         stream.writelines(text + "\n" for _, _, text in lines)
 
 
-def _lines(track: Track, boxes: FloatArray) -> list[tuple[int, int, str]]:
+def _lines(track: Track, boxes: FloatArray, from_zero: bool) -> list[tuple[int, int, str]]:
     result = []
     for frame, box, position in zip(track.frame.tolist(), boxes, track.position, strict=True):
         if np.isfinite(position).all():
             cells = [repr(float(value)) for value in (*np.round(box, 3), 1.0, *position)]
-            text = ",".join(
-                [str(frame), str(track.track_id), *(cell.removesuffix(".0") for cell in cells), "0"]
-            )
-            result.append((frame, track.track_id, text))
+            cells = [str(frame + from_zero), str(track.track_id), *(one.removesuffix(".0") for one in cells)]
+            result.append((frame, track.track_id, ",".join([*cells, FROM_ZERO if from_zero else "0"])))
     return result
 
 
@@ -203,9 +234,8 @@ MOT = Format(
     name="mot",
     description="MOTChallenge text: frame,id,left,top,width,height,confidence,x,y,z",
     suffixes=(".txt",),
-    looks_like=lambda head, path: mostly_numbers(head, ",", range(7, 11)),
     read=read,
     write=write,
-    beside=beside,
+    beside=BESIDE,
     read_boxes=read_boxes,
 )

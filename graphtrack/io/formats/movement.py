@@ -1,4 +1,4 @@
-"""Datasets of the package movement (extra ``movement``) and their netCDF files."""
+"""Datasets of the package movement, their netCDF files, and files that movement reads (extra ``poses``)."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,8 @@ from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, plac
 from graphtrack.io.cells import numbered_names
 from graphtrack.io.foreign_tables import numbered_times
 from graphtrack.io.format import Format, steady_rate
-from graphtrack.io.options import METRES, Layout, ReadOptions
+from graphtrack.io.options import METRES, Layout, Reading, ReadOptions
+from graphtrack.io.recognition import CLASSIC, HDF5
 from graphtrack.io.source import Source
 from graphtrack.packages import package
 from graphtrack.tracks.display import listed
@@ -29,6 +32,9 @@ from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale, from_dates
 from graphtrack.tracks.track import TrackSet
 from graphtrack.tracks.validation import FIELDS, INPUT, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
+
+if TYPE_CHECKING:
+    import xarray
 
 TIME, SPACE, KEYPOINTS, INDIVIDUALS = "time", "space", "keypoints", "individuals"
 
@@ -43,13 +49,15 @@ FURTHER: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "covariance": ("state", "other_state"),
     }
 )
-"""Attribute of a `Track` → dimensions of its variable beside time and individuals; names are the same."""
+"""Attribute of a `Track` → dimensions of its variable other than time and individuals; names are the same."""
 
 LENGTHS = ("position_std", "velocity", "true_position")
 """Variables in the unit of the positions, or that a second."""
 
 HAS_ROW = "has_row"
 """Variable (time, individuals) that says where a track has a row, where rows without a position are some."""
+
+PARTIAL = "with a part of what gives a position"
 
 SPACE_UNITS = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "m"),
@@ -258,6 +266,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     both = np.isfinite(standing).all(axis=-1, keepdims=True)
     channels["pixel" if in_image else "position"] = np.where(both, standing, np.nan)
     kept = read.has_row(channels)
+    n_partial = int((np.isfinite(points).any(axis=(-2, -1)) & ~kept).sum())
     people, steps = np.nonzero(kept)
     if not len(people):
         raise read.fail("nobody who is anywhere", "at least one position")
@@ -271,6 +280,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
         {**given, "t": t[steps]},
         lambda row: int(steps[row]) + 1,
         names_of | read.labels(ids),
+        refused={PARTIAL: n_partial} if n_partial else {},
         notes=tuple(notes),
         as_read=AsRead(time=time, names=names_of),
     )
@@ -441,7 +451,7 @@ class _Reading:
         return found, ignored
 
     def _further(self, name: str) -> tuple[str, ...] | None:
-        """The dimensions of a variable beside those of all; None where it is none of a track."""
+        """The dimensions of a variable other than those of all; None where it is none of a track."""
         dims = [str(one) for one in self.dataset[name].dims]
         if KEYPOINTS in dims and self.dataset.sizes[KEYPOINTS] == 1:
             dims.remove(KEYPOINTS)
@@ -469,7 +479,7 @@ _COORDINATES = {"image": ["u", "v"], "state": list(STATE), "other_state": list(S
 _STD = "std"
 
 
-def from_movement(dataset: Any, **options: Any) -> TrackSet:
+def from_movement(dataset: Any, **options: Unpack[Reading]) -> TrackSet:
     """Tracks from a dataset of the package movement.
 
     A person's position is a pair of keypoints' middle (hips, or ankles where a camera sees them), body and
@@ -486,11 +496,11 @@ def from_movement(dataset: Any, **options: Any) -> TrackSet:
     InputError
         For what is none, and for options that are missing.
     """
-    rows = rows_of_dataset(dataset, ReadOptions(**options), Path("dataset"))
+    rows = rows_of_dataset(dataset, ReadOptions.named(**options), Path("dataset"))
     return TrackSet.from_identified_rows(rows)
 
 
-def to_movement(tracks: TrackSet) -> Any:
+def to_movement(tracks: TrackSet) -> xarray.Dataset:
     """A dataset of the package movement: poses of one keypoint, metres and seconds.
 
     Each attribute of a `Track` is a data variable of its name: ``body`` and ``head`` in radians,
@@ -507,7 +517,7 @@ def to_movement(tracks: TrackSet) -> Any:
     InputError
         If the package xarray is not there.
     """
-    xarray = package("xarray", EXTRA)
+    xr = package("xarray", EXTRA)
     moments, places = _steps(tracks)
     grid = _Grid(tracks, places, len(moments))
     names = {} if tracks.as_read is None else tracks.as_read.names
@@ -554,7 +564,7 @@ def to_movement(tracks: TrackSet) -> Any:
     if any(track.label != names.get(track.track_id, "") for track in tracks):
         coordinates["label"] = (INDIVIDUALS, np.array([track.label for track in tracks], dtype=object))
     coordinates |= {name: values for name, values in _COORDINATES.items() if name in further_dims}
-    return xarray.Dataset(variables, coordinates, attributes)
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _steps(tracks: TrackSet) -> tuple[list[tuple[float, int]], list[NDArray[np.int64]]]:
@@ -590,17 +600,56 @@ class _Grid:
         return found
 
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_CLASSIC = (b"CDF\x01", b"CDF\x02")
+DEEPLABCUT, SLEAP = "DeepLabCut", "SLEAP"
+"""Names by which `movement.io.load_dataset` knows the software of a file."""
+
+_OF_SLEAP, _OF_DLC = {"tracks", "node_names"}, {"df_with_missing"}  # what is in their HDF5 files
+
+
+def software_of(source: Source) -> str | None:
+    """The software that wrote a file of poses, as movement calls it; None: the file is a dataset."""
+    if not source.data.startswith(HDF5):
+        return None if source.data.startswith(CLASSIC) else DEEPLABCUT
+    try:
+        with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
+            names = set(file)
+    except (OSError, RuntimeError, ValueError):  # damaged: as a dataset it is told how
+        return None
+    return SLEAP if names >= _OF_SLEAP else DEEPLABCUT if names >= _OF_DLC else None
+
+
+def _by_movement(source: Source, software: str) -> Any:
+    """The dataset that movement makes of a file of another software."""
+    try:
+        movement = import_module("movement.io")
+    except ImportError as error:
+        raise InputError(
+            f"a file of {software}, and no package movement",
+            "pip install 'graphtrack[poses]', or a file that it made where it is installed: "
+            f"movement.io.load_dataset(FILE, source_software='{software}').to_netcdf('tracks.nc')",
+            path=source.path,
+        ) from error
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / ("poses.h5" if source.data.startswith(HDF5) else "poses.csv")
+        file.write_bytes(source.data)
+        try:
+            return movement.load_dataset(file, source_software=software).load()
+        except Exception as error:  # what movement and pandas say of files that are none is of many kinds
+            said = " ".join(str(error).replace(str(file), "it").split()) or type(error).__name__
+            found = f"a file of {software} that movement cannot read ({said[:200]})"
+            raise InputError(found, "a whole one", path=source.path) from error
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
-    """Read a dataset; see `rows_of_dataset`."""
-    xarray = package("xarray", EXTRA)
-    engine = "scipy" if source.data.startswith(_CLASSIC) else "h5netcdf"
+    """Read a dataset, or a file of DeepLabCut or SLEAP of which movement makes one; see `rows_of_dataset`."""
+    software = software_of(source)
+    if software is not None:
+        return rows_of_dataset(_by_movement(source, software), options, source.path)
+    xr = package("xarray", EXTRA)
+    engine = "scipy" if source.data.startswith(CLASSIC) else "h5netcdf"
     if engine == "h5netcdf":
         _check_packages()
-    return rows_of_dataset(_loaded(xarray, source, engine), options, source.path)
+    return rows_of_dataset(_loaded(xr, source, engine), options, source.path)
 
 
 def _check_packages() -> None:
@@ -608,14 +657,14 @@ def _check_packages() -> None:
         package(name, EXTRA)
 
 
-def _loaded(xarray: Any, source: Source, engine: str) -> Any:
+def _loaded(xr: Any, source: Source, engine: str) -> Any:
     try:
         if engine == "h5netcdf":
             # Which complains once more, at its end, of a file that cannot be opened.
             with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
                 file.visititems(lambda name, item: list(item.attrs) and None)
                 list(file.attrs.items())
-        with xarray.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
+        with xr.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
             return dataset.load()
     except Exception as error:  # what HDF5 says of files that are none is of many kinds
         said = " ".join(str(error).split()) or type(error).__name__
@@ -632,9 +681,8 @@ def write(tracks: TrackSet, path: Path) -> None:
 
 MOVEMENT = Format(
     name="movement",
-    description="netCDF of the package movement (extra movement)",
+    description="netCDF of the package movement (extra movement); DeepLabCut and SLEAP (extra poses)",
     suffixes=(".nc",),
-    looks_like=lambda head, path: head.startswith((_HDF5, *_CLASSIC)),
     read=read,
     write=write,
     takes=("columns", "units"),

@@ -31,13 +31,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def _looks_like_csv(head: bytes, path: Path) -> bool:
-    """Return whether the first line names at least two columns of the native table."""
-    first = head.removeprefix(b"\xef\xbb\xbf").lstrip().split(b"\n", 1)[0].decode("utf-8", errors="replace")
-    cells = {cell.strip().strip('"') for cell in first.split(",")}
-    return len(cells & set(NAMES)) >= 2
-
-
 _SMALL = 200_000  # characters that are read before pyarrow would be imported
 
 
@@ -53,7 +46,7 @@ def _read_csv(source: Source, options: ReadOptions) -> Rows:
     rows = from_columns(
         columns, path=source.path, format="csv", fps=options.fps, line_of=line_of, ignored=ignored
     )
-    return place_pixels(rows, options)
+    return place_pixels(rows, options) if "pixel" in rows.channels else rows
 
 
 def _header(source: Source) -> list[str]:
@@ -194,7 +187,6 @@ CSV = Format(
     name="csv",
     description="native table as CSV (also gzipped)",
     suffixes=(".csv", ".csv.gz"),
-    looks_like=_looks_like_csv,
     read=_read_csv,
     write_columns=write_csv_columns,
 )
@@ -226,7 +218,7 @@ def _read_parquet(source: Source, options: ReadOptions) -> Rows:
         line_of=lambda row: row + 1,
         ignored=ignored,
     )
-    return place_pixels(rows, options)
+    return place_pixels(rows, options) if "pixel" in rows.channels else rows
 
 
 def has_moments(source: Source) -> bool:
@@ -305,7 +297,6 @@ PARQUET = Format(
     name="parquet",
     description="native table as Parquet",
     suffixes=(".parquet", ".pq"),
-    looks_like=lambda head, path: head.startswith(b"PAR1"),
     read=_read_parquet,
     write_columns=_write_parquet_columns,
 )

@@ -23,7 +23,7 @@ from graphtrack.errors import InputError
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source, mostly
+from graphtrack.io.source import Source
 from graphtrack.tracks.schema import (
     INTEGERS,
     NO_CLASS,
@@ -362,7 +362,6 @@ NDJSON = Format(
     name="ndjson",
     description="native table as NDJSON: a JSON object a line (also gzipped)",
     suffixes=(".ndjson", ".jsonl", ".ndjson.gz", ".jsonl.gz"),
-    looks_like=lambda head, path: mostly(head, lambda line: line.startswith("{")),
     read=read,
     write_columns=write_columns,
 )

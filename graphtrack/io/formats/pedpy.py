@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,15 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.format import Format, rate_to_write, times_told
 from graphtrack.io.options import METRES, ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.io.text import read_numbers
 from graphtrack.packages import package
 from graphtrack.tracks.schema import is_column, unknown
 from graphtrack.tracks.table import Rows, frame_of, from_columns, rows_of_table
 from graphtrack.tracks.track import TrackSet, to_columns
 from graphtrack.tracks.validation import LARGEST_ID, check_frame_rate
+
+if TYPE_CHECKING:
+    import pedpy
 
 EXTRA = "pedpy"
 _IDENTITY, _POINT = "id", "point"
@@ -49,8 +52,8 @@ def from_pedpy(trajectory: Any) -> TrackSet:
     return TrackSet.from_identified_rows(replace(rows, format="pedpy"))
 
 
-def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> Any:
-    """A ``pedpy.TrajectoryData``: id, frame, x and y in metres, and beside them the native table's columns.
+def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.TrajectoryData:
+    """A ``pedpy.TrajectoryData``: id, frame, x and y in metres, and in addition the native table's columns.
 
     Rows without a position are left out. Times that frames and rate do not say are kept as the column ``t``.
 
@@ -63,11 +66,11 @@ def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> Any:
     InputError
         If the package pedpy is not there, or the times have no steady rate.
     """
-    pedpy = package("pedpy", EXTRA)
+    module = package("pedpy", EXTRA)
     import pandas as pd
 
     columns, rate = trajectory_columns(tracks, frame_rate=frame_rate)
-    return pedpy.TrajectoryData(data=pd.DataFrame(columns), frame_rate=rate)
+    return module.TrajectoryData(data=pd.DataFrame(columns), frame_rate=rate)
 
 
 def trajectory_columns(
@@ -90,22 +93,6 @@ _UNITS = {
     "cm": re.compile(r"\bx/cm\b|\bin cm\b", re.IGNORECASE),
     "m": re.compile(r"\bx/m\b|\bin m\b", re.IGNORECASE),
 }
-
-
-def _looks_like_text(head: bytes, path: Path) -> bool:
-    """Return whether comments come first, and below them rows of two whole numbers and two numbers."""
-    lines = [line.strip() for line in head.decode("utf-8-sig", errors="replace").split("\n")[:-1]]
-    lines = [line for line in lines if line]
-    rows = [line.split() for line in lines if not line.startswith("#")][:20]
-    if not lines or not lines[0].startswith("#") or not rows:
-        return False
-
-    def matches(cells: list[str]) -> bool:
-        numbers = [parse_number(cell) for cell in cells]
-        known = [number for number in numbers[:4] if number is not None]
-        return 4 <= len(cells) <= 6 and len(known) == 4 and all(float(n).is_integer() for n in known[:2])
-
-    return sum(map(matches, rows)) * 2 > len(rows)
 
 
 def _read_text(source: Source, options: ReadOptions) -> Rows:
@@ -158,14 +145,12 @@ PEDPY = Format(
     name="pedpy",
     description="text of PedPy and the Pedestrian Dynamics Data Archive: id frame x y",
     suffixes=(".pedpy.txt",),
-    looks_like=_looks_like_text,
     read=_read_text,
     write=_write_text,
     takes=("units",),
 )
 
 
-SQLITE = b"SQLite format 3\0"
 _VERSION = 2
 _OWN = {"id": "track_id", "frame": "frame", "pos_x": "x", "pos_y": "y"}
 _FACING = ("ori_x", "ori_y")
@@ -174,11 +159,11 @@ _WITH_A_LOG = 2
 
 
 def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
-    """Read positions, and where agents point as the body; and native columns beside them."""
+    """Read positions, and where agents point as the body; and native columns in addition."""
     data = source.data
     if data[18:19] == bytes([_WITH_A_LOG]):
         raise InputError(
-            "a database whose changes may lie beside it", "one that its writer has closed", path=source.path
+            "a database whose changes may lie next to it", "one that its writer has closed", path=source.path
         )
     try:
         with closing(sqlite3.connect(":memory:")) as connection:
@@ -316,7 +301,6 @@ JUPEDSIM = Format(
     name="jupedsim",
     description="trajectories of JuPedSim (SQLite)",
     suffixes=(".sqlite",),
-    looks_like=lambda head, path: head.startswith(SQLITE),
     read=_read_jupedsim,
     write=_write_jupedsim,
 )

@@ -62,13 +62,6 @@ def _is_rotation(quaternion: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((length > 0.0) & np.isfinite(length))
 
 
-def quaternion_of(yaw: FloatArray) -> FloatArray:
-    """Quaternions (n, 4) of rotations about the vertical by (n,) radians; no rotation for NaN."""
-    half = np.nan_to_num(np.asarray(yaw, dtype=float)) / 2.0
-    none = np.zeros_like(half)
-    return np.stack([none, none, np.sin(half), np.cos(half)], axis=-1)
-
-
 def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
     """The quaternions (n, 4) of turning by the second, then by the first."""
     known = _is_rotation(second)
@@ -128,14 +121,11 @@ IDS = "hri_msgs/msg/IdsList"
 GAZE = "hri_msgs/msg/Gaze"
 GROUP = "hri_msgs/msg/Group"
 MARKERS = "visualization_msgs/msg/MarkerArray"
-SCENE = "foxglove_msgs/msg/SceneUpdate"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TEXT = "std_msgs/msg/String"
 
 OF_PEOPLE = (PEOPLE, DETECTIONS, POSES, POSE, POSE_WITH_COVARIANCE, IDS)
 """Types of the topics that say where people are."""
-
-_PRIMITIVE = "foxglove_msgs/Color color"
 
 FIELDS: Mapping[str, str] = {
     PEOPLE: "std_msgs/Header header; people_msgs/Person[] people",
@@ -151,32 +141,6 @@ FIELDS: Mapping[str, str] = {
     IDS: "std_msgs/Header header; string[] ids",
     GAZE: "std_msgs/Header header; string sender; string receiver",
     GROUP: "std_msgs/Header header; string group_id; string[] members",
-    SCENE: "foxglove_msgs/SceneEntityDeletion[] deletions; foxglove_msgs/SceneEntity[] entities",
-    "foxglove_msgs/msg/SceneEntityDeletion": "uint8 MATCHING_ID=0; uint8 ALL=1; "
-    "builtin_interfaces/Time timestamp; uint8 type; string id",
-    "foxglove_msgs/msg/SceneEntity": "builtin_interfaces/Time timestamp; string frame_id; string id; "
-    "builtin_interfaces/Duration lifetime; bool frame_locked; foxglove_msgs/KeyValuePair[] metadata; "
-    "foxglove_msgs/ArrowPrimitive[] arrows; foxglove_msgs/CubePrimitive[] cubes; "
-    "foxglove_msgs/SpherePrimitive[] spheres; foxglove_msgs/CylinderPrimitive[] cylinders; "
-    "foxglove_msgs/LinePrimitive[] lines; foxglove_msgs/TriangleListPrimitive[] triangles; "
-    "foxglove_msgs/TextPrimitive[] texts; foxglove_msgs/ModelPrimitive[] models",
-    "foxglove_msgs/msg/KeyValuePair": "string key; string value",
-    "foxglove_msgs/msg/Color": "float64 r; float64 g; float64 b; float64 a",
-    "foxglove_msgs/msg/ArrowPrimitive": "geometry_msgs/Pose pose; float64 shaft_length; "
-    f"float64 shaft_diameter; float64 head_length; float64 head_diameter; {_PRIMITIVE}",
-    "foxglove_msgs/msg/CubePrimitive": f"geometry_msgs/Pose pose; geometry_msgs/Vector3 size; {_PRIMITIVE}",
-    "foxglove_msgs/msg/SpherePrimitive": f"geometry_msgs/Pose pose; geometry_msgs/Vector3 size; {_PRIMITIVE}",
-    "foxglove_msgs/msg/CylinderPrimitive": "geometry_msgs/Pose pose; geometry_msgs/Vector3 size; "
-    f"float64 bottom_scale; float64 top_scale; {_PRIMITIVE}",
-    "foxglove_msgs/msg/LinePrimitive": "uint8 LINE_STRIP=0; uint8 LINE_LOOP=1; uint8 LINE_LIST=2; "
-    "uint8 type; geometry_msgs/Pose pose; float64 thickness; bool scale_invariant; "
-    f"geometry_msgs/Point[] points; {_PRIMITIVE}; foxglove_msgs/Color[] colors; uint32[] indices",
-    "foxglove_msgs/msg/TriangleListPrimitive": "geometry_msgs/Pose pose; geometry_msgs/Point[] points; "
-    f"{_PRIMITIVE}; foxglove_msgs/Color[] colors; uint32[] indices",
-    "foxglove_msgs/msg/TextPrimitive": "geometry_msgs/Pose pose; bool billboard; float64 font_size; "
-    f"bool scale_invariant; {_PRIMITIVE}; string text",
-    "foxglove_msgs/msg/ModelPrimitive": "geometry_msgs/Pose pose; geometry_msgs/Vector3 scale; "
-    f"{_PRIMITIVE}; bool override_color; string url; string media_type; uint8[] data",
 }
 """Type → its fields, for the types that are not among ROS's own common interfaces."""
 
@@ -330,7 +294,7 @@ def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> l
         if not found:
             raise InputError(f"no topic {asked}", f"one of {_listed(known or topics)}", path=path)
     else:
-        # Whoever recorded what they observed and what was made of it means the former.
+        # A recording of observations and of estimates means the observations.
         found = [name for name in known if not name.startswith(OURS)]
         if not found:
             found = [name for name in (OWN_INPUT,) if name in known] or list(known)

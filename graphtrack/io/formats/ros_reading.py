@@ -30,7 +30,6 @@ from graphtrack.io.formats.ros_bag import (
     Sighting,
     chosen_topics,
     frame_of,
-    is_bag,
     is_of_one,
     kappa_of,
     multiplied,
@@ -477,7 +476,7 @@ class _Columns:
 
 
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
-    """Rows of a recording by the options ``topic``, ``fixed_frame``, ``classes`` and ``beside``."""
+    """Rows of a recording by the options ``topic``, ``fixed_frame`` and ``classes``."""
     with open_bag(path) as bag:
         topics = chosen_topics(bag.topics, options.topic, path)
         kind = bag.topics[topics[0]]
@@ -618,7 +617,6 @@ BAG = Format(
     name="bag",
     description="ROS 2 bag or MCAP: People, Detection3DArray, PoseArray, PoseStamped, IdsList",
     suffixes=(".mcap",),
-    looks_like=lambda head, path: is_bag(path),
     read=lambda source, options: rows_of_bag(source.path, options),
     write=write_mcap,
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 
@@ -11,24 +10,14 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source, mostly
-from graphtrack.io.text import parse_number, read_numbers
+from graphtrack.io.source import Source
+from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_SECONDS
 
 _PERSON = ("ID", "x", "y", "body", "head")
 _ID = re.compile(r"ID_(\d{1,9})", re.ASCII)
 _LARGEST_ANGLE = 1e4
-
-
-def looks_like(head: bytes, path: Path) -> bool:
-    """Return whether the lines are a number followed by ``ID_…``."""
-
-    def matches(line: str) -> bool:
-        cells = line.split(maxsplit=2)
-        return len(cells) > 1 and parse_number(cells[0]) is not None and cells[1].startswith("ID_")
-
-    return mostly(head, matches)
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
@@ -105,6 +94,5 @@ SALSA = Format(
     name="salsa",
     description="SALSA: t, then ID x y body head for each person",
     suffixes=(),
-    looks_like=looks_like,
     read=read,
 )

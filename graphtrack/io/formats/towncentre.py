@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, places_beside
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import mostly_numbers, read_numbers
+from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_ID
 
@@ -21,15 +19,14 @@ FPS = 25.0
 _NAMES = ("frame", "id", "left", "top", "width", "height")
 
 
-def beside(path: Path) -> tuple[Path, ...]:
-    """Path of the camera's calibration."""
-    return (path.parent / "calibration.ci",)
+BESIDE = ("calibration.ci",)
+"""The camera's calibration."""
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes and put their bottom centres on the ground.
 
-    The calibration is the one of the options or ``calibration.ci`` beside the file. The boxes may be
+    The calibration is the one of the options or ``calibration.ci`` next to the file. The boxes may be
     those of an image of half the calibrated size: that is recognised when all of them begin within it, or
     told by ``image_scale``. 25 frames a second unless ``fps`` is given.
     """
@@ -53,9 +50,9 @@ def _camera(
     source: Source, options: ReadOptions, pixel: FloatArray, height: FloatArray
 ) -> tuple[GroundCamera, tuple[str, ...]]:
     camera, notes = known_camera(options, pixel)
-    (found,) = beside(source.path)
+    (found,) = places_beside(source.path, BESIDE)
     if camera is None and options.metres_per_pixel is None and found.is_file():
-        camera, notes = read_calibration(found), ("calibration from calibration.ci beside the file",)
+        camera, notes = read_calibration(found), ("calibration from calibration.ci next to the file",)
     if camera is None:
         return camera_or_scale(options, pixel, height)
     scale, why = _image_scale(options, camera, pixel - np.column_stack([np.zeros_like(height), height]))
@@ -83,8 +80,7 @@ TOWNCENTRE = Format(
     name="towncentre",
     description="Oxford Town Centre boxes: frame,id,left,top,width,height",
     suffixes=(),
-    looks_like=lambda head, path: mostly_numbers(head, ",", (6,)),
     read=read,
-    beside=beside,
+    beside=BESIDE,
     read_boxes=read_boxes,
 )

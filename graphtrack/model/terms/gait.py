@@ -2,7 +2,7 @@
 
 A hidden Markov chain over modes and offsets, for each coupling. A frame's mode is *aligned* (the coupling
 rests near 0), *free* (at an offset that drifts around the circle) or, of heads, a *glance* (at an offset
-within the neck's reach, for a moment; then the mode is drawn anew). A row of probabilities has `BINS`
+within the neck's reach, for a moment; then the mode is redrawn). A row of probabilities has `BINS`
 offsets of the free mode on a grid, then `NEAR` small ones of the aligned mode, then the grid once more, for
 glances.
 """

@@ -66,7 +66,7 @@ def _holds(name: Variable) -> Kernel:
 class HoldsStill(Term):
     """p·λ·(√(δ² + 2·(1 − cos Δ)) − δ) of the turns of body and head from frame to frame: about λ·|Δ|.
 
-    So whoever converses holds still, then turns at once, at any frame rate. p is the probability of a
+    So people in conversation hold still, then turn at once, at any frame rate. p is the probability of a
     conversation. Without the input `GROUP` there is none.
     """
 

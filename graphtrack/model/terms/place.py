@@ -47,7 +47,7 @@ def add_place(
 
 
 class PlacePrior(Term):
-    """People are more likely near a place than elsewhere, or less (`PlaceParameters`), beside all else."""
+    """People are more likely near a place than elsewhere, or less (`PlaceParameters`)."""
 
     repeats = True
     reads = ("place.x", "place.y", "place.radius", "place.strength", "coupling.correlation_time")

@@ -1,4 +1,4 @@
-"""Plots of methods (errors, NEES, reliability diagrams) and of body and head over time."""
+"""Plots of methods (errors, reliability diagrams) and of body and head over time."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, PercentFormatter
+from matplotlib.ticker import FixedLocator, PercentFormatter
 
-from graphtrack.errors import InputError
-from graphtrack.evaluation.metrics import chi_square_band
 from graphtrack.report.content import Records, distinct, records
 from graphtrack.report.lives import Pair, has_angle, observed_angle, pair_track
 from graphtrack.report.style import (
@@ -63,42 +61,6 @@ def plot_errors(comparison: Records) -> Figure:
     return figure
 
 
-def plot_nees(consistency: Records) -> Figure:
-    """Draw the mean normalised estimation error squared (NEES) of each method against its χ² band.
-
-    A method whose covariances are right has a mean NEES equal to the number of dimensions, 95 % of the time
-    within the band; to the right of it the covariances are too small (overconfident), to the left too large.
-
-    Parameters
-    ----------
-    consistency : DataFrame or list of dict
-        With ``method``, ``quantity`` (such as ``position``), ``nees`` (the mean), ``dof`` (dimensions of one
-        error) and ``count`` (how many *independent* errors the mean is over: errors of neighbouring frames
-        are not independent, so count tracks or well-separated frames).
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InputError
-        When there are no rows, a column is missing, or ``dof`` or ``count`` is not positive.
-    """
-    rows = records(consistency, ("method", "quantity"), ("nees", "dof", "count"))
-    for row in rows:
-        for column in ("dof", "count"):
-            if not row[column] > 0.0:
-                raise InputError(f"{row[column]} for {row['method']}", "a positive number", column=column)
-    methods, quantities = distinct(row["method"] for row in rows), distinct(row["quantity"] for row in rows)
-    figure, panels = _panels(len(quantities), len(methods))
-    for axes, quantity in zip(panels, quantities, strict=True):
-        _draw_nees(axes, [row for row in rows if row["quantity"] == quantity], methods)
-        axes.set_title(f"NEES of {_words(quantity)}", loc="left", fontsize=10)
-    figure.supxlabel("← covariance too large      grey: 95 % χ² band      covariance too small →", fontsize=9)
-    return figure
-
-
 def _panels(n_panels: int, n_methods: int) -> tuple[Figure, list[Axes]]:
     columns = min(n_panels, PANELS_A_LINE)
     lines = -(-n_panels // columns)
@@ -135,39 +97,6 @@ def _draw_errors(axes: Axes, rows: list[Mapping[str, Any]], methods: Sequence[st
     # From zero, so that lengths compare; a metric that can be negative keeps its own range.
     if ends and min(ends) >= 0.0:
         axes.set_xlim(0.0, max(ends) * 1.12 or 1.0)
-
-
-def _draw_nees(axes: Axes, rows: list[Mapping[str, Any]], methods: Sequence[str]) -> None:
-    shown: list[float] = []
-    for row in rows:
-        nees, dof = row["nees"], row["dof"]
-        y, (low, high) = methods.index(str(row["method"])), chi_square_band(dof, row["count"])
-        axes.barh(y, high - low, left=low, height=0.4, color="#C9CED6", zorder=1)
-        axes.plot([dof, dof], [y - 0.2, y + 0.2], color=NEUTRAL_COLOUR, linewidth=1.0, zorder=2)
-        shown += [low, high]
-        if np.isfinite(nees) and nees > 0.0:
-            inside = low <= nees <= high
-            colour = quantity_colour(row["quantity"])
-            # Filled inside the band and hollow outside: the verdict does not hang on a colour.
-            axes.plot(
-                nees,
-                y,
-                "o",
-                color=colour,
-                markerfacecolor=colour if inside else "white",
-                markersize=8,
-                markeredgewidth=1.8,
-                zorder=3,
-            )
-            _write_above(axes, nees, y)
-            shown.append(nees)
-    _method_axis(axes, methods)
-    axes.set_xscale("log")
-    axes.set_xlim(min(shown) / 1.5, max(shown) * 1.5)
-    wide = max(shown) / min(shown) > 100.0
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _write_above(axes: Axes, value: float, y: int, align: Literal["left", "center"] = "center") -> None:
@@ -277,7 +206,7 @@ def _draw_angle(axes: Axes, pair: Pair, name: str) -> None:
     angle, std = getattr(estimate, name), estimate.std(name)
     if pair.observation is not None:
         _draw_observed_angle(axes, pair.observation, name, colour)
-    if angle is not None and std is not None:
+    if angle is not None and np.isfinite(std).any():
         for scale, alpha, label in ((NORMAL_95, 0.16, "95 %"), (1.0, 0.26, "±1σ")):
             for i, band in enumerate(angle_bands(*open_holes(estimate.t, angle, scale * std))):
                 axes.fill_between(

@@ -243,7 +243,7 @@ def _aims(
         seconds = frame_seconds(one.t)
         for k, (kind, name) in enumerate(one.targets[:-1]):
             if kind == "person":
-                other = tracks[int(name)]
+                other = tracks.by_id(int(name))
                 _, mine, theirs = np.intersect1d(one.frame, other.frame, return_indices=True)
                 points.append(other.position[theirs])
                 weights.append(one.probability[mine, k] * seconds[mine])

@@ -1,21 +1,18 @@
-"""The scene from above: paths, observations, arrows, uncertainty, gaps; density and flow of people."""
+"""The scene from above: paths, observations, arrows, uncertainty and gaps."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import PowerNorm, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse as EllipsePatch
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.report.lives import Pair, finite_rows, pair_tracks
@@ -31,151 +28,8 @@ from graphtrack.report.style import (
     probability_ellipse,
     tidy,
 )
-from graphtrack.tracks.display import BODY_COLOUR, person_colour
+from graphtrack.tracks.display import person_colour
 from graphtrack.tracks.track import Track, TrackSet
-
-STAYS = 2.0
-"""Metres from a track's first to its last position below which it has no direction of its own."""
-
-DIRECTIONS = ("+x", "+y", "−x", "−y")
-
-_CELLS = 160
-"""Cells along the longer side of the scene."""
-
-
-def plot_crowd(pairs: Sequence[Pair], extent: FloatArray, title: str = "") -> Figure:
-    """A map of the time that people spent under everybody's path, and a small one for each way they went.
-
-    Parameters
-    ----------
-    pairs : the people
-    extent : (2, 2) metres, lower and upper corner of what is drawn
-    title : shown above
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    walks = [_walk(pair) for pair in pairs]
-    groups = _by_direction(walks)
-    figure, main, small = _layout(extent[1] - extent[0], len(groups))
-    _frame(main, extent)
-    main.set_xlabel("x (m)")
-    main.set_ylabel("y (m)")
-    if title:
-        main.set_title(title, loc="left", fontsize=11)
-    seconds = _time_spent(pairs, extent)
-    most = float(seconds.max()) or 1.0
-    norm = PowerNorm(0.5, vmin=0.0, vmax=most)
-    corners = (extent[0, 0], extent[1, 0], extent[0, 1], extent[1, 1])
-    # Where nobody was the page stays white.
-    seen = np.ma.masked_less(seconds, 1e-3 * most)
-    image = main.imshow(
-        seen.T, origin="lower", extent=corners, cmap="YlOrRd", norm=norm, interpolation="bilinear", zorder=1
-    )
-    main.add_collection(
-        LineCollection(walks, colors="#1C2026", linewidths=0.4, alpha=_faint(len(walks)), zorder=2)
-    )
-    bar = figure.colorbar(image, ax=main, shrink=0.8, pad=0.02)
-    bar.set_label("person-seconds a square metre")
-    bar.outline.set_visible(False)
-    for axes, (words, group) in zip(small, groups, strict=True):
-        _draw_group(axes, extent, words, [walks[i] for i in group])
-    return figure
-
-
-def _layout(span: FloatArray, n_small: int) -> tuple[Figure, Axes, list[Axes]]:
-    """A large map and the small ones where the scene leaves room: below a wide one, beside a tall one."""
-    ratio = float(span[1] / span[0])
-    if ratio < 0.75:
-        rows, columns = 1, max(n_small, 3)
-        height, below = 9.0 * ratio, 9.6 / columns * ratio + 0.35
-        figure = new_figure(10.6, height + below + 0.7)
-        parts = figure.subfigures(2, 1, height_ratios=[height + 0.7, below], squeeze=False)
-    else:
-        rows, columns = max(-(-n_small // 2), 2), 2
-        height = min(7.5, 5.0 * ratio)
-        width, beside = height / ratio + 1.6, 2.0 * max((height / rows - 0.35) / ratio + 0.2, 1.9)
-        figure = new_figure(width + beside, height + 0.7)
-        parts = figure.subfigures(1, 2, width_ratios=[width, beside], squeeze=False)
-    large, rest = np.ravel(parts)
-    main = large.subplots()
-    panels = rest.subplots(rows, columns, squeeze=False).ravel()
-    for axes in panels[n_small:]:
-        axes.remove()
-    return figure, main, list(panels[:n_small])
-
-
-def _draw_group(axes: Axes, extent: FloatArray, words: str, walks: list[FloatArray]) -> None:
-    _frame(axes, extent)
-    axes.tick_params(labelbottom=False, labelleft=False)
-    axes.set_title(f"{words}: {len(walks)}", loc="left", fontsize=9)
-    axes.add_collection(LineCollection(walks, colors=BODY_COLOUR, linewidths=0.6, alpha=_faint(len(walks))))
-    ends = np.array([walk[finite_rows(walk)][-1] for walk in walks])
-    axes.plot(*ends.T, "o", color=BODY_COLOUR, markersize=2.2, markeredgewidth=0)
-
-
-def _frame(axes: Axes, extent: FloatArray) -> None:
-    axes.set_aspect("equal", adjustable="box")
-    axes.set_xlim(extent[0, 0], extent[1, 0])
-    axes.set_ylim(extent[0, 1], extent[1, 1])
-    tidy(axes)
-
-
-def _faint(count: int) -> float:
-    """Opacity of each of so many lines: a bundle of them is dark, one of them still seen."""
-    return float(np.clip(3.0 / np.sqrt(max(count, 1)), 0.25, 0.9))
-
-
-def _walk(pair: Pair) -> FloatArray:
-    """(m, 2) metres, with a NaN in every hole, so that a line ends there."""
-    estimate = pair.estimate
-    _, x, y = open_holes(estimate.t, *estimate.position.T)
-    return np.stack([x, y], axis=1)
-
-
-def _by_direction(walks: Sequence[FloatArray]) -> list[tuple[str, list[int]]]:
-    """Whom to draw together: by the quarter into which they went from first to last, and those who stayed."""
-    groups: dict[int, list[int]] = {k: [] for k in range(5)}
-    for i, walk in enumerate(walks):
-        known = walk[finite_rows(walk)]
-        if not len(known):
-            continue
-        dx, dy = known[-1] - known[0]
-        quarter = int(np.round(np.arctan2(dy, dx) / (np.pi / 2.0))) % 4
-        groups[4 if np.hypot(dx, dy) < STAYS else quarter].append(i)
-    words = [f"towards {name}" for name in DIRECTIONS] + [f"stayed within {STAYS:g} m"]
-    return [(words[k], group) for k, group in groups.items() if group]
-
-
-def _time_spent(pairs: Sequence[Pair], extent: FloatArray) -> FloatArray:
-    """(columns, rows) of person-seconds a square metre in square cells, a little smoothed."""
-    span = extent[1] - extent[0]
-    cell = float(span.max()) / _CELLS
-    shape = np.maximum(np.round(span / cell).astype(int), 1)
-    total = np.zeros(shape)
-    for pair in pairs:
-        points, seconds = _short_steps(pair.estimate.t, pair.estimate.position, cell / 2.0)
-        at = np.clip(((points - extent[0]) / span * shape).astype(int), 0, shape - 1)
-        np.add.at(total, (at[:, 0], at[:, 1]), seconds)
-    area = float(np.prod(span / shape))
-    smooth: FloatArray = ndimage.gaussian_filter(total, 1.0) / area
-    return smooth
-
-
-def _short_steps(t: FloatArray, position: FloatArray, longest: float) -> tuple[FloatArray, FloatArray]:
-    """A walk in steps of at most ``longest`` metres: the middle of each (m, 2), and its seconds (m,).
-
-    Holes of the track are left out.
-    """
-    step, seconds = np.diff(position, axis=0), np.diff(t)
-    known = np.nonzero(finite_rows(step) & (seconds <= longest_step(t)))[0]
-    parts = np.maximum(np.ceil(np.hypot(*step[known].T) / longest).astype(int), 1)
-    of = np.repeat(known, parts)
-    within = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
-    fraction = (within + 0.5) / np.repeat(parts, parts)
-    return position[of] + fraction[:, None] * step[of], seconds[of] / np.repeat(parts, parts)
-
 
 MARKED_GAP = 3
 """Gaps of at least this many frames get a marker at each end; shorter ones are only dotted."""
@@ -187,7 +41,7 @@ NAMED_PEOPLE = 10
 """Up to this many people are named in the legend; with more, the ids beside the paths must do."""
 
 CROWD = 40
-"""With more people than this only paths are drawn (`plot_crowd`): arrows, ellipses, ids would hide them."""
+"""With more people than this only paths are drawn: arrows, ellipses and ids would hide them."""
 
 
 ARROW_INCHES = {"body": 0.33, "head": 0.24}
@@ -212,7 +66,7 @@ def plot_tracks(
     Body and head arrows, beside the path, and the 95 % ellipses of the position stand at regular intervals of
     time where the person was observed. Elsewhere the path is dotted, and longer gaps end in hollow circles.
     Ellipses too small to be seen are enlarged; the legend states the factor. Of more than `CROWD` people only
-    the paths are drawn: over a map of the time that they spent where, and by the way they went.
+    the paths are drawn, in thin lines.
 
     Parameters
     ----------
@@ -232,8 +86,6 @@ def plot_tracks(
 def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, title: str = "") -> Figure:
     """`plot_tracks` of tracks that are already paired with their observations."""
     extent = _extent(pairs)
-    if is_crowd(pairs):
-        return plot_crowd(pairs, extent, title)
     span_x, span_y = extent[1] - extent[0]
     # The page follows the scene, within what fits a screen: inches for the axes, then room for the legend.
     height = float(np.clip(7.0 * span_y / span_x, 3.2, 8.0))
@@ -252,7 +104,11 @@ def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, 
     if title:
         axes.set_title(title, loc="left", fontsize=11)
     tidy(axes)
-
+    if is_crowd(pairs):
+        for index, pair in enumerate(pairs):
+            _, x, y = open_holes(pair.estimate.t, *pair.estimate.position.T)
+            axes.plot(x, y, color=person_colour(index), linewidth=0.6, alpha=0.6)
+        return figure
     size = 1.0 if len(pairs) <= 8 else 0.65
     interval = _nice_interval(pairs) if arrow_interval is None else arrow_interval
     chosen = [_regular_samples(pair.estimate.t, _worth_an_arrow(pair), interval) for pair in pairs]

@@ -1,0 +1,199 @@
+"""Walkable areas: polygons with holes on the ground, and the walls near a position."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+
+if TYPE_CHECKING:
+    import shapely
+
+AreaLike: TypeAlias = "WalkableArea | str | Path | Any"
+"""A walkable area, the path of its file, or an object of Shapely or PedPy that holds one."""
+
+REACH = 2.0
+"""Metres within which a wall is taken into account."""
+WALLS = 2
+"""Walls of a position that are taken into account: in a corner there are two."""
+
+_PARALLEL = 0.95  # Cosine between normals above which a second wall adds nothing to the first
+_ON_WALL = 1e-9  # metres
+
+
+class WalkableArea:
+    """Area in which people walk.
+
+    Parameters
+    ----------
+    geometry : Shapely polygon or polygons, in metres of the world
+
+    Raises
+    ------
+    InputError
+        For a geometry that is not a polygon, is not valid or has no area.
+    """
+
+    def __init__(self, geometry: shapely.Geometry) -> None:
+        import shapely
+
+        if geometry.geom_type not in ("Polygon", "MultiPolygon") or geometry.is_empty:
+            raise InputError(f"a geometry of type {geometry.geom_type}", "a polygon or several, not empty")
+        if not geometry.is_valid:
+            raise InputError(
+                f"polygons that are not valid: {shapely.is_valid_reason(geometry)}", "valid polygons"
+            )
+        shapely.prepare(geometry)
+        self.geometry = geometry
+        rings = [
+            ring
+            for polygon in getattr(geometry, "geoms", [geometry])
+            for ring in (lambda one: [one.exterior, *one.interiors])(shapely.geometry.polygon.orient(polygon))
+        ]
+        # Of an oriented polygon the area lies to the left of each ring.
+        self._ends = np.concatenate([_segments(np.asarray(ring.coords)[:, :2]) for ring in rings])
+        self._tree = shapely.STRtree(shapely.linestrings(self._ends))
+
+    @classmethod
+    def of(cls, area: AreaLike) -> WalkableArea:
+        """Return an area from what a user gives.
+
+        Raises
+        ------
+        InputError
+            For a file that cannot be read, or another object.
+        """
+        from graphtrack.packages import package
+
+        shapely = package("shapely", "geo")
+        if isinstance(area, cls):
+            return area
+        if isinstance(area, str | Path):
+            return cls(_read(Path(area), shapely))
+        geometry = getattr(area, "polygon", area)  # PedPy's WalkableArea
+        if not isinstance(geometry, shapely.Geometry):
+            raise InputError(
+                f"a walkable area of type {type(area).__name__}", "a path, or a polygon of Shapely"
+            )
+        return cls(geometry)
+
+    def contains(self, position: FloatArray) -> NDArray[np.bool_]:
+        """Return (n,) whether positions (n, 2) are in the area or on its border; False where NaN."""
+        import shapely
+
+        position = np.asarray(position, dtype=float)
+        known = np.isfinite(position).all(axis=1)
+        found = np.zeros(len(position), dtype=bool)
+        found[known] = shapely.intersects_xy(self.geometry, *position[known].T)
+        return found
+
+    def walls(self, position: FloatArray) -> FloatArray:
+        """Return the half planes that hold the area near positions.
+
+        Parameters
+        ----------
+        position : (n, 2) metres; NaN where unknown
+
+        Returns
+        -------
+        (n, 6)
+            For each of `WALLS` walls the inward unit normal and the offset c: inside, normal·position ≥ c.
+            Zeros where no wall is within `REACH`.
+        """
+        position = np.asarray(position, dtype=float)
+        walls = np.zeros((len(position), WALLS, 3))
+        row, segment = self._near(position)
+        if not len(row):
+            return walls.reshape(-1, 3 * WALLS)
+        start, end = self._ends[segment, 0], self._ends[segment, 1]
+        along = end - start
+        length = np.maximum(np.linalg.norm(along, axis=1), 1e-300)
+        share = np.clip(np.sum((position[row] - start) * along, axis=1) / length**2, 0.0, 1.0)
+        nearest = start + share[:, None] * along
+        away = position[row] - nearest
+        distance = np.linalg.norm(away, axis=1)
+        inward = np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]
+        is_inside = self.contains(position)[row]
+        outward = np.where(is_inside, 1.0, -1.0)[:, None] * away / np.maximum(distance, 1e-300)[:, None]
+        normal = np.where(distance[:, None] > _ON_WALL, outward, inward)
+        order = np.lexsort((distance, row))
+        row, normal, nearest, is_inside = row[order], normal[order], nearest[order], is_inside[order]
+        offset = np.sum(normal * nearest, axis=1)
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        walls[row[first], 0] = np.column_stack([normal[first], offset[first]])
+        # Somebody outside is brought back over the nearest wall; a second one is of the inside alone.
+        facing = np.sum(normal * walls[row, 0, :2], axis=1)
+        other = np.flatnonzero(is_inside & (facing < _PARALLEL))
+        second = other[np.flatnonzero(np.diff(row[other], prepend=-1))]
+        walls[row[second], 1] = np.column_stack([normal[second], offset[second]])
+        return walls.reshape(-1, 3 * WALLS)
+
+    def confined(self, path: FloatArray, start: FloatArray, margin: float = 0.05) -> FloatArray:
+        """Return a path (k, 2) from ``start`` (2,) that follows the walls where it would cross them.
+
+        A point beyond a wall is replaced by the nearest point of the area, ``margin`` metres from its walls,
+        or by the point before where the straight way there crosses a wall, too. A path that begins outside
+        is returned as it is.
+        """
+        import shapely
+
+        if not self.contains(start[None])[0]:
+            return path
+        inner = self.geometry.buffer(-margin)
+        found, here = np.array(path, dtype=float), np.asarray(start, dtype=float)
+        for k, point in enumerate(found):
+            if np.isfinite(point).all() and not self.geometry.covers(shapely.LineString([here, point])):
+                nearest = shapely.shortest_line(inner, shapely.Point(point)).coords[0]
+                is_free = self.geometry.covers(shapely.LineString([here, nearest]))
+                found[k] = nearest if is_free else here
+            here = found[k]
+        return found
+
+    def _near(self, position: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pairs of a position and a segment within `REACH`; of a position outside the nearest segment too."""
+        import shapely
+
+        known = np.flatnonzero(np.isfinite(position).all(axis=1))
+        points = shapely.points(position[known])
+        near = self._tree.query(points, predicate="dwithin", distance=REACH)
+        outside = np.flatnonzero(~self.contains(position[known]))
+        far = self._tree.query_nearest(points[outside], all_matches=False)
+        row = np.concatenate([near[0], outside[far[0]]])
+        pairs = np.unique(np.column_stack([row, np.concatenate([near[1], far[1]])]), axis=0)
+        return known[pairs[:, 0]], pairs[:, 1]
+
+
+def _segments(ring: FloatArray) -> FloatArray:
+    """Segments (n, 2, 2) of a closed ring (n + 1, 2), without those of no length."""
+    ends = np.stack([ring[:-1], ring[1:]], axis=1)
+    return ends[np.any(ends[:, 0] != ends[:, 1], axis=1)]
+
+
+def _read(path: Path, shapely: Any) -> shapely.Geometry:
+    """Read the polygons of a GeoJSON or WKT file."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            getattr(error, "strerror", None) or "a file that is not text", "a walkable area", path=path
+        ) from error
+    is_json = text.lstrip().startswith("{")
+    try:
+        geometry = shapely.from_geojson(text) if is_json else shapely.from_wkt(text)
+    except shapely.errors.ShapelyError as error:
+        expected = "GeoJSON or well-known text with polygons in metres"
+        raise InputError(str(error).splitlines()[0], expected, path=path) from error
+    polygons = [
+        one
+        for part in shapely.get_parts(geometry)
+        for one in shapely.get_parts(part)
+        if one.geom_type == "Polygon"
+    ]
+    if not polygons:
+        raise InputError("no polygon", "at least one polygon in which people walk", path=path)
+    return shapely.union_all(polygons)

@@ -1,0 +1,83 @@
+"""People and walls: estimates that stay within a walkable area, offline and online."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.walkable import WalkableArea
+from graphtrack.inference.result import Failure, Solution
+from graphtrack.model import Model
+from graphtrack.model.terms.walls import MARGIN, StaysInside, with_walls, without_walls
+from graphtrack.tracks.track import Track, TrackSet
+
+ROUNDS = 4
+"""Most times that walls are taken at the estimates of the round before."""
+
+Solve = Callable[[TrackSet], list[Solution | Failure]]
+
+
+def model_with_walls(model: Model) -> Model:
+    """Return a model with the term that keeps people within the input `WALL_INPUT`."""
+    return Model(model.preset, model.parameters, (*model.own_terms, StaysInside), model.scene)
+
+
+def solve_inside(
+    tracks: TrackSet, solve: Solve, solve_with_walls: Solve, area: WalkableArea
+) -> list[Solution | Failure]:
+    """Solve tracks, and those whose estimates come near a wall again with the walls near these estimates.
+
+    An estimate that keeps `MARGIN` from all walls is that with walls, too: the barrier is 0 there. Where the
+    walls near the new estimates are others, these are taken in turn.
+
+    Parameters
+    ----------
+    tracks : observations
+    solve : solver without walls
+    solve_with_walls : solver whose model is `model_with_walls`
+    area : the walkable area
+    """
+    found = solve(tracks)
+    left = [
+        k
+        for k, one in enumerate(found)
+        if isinstance(one, Solution) and _is_near(one.track.position, area).any()
+    ]
+    for _ in range(ROUNDS):
+        if not left:
+            break
+        walled = [
+            with_walls(tracks.tracks[k], one.track.position, area)
+            for k in left
+            if isinstance(one := found[k], Solution)
+        ]
+        for k, one in zip(left, solve_with_walls(tracks.with_tracks(walled)), strict=True):
+            found[k] = replace(one, track=without_walls(one.track)) if isinstance(one, Solution) else one
+        left = [
+            k
+            for k in left
+            if isinstance(one := found[k], Solution) and not _is_inside(one.track.position, area).all()
+        ]
+    return found
+
+
+def with_observed_walls(track: Track, area: WalkableArea) -> Track:
+    """Return a track with the walls near its observed positions, or the last one before a frame."""
+    known = np.isfinite(track.position).all(axis=1)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(track)), 0))
+    return with_walls(track, track.position[last], area)
+
+
+def _is_inside(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.bool_]:
+    return area.contains(position) | ~np.isfinite(position).all(axis=1)
+
+
+def _is_near(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.bool_]:
+    """Return (n,) where a position is outside, or the barrier of a wall reaches it."""
+    walls = area.walls(position).reshape(len(position), -1, 3)
+    inside = np.sum(walls[..., :2] * position[:, None], axis=2) - walls[..., 2]
+    is_wall = np.any(walls[..., :2] != 0.0, axis=2)
+    return np.asarray(np.any(is_wall & (inside < MARGIN), axis=1) | ~_is_inside(position, area))

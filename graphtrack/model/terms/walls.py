@@ -1,0 +1,114 @@
+"""Walls: people stay within the walkable area."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.walkable import WALLS, WalkableArea
+from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.lanes import choose
+from graphtrack.kernels.layout import Field, Kernel, X, Y
+from graphtrack.model.observation import Observation, States
+from graphtrack.model.packing import PackedTracks
+from graphtrack.model.term import Term
+from graphtrack.tracks.track import Track
+
+WALL_INPUT = "walls"
+"""Name of the input: `WalkableArea.walls` of each frame."""
+
+MARGIN, STD = 0.05, 0.01
+"""Metres from a wall at which the barrier begins, and the 1-σ of its penalty within them."""
+
+
+def with_walls(track: Track, position: FloatArray, area: WalkableArea) -> Track:
+    """Return a track with the input `WALL_INPUT` of walls near positions (n, 2), one a frame."""
+    return replace(track, inputs={**track.inputs, WALL_INPUT: area.walls(position)})
+
+
+def without_walls(track: Track) -> Track:
+    """Return a track without the input `WALL_INPUT`."""
+    return replace(track, inputs={name: one for name, one in track.inputs.items() if name != WALL_INPUT})
+
+
+def with_walls_at(observation: Observation, area: WalkableArea) -> Observation:
+    """Return an observation with the input `WALL_INPUT` of walls near its position, if it has one."""
+    if observation.position is None:
+        return observation
+    walls = area.walls(np.array(observation.position, dtype=float)[None])[0]
+    return replace(observation, inputs={**observation.inputs, WALL_INPUT: tuple(walls.tolist())})
+
+
+@compiled
+def add_wall(
+    state: Any,
+    origin_x: Any,
+    origin_y: Any,
+    wall_x: Any,
+    wall_y: Any,
+    wall_offset: Any,
+    wall_weight: Any,
+    gradient: Any,
+    hessian: Any,
+) -> Any:
+    """½·w·max(0, c − normal·position)², the squared depth beyond the barrier of a half plane."""
+    depth = wall_offset - (wall_x * (state[X] + origin_x) + wall_y * (state[Y] + origin_y))
+    beyond = depth > 0.0
+    depth, weight = choose(beyond, depth, 0.0), choose(beyond, wall_weight, 0.0)
+    push = weight * depth
+    gradient[X] -= push * wall_x
+    gradient[Y] -= push * wall_y
+    hessian[X, X] += weight * wall_x * wall_x
+    hessian[Y, X] += weight * wall_x * wall_y
+    hessian[Y, Y] += weight * wall_y * wall_y
+    return 0.5 * push * depth
+
+
+def _names(k: int) -> dict[str, str]:
+    return {f"wall_{part}": f"wall{k}_{part}" for part in ("x", "y", "offset", "weight")}
+
+
+class StaysInside(Term):
+    """½·(max(0, `MARGIN` − d)/`STD`)² of the distance d from each wall of the input `WALL_INPUT`."""
+
+    reads = ()
+    fields = tuple(
+        Field(name, text)
+        for k in range(WALLS)
+        for name, text in (
+            (f"wall{k}_x", "inward unit normal of a wall"),
+            (f"wall{k}_y", ""),
+            (f"wall{k}_offset", "metres along the normal at which the barrier begins"),
+            (f"wall{k}_weight", "1/m²; 0 where there is no wall"),
+        )
+    )
+    kernels: ClassVar[tuple[Kernel, ...]] = tuple(
+        Kernel(add_wall, gate=f"wall{k}_weight", variables=("position",), names=_names(k))
+        for k in range(WALLS)
+    )
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Σ over frames and walls."""
+        normal, offset, known = _walls_of(track.input(WALL_INPUT, 3 * WALLS))
+        inside = np.sum(normal * states.position[:, None], axis=2) - offset
+        depth = np.where(known, np.maximum(MARGIN - inside, 0.0), 0.0)
+        return 0.5 * float(np.sum(np.square(depth / STD)))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Normals and offsets of the frames; no weight where there is no wall."""
+        normal, offset, known = _walls_of(packed.input(WALL_INPUT, 3 * WALLS))
+        for k in range(WALLS):
+            packed.records[f"wall{k}_x"], packed.records[f"wall{k}_y"] = normal[:, k].T
+            packed.records[f"wall{k}_offset"] = offset[:, k] + MARGIN
+            packed.records[f"wall{k}_weight"] = np.where(known[:, k], STD**-2.0, 0.0)
+
+
+def _walls_of(walls: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Normals (n, `WALLS`, 2), offsets and whether there is a wall (n, `WALLS`)."""
+    walls = np.nan_to_num(walls).reshape(-1, WALLS, 3)
+    return walls[..., :2], walls[..., 2], np.any(walls[..., :2] != 0.0, axis=2)

@@ -1,0 +1,117 @@
+"""MOT text counts frames from 1: what is written, what is read back, and what TrackEval takes."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from command import run as run_program
+from same_tracks import assert_same
+
+import graphtrack as gt
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.io.formats.mot import SHIFTED
+from graphtrack.tracks.track import Track, TrackSet
+from perception.detection.boxes import PersonBox, read_boxes, write_boxes
+
+RATE = 25.0
+
+
+def people(first: int) -> TrackSet:
+    """Two people, one of whom comes two frames after the other."""
+    walks = []
+    for k in (0, 2):
+        frame = np.arange(first + k, first + 6)
+        x = 0.05 * frame
+        walks.append(Track(k + 1, frame, frame / RATE, np.column_stack([x, x + 3.0 + k])))
+    return TrackSet(tuple(walks))
+
+
+def frames_in(path: Path) -> list[int]:
+    return [int(line.split(",")[0]) for line in path.read_text().splitlines()]
+
+
+def test_frames_from_0_are_written_from_1_and_come_back(tmp_path: Path) -> None:
+    path = tmp_path / "tracks.txt"
+    with pytest.warns(InputWarning, match="frames begin at 0, and at 1 in MOT text"):
+        gt.write(people(0), path)
+    assert (min(frames_in(path)), max(frames_in(path))) == (1, 6)
+    again = gt.read(path, fps=RATE)
+    assert_same(people(0), again)
+    assert SHIFTED in again.summary.notes
+    # The mark is a zero, to whoever reads the numbers.
+    assert (np.loadtxt(path, delimiter=",")[:, 9] == 0.0).all()
+
+
+@pytest.mark.parametrize("first", [1, 7])
+def test_frames_from_1_on_stay_as_they_are(first: int, tmp_path: Path) -> None:
+    path = tmp_path / "tracks.txt"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)
+        gt.write(people(first), path)
+    assert min(frames_in(path)) == first
+    assert_same(people(first), gt.read(path, fps=RATE))
+
+
+def test_frames_below_0_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="frame -2, expected frames from 0 in MOT text"):
+        gt.write(people(-2), tmp_path / "tracks.txt")
+
+
+def test_the_command_says_that_frames_are_shifted(tmp_path: Path) -> None:
+    gt.write(people(0), tmp_path / "tracks.csv")
+    done = run_program("convert", tmp_path / "tracks.csv", "-o", tmp_path / "x.txt", program="graphtrack")
+    assert done.returncode == 0 and "note: frames begin at 0" in done.stderr, done.stderr
+    assert min(frames_in(tmp_path / "x.txt")) == 1
+
+
+@pytest.mark.parametrize("first", [0, 1, 60])
+def test_boxes_of_a_recording_come_back(first: int, tmp_path: Path) -> None:
+    boxes = [PersonBox(first + k, 4, (10.0 + k, 20.0, 30.0, 80.0)) for k in range(2, 5)]
+    write_boxes(boxes, tmp_path / "boxes.txt", first=first)
+    assert min(frames_in(tmp_path / "boxes.txt")) == first + 2 + (first == 0)
+    assert read_boxes(tmp_path / "boxes.txt") == boxes
+    assert read_boxes(tmp_path / "boxes.txt", first=first) == boxes
+
+
+def trackeval_scores(truth: Path, found: Path, n_frames: int, folder: Path) -> tuple[float, float]:
+    """HOTA and MOTA by TrackEval itself."""
+    trackeval = pytest.importorskip("trackeval")
+    (folder / "gt/S/gt").mkdir(parents=True)
+    (folder / "found/T/data").mkdir(parents=True)
+    (folder / "gt/S/gt/gt.txt").write_bytes(truth.read_bytes())
+    (folder / "found/T/data/S.txt").write_bytes(found.read_bytes())
+    quiet: dict[str, Any] = {"PRINT_CONFIG": False}
+    places = {"GT_FOLDER": str(folder / "gt"), "TRACKERS_FOLDER": str(folder / "found")}
+    given = {"SEQ_INFO": {"S": n_frames}, "SKIP_SPLIT_FOL": True, "BENCHMARK": "MOT15"}
+    dataset = trackeval.datasets.MotChallenge2DBox(quiet | places | given | {"TRACKERS_TO_EVAL": ["T"]})
+    data = dataset.get_preprocessed_seq_data(dataset.get_raw_seq_data("T", "S"), "pedestrian")
+    hota = trackeval.metrics.HOTA().eval_sequence(data)["HOTA"].mean()
+    return float(hota), float(trackeval.metrics.CLEAR(quiet).eval_sequence(data)["MOTA"])
+
+
+def seen(tracks: TrackSet) -> TrackSet:
+    """The same tracks before a camera, which makes boxes of them."""
+    camera = gt.from_supervision([SimpleNamespace(xyxy=np.array([[0, 0, 9, 90.0]]))] * 2, fps=9.0).camera
+    assert camera is not None
+    return TrackSet(tracks.tracks, camera)
+
+
+def test_trackeval_takes_what_is_written(tmp_path: Path) -> None:
+    with pytest.warns(InputWarning):
+        gt.write(seen(people(0)), tmp_path / "truth.txt")
+    assert trackeval_scores(tmp_path / "truth.txt", tmp_path / "truth.txt", 6, tmp_path) == (1.0, 1.0)
+
+
+def test_time_steps_are_those_that_trackeval_expects(tmp_path: Path) -> None:
+    """Its rule (``_load_raw_file``): the first column is among 1, 2 … the sequence's length."""
+    with pytest.warns(InputWarning):
+        gt.write(people(0), tmp_path / "tracks.txt")
+    boxes = [PersonBox(k, 1, (10.0, 20.0, 30.0, 80.0)) for k in range(6)]
+    write_boxes(boxes, tmp_path / "boxes.txt")
+    for name in ("tracks.txt", "boxes.txt"):
+        assert {*frames_in(tmp_path / name)} <= {*range(1, 7)}

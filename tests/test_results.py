@@ -1,0 +1,101 @@
+"""Pages show the results that are stored, and `make claims` stores what a command measured."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import results
+from documents import ROOT
+
+from graphtrack.experiments import all_experiments
+
+STEMS = sorted(path.stem for path in (results.RESULTS / "data").glob("*.json"))
+TABLES = sorted(set(results.specs()) - {"names", "quotes"})
+ABOUT = [
+    {
+        "title": "Errors of all",
+        "columns": ["method", "rate", "error (°)", "low"],
+        "rows": [["a", 1.0, -1.25, -2.0], ["b", 1.0, 2.5, None]],
+    }
+]
+
+
+@pytest.mark.parametrize("page", results.pages(), ids=lambda page: str(page.relative_to(ROOT)))
+def test_tables_of_a_page_are_those_of_the_data(page):
+    text = page.read_text(encoding="utf-8")
+    assert results.written(text) == text, "run `make results`"
+
+
+def test_every_table_is_shown():
+    text = "".join(page.read_text(encoding="utf-8") for page in results.pages())
+    shown = {match["name"] for match in results.BLOCK.finditer(text)}
+    assert text.count("<!-- results: ") == text.count("<!-- /results -->")
+    assert set(TABLES) <= shown
+    assert {f"about {stem}" for stem in STEMS if not re.search(r"-\d$", stem)} <= shown
+
+
+@pytest.mark.parametrize("quote", results.specs()["quotes"], ids=lambda quote: quote["text"])
+def test_figures_in_prose_are_those_of_the_data(quote):
+    prose = " ".join((ROOT / quote["page"]).read_text(encoding="utf-8").split())
+    assert results.quoted(quote) in prose
+
+
+@pytest.mark.parametrize("stem", STEMS)
+def test_data_name_their_command_and_hold_what_is_shown(stem):
+    data = results.stored(stem)
+    words = data["command"].split()
+    assert words[0] in ("graphtrack", "perception") and data["setting"].endswith(".")
+    if words[1] == "reproduce":
+        assert words[2] in all_experiments()
+    assert all(table["title"].startswith(results.shown_titles(stem)) for table in data["tables"])
+
+
+@pytest.fixture
+def stored(tmp_path, monkeypatch):
+    (tmp_path / "data").mkdir()
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
+    spec = {
+        "data": "one",
+        "title": "Errors",
+        "rows": ["method"],
+        "columns": ["rate"],
+        "cells": {"error": "{error (°)|.1f}° ({low|.0f} …)"},
+    }
+    monkeypatch.setattr(results, "specs", lambda: {"names": {"a": "`a`"}, "errors": spec})
+    results.write("one", {"command": "graphtrack reproduce one", "setting": "All.", "tables": ABOUT})
+    return tmp_path
+
+
+def test_a_table_is_written_with_its_labels_and_without_missing_intervals(stored):
+    assert results.block("errors") == "||1: error|\n|---|---|\n|`a`|−1.2° (−2 …)|\n|b|2.5°|\n"
+    page = "Text.\n\n<!-- results: errors -->\nold\n<!-- /results -->\n"
+    assert "|b|2.5°|" in results.written(page) and "old" not in results.written(page)
+    assert results.block("about one") == "All. `graphtrack reproduce one`\n"
+
+
+def test_two_rows_for_a_cell_and_missing_tables_are_refused(stored):
+    twice = [{**ABOUT[0], "rows": [*ABOUT[0]["rows"], ABOUT[0]["rows"][0]]}]
+    results.write("one", {"command": "", "setting": "", "tables": twice})
+    with pytest.raises(LookupError, match="two rows"):
+        results.block("errors")
+    results.write("one", {"command": "", "setting": "", "tables": []})
+    with pytest.raises(LookupError, match="0 tables begin with 'Errors'"):
+        results.block("errors")
+
+
+def test_what_a_command_measured_is_stored_with_its_setting(stored, monkeypatch):
+    def measuring(command, *, check):
+        assert command[1:4] == ["-m", "graphtrack", "reproduce"] and check
+        more = [{**ABOUT[0], "rows": [["c", 1.0, 3.0123456, 0.0]]}, {**ABOUT[0], "title": "Not shown"}]
+        path = Path(command[command.index("--json") + 1])
+        path.write_text(json.dumps(more), encoding="utf-8")
+
+    monkeypatch.setattr(results.subprocess, "run", measuring)
+    assert results.measure("one")
+    data = results.stored("one")
+    assert data["setting"] == "All." and [table["rows"] for table in data["tables"]] == [
+        [["c", 1.0, 3.0123, 0.0]]
+    ]
+    results.write("one", {"command": "graphtrack score a.csv", "setting": "All.", "tables": ABOUT})
+    assert not results.measure("one")
