@@ -83,6 +83,7 @@ def test_what_is_outbid_or_hopeless_changes_no_match(settled: Search) -> None:
         some = dense[row, column] > 0.0
         expected[row[some]] = column[some]
         edges = settled._links(heads, tails, first)
+        assert edges is not None
         np.testing.assert_array_equal(match(edges, dense.shape), expected)
         left_out += len(gain) - len(edges[0])
     assert left_out > 1000
