@@ -176,7 +176,7 @@ class Moves:
         recent : (rows,) whose candidates are looked at first: what they outbid need not be looked at
         gains : candidates of some rows for some columns, whose gains matter above a least one
         """
-        self._move += 1
+        self._move += self.remembers
         pieces: list[Edges] = []
         if place in self._visits:
             pieces.append(carried(self._visits[place].edges, keys, columns, *fresh, self._place))
