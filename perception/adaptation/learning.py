@@ -231,7 +231,7 @@ def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingL
     people = np.unique(labels.person)
     if len(people) < parameters.least_people:
         raise TooFewWalkers(
-            f"{len(people)} people who surely walk, in {labels.tracks} tracks",
+            f"{len(people)} walking people, in {labels.tracks} tracks",
             f"at least {parameters.least_people}: a camera learns from people who walk",
         )
     each = min(parameters.most_of_person, max(1, parameters.most // len(people)))
@@ -416,7 +416,7 @@ def _card(
     labels: WalkingLabels, length: float, best: _Attempt, figures: dict[str, float], *, aligned: bool
 ) -> ModelCard:
     people = len(np.unique(labels.person))
-    said = f"the directions of travel of {people} people who surely walk, in {length / 60.0:.1f} minutes"
+    said = f"the directions of travel of {people} walking people, in {length / 60.0:.1f} minutes"
     walked = seen_directions(CLASSES.index(labels.angle), labels.person)
     parts = [best.body_out.log_likelihood, best.head_out.log_likelihood]
     outliers = class_outlier_probability(parts, labels.angle, labels.person, labels.count)

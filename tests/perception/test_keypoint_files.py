@@ -306,8 +306,8 @@ def test_boxes_without_keypoints_say_nothing_and_are_counted(street: Path, tmp_p
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--models", "k.json"], "--keypoints beside a model"),
-        (["--body-pose-model", "k.json"], "--keypoints beside a model"),
+        (["--models", "k.json"], "--keypoints with a model"),
+        (["--body-pose-model", "k.json"], "--keypoints with a model"),
         (["--person-class", "0"], "--person-class without a network"),
         (["--input-size", "640"], "--input-size without a network"),
     ],
