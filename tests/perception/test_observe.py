@@ -136,7 +136,7 @@ def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: 
     for text in (
         "0003.png cannot be decoded",
         "inside the image",
-        "1 boxes of frames that did not come, such as 77: frames 0 to 5 came",
+        "1 boxes of missing frames, such as 77: frames 0 to 5 came",
         "no camera",
         "1 marked to be ignored",
     ):
