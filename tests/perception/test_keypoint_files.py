@@ -165,7 +165,7 @@ ENTRY = {"image_id": 1, "keypoints": [1.0] * 51}
     ("content", "told"),
     [
         ("frame,id\n1,2\n", "JSON"),
-        (json.dumps([ENTRY] * 9)[:400], "broken off"),
+        (json.dumps([ENTRY] * 9)[:400], "truncated"),
         ({"type": "FeatureCollection", "features": []}, "'type', 'features'"),
         ([], "a list without entries"),
         ([{"image_id": 1, "bbox": [1, 2, 3, 4]}], "entry 0 without keypoints"),
