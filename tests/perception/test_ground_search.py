@@ -111,7 +111,7 @@ def test_a_person_has_the_height_that_the_camera_shows(roll: float) -> None:
 def test_nobody_has_a_height_beyond_the_horizon_or_below_the_camera() -> None:
     sizes = PersonSizes.of(CAMERA.ground_camera(), SIZE)
     assert np.isnan(sizes.heights(np.array([[160.0, -400.0]]))).all()
-    with pytest.raises(InputError, match="nobody is upright and large enough"):
+    with pytest.raises(InputError, match="people are not upright or too small"):
         GroundSearch(GroundCamera.from_scale(10.0), SIZE)
 
 
