@@ -68,7 +68,7 @@ def view(
     if not placed:
         raise InputError("no position", "tracks with positions in metres")
     chosen = person if person is not None else max(placed, key=len).track_id
-    tracks.by_id(chosen)  # or an error that says whom there are
+    tracks.by_id(chosen)  # raises an error that lists the ids
     given = behaviour_of(tracks, groups=groups, forecast=forecast)
     frames = None if video is None else open_frames(Path(video))
     where = Extent.of(np.concatenate([track.position for track in placed]))
