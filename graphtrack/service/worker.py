@@ -97,8 +97,8 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
     """Answer rows from a socket until its end.
 
     With a saved state, rows that arrive together are saved together, and their answers are sent before the
-    next are saved. The exit status is 0, or 1 if the stream could not be started or resumed; the last line has
-    the reason.
+    next are saved. The exit status is 0, or 1 if the stream could not be started or resumed; the last line
+    has the reason.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service ends the stream
     said = Answered(connection)
