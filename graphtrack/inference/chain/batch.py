@@ -1,4 +1,4 @@
-"""The compiled chain engine on whole tracks: initialise, solve, find covariances and calibrate them.
+"""The compiled chain engine offline: initialisation, solution, covariances and their calibration.
 
 A `Group` is one track, whose arrays hold floats, or one in each lane, whose arrays are `lanes`:
 `solve_tracks` takes tracks one at a time, `solve_lanes` `LANES` at once, with the same code.
@@ -77,17 +77,17 @@ from graphtrack.tracks.track import Track
 class Options(NamedTuple):
     """Options of the solver."""
 
-    max_iterations: int  # of each descent
+    max_iterations: int  # most steps of each descent
     tolerance: float  # of the cost, of the last descent
-    on_the_way: float  # the same of those before, which tell of modes alone
-    passes: int  # times that coupling modes, and then the states, are found
-    search: bool  # whether other basins are searched
+    on_the_way: float  # the same of earlier descents, which only determine the modes
+    passes: int  # alternations of coupling modes and states
+    search: bool  # True for basin search
 
 
 class Group(NamedTuple):
     """One track, or one in each lane."""
 
-    problem: Problem  # as the kernels see it: the whole, or the lanes'
+    problem: Problem  # the whole problem, or the lanes'
     track: int  # its number there
     tracks: NDArray[np.int64]  # its number, or the lanes', in the whole problem; −1: none
     states: FloatArray  # (n, 6)
@@ -100,20 +100,19 @@ class Group(NamedTuple):
 
 
 NEAR = math.log(100.0)
-"""By how much another basin may cost more and still be a rival: the estimate is 100 times as likely."""
+"""Greatest excess cost of another basin to be a rival: the estimate is 100 times as likely."""
 
 
-TIE = 1e-8  # Of the cost, by which another basin has to cost less: less than that is rounding
+TIE = 1e-8  # Relative decrease of the cost for another basin; smaller differences are rounding
 
 
 @inner
 def settle(
     whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool, last: bool
 ) -> None:
-    """Minimise the costs of a group, with ``search`` from another basin where that promises to cost less.
+    """Minimise the costs of a group, with ``search`` from another basin with a lower predicted cost.
 
-    ``last``: also from where turns of about 180° go the other way, and from rivals that were found with other
-    couplings.
+    ``last``: also from reversed turns of about 180°, and from rivals that were found with other couplings.
     """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, ended, again = group.workspace, group.workspace.ended, group.workspace.again
@@ -122,7 +121,7 @@ def settle(
     if search:
         elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_START, workspace)
     if any_of(elsewhere):
-        # Contradictions make a poor start, from which the descent is long.
+        # Contradictory observations make a poor start and a long descent.
         begun = cost_of(problem, track, n, states, workspace)
         copy_rows(0, n, again, states)
     minimise(problem, track, n, states, max_iterations, tolerance, workspace)
@@ -179,7 +178,7 @@ def swap(n: int, swapped: Any, one: FloatArray, other: FloatArray) -> None:
 def keep_rival(
     n: int, compared: Any, cost: Any, loser: FloatArray, states: FloatArray, workspace: Workspace
 ) -> None:
-    """Keep states (n, 6) that lost where they lie in another basin and cost less than the rival before."""
+    """Keep rejected states (n, 6) that lie in another basin and cost less than the previous rival."""
     ended, turned = workspace.ended, workspace.length[0] < 0.0
     for k in range(n):
         inside = workspace.length[0] > float(k)
@@ -239,7 +238,7 @@ def put_back(
     before: FloatArray,
     states: FloatArray,
 ) -> None:
-    """Have the angles that are ``guessed`` (N, 2) as they were before the descent; no rows: none are."""
+    """Restore the angles that are ``guessed`` (N, 2) to those before the descent; no rows: none."""
     for lane in range(lane_count(length)):
         if tracks[lane] < 0 or len(guessed) == 0:
             continue
@@ -252,7 +251,7 @@ def put_back(
 
 @inner
 def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
-    """Write how the descents of a group ended into the result."""
+    """Write the outcome of a group's descents into the result."""
     for lane in range(lane_count(ended[COST])):
         if tracks[lane] >= 0:
             result.first_cost[tracks[lane]] = lane_of(ended[FIRST_COST], lane)
@@ -278,9 +277,9 @@ def solve_group(
     Parameters
     ----------
     gait : parameters of the coupling modes; None without
-    guessed : (N, 2) angles that nothing holds without couplings: they stay as they are until there are
-    classified : whether class likelihoods of the head are known
-    searched : whether basins are searched with couplings, too, as class likelihoods ask for
+    guessed : (N, 2) angles that only couplings hold: they are constant until there are couplings
+    classified : True if class likelihoods of the head are known
+    searched : search basins with couplings, too, as class likelihoods require
     """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, most, search = group.workspace, options.max_iterations, options.search
@@ -290,14 +289,14 @@ def solve_group(
     ended[RIVAL_COST] = 0.0 * length + math.inf
     settle(whole, group, n, most, tolerance, search, as_variable(gait is None))
     if gait is not None:
-        # That was without couplings: from there both the modes and the states are found.
+        # The first descent has no couplings; then modes and states alternate.
         put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
         search = as_variable(False)
         for left in range(options.passes - 1, -1, -1):
             last = left == 0
             tolerance = options.tolerance if last else options.on_the_way
             renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
-            # What rivals cost with other couplings is no longer their cost.
+            # Costs of rivals are invalid with other couplings.
             ended[RIVAL_COST] = choose(ended[RIVAL_COST] < math.inf, 1e300, math.inf)
             settle(whole, group, n, most, tolerance, search, last)
             if searched:
@@ -374,7 +373,7 @@ def _for_lanes(memory: Any) -> Any:
 
 @inner_allocating
 def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
-    """The arrays as the kernels see them; the caller keeps the arrays alive."""
+    """Views of the arrays for the kernels; the caller keeps the arrays alive."""
     own = Problem(
         lane_records(arrays.frames, problem.records),
         problem.shared,
@@ -411,7 +410,7 @@ def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
 
 @inner_allocating
 def lane_modes(memory: Any) -> Any:
-    """The memory of the coupling modes as the kernels see it; None without modes."""
+    """View of the memory of the coupling modes for the kernels; None without modes."""
     if memory is None:
         return None
     return ModeMemory(
@@ -438,7 +437,7 @@ def gather(
     begin: int,
     arrays: LaneArrays,
 ) -> int:
-    """Put the tracks from a place in an order on into the lanes; returns how many frames the longest has."""
+    """Put tracks, from an index in an order on, into the lanes; return the frames of the longest."""
     longest = 0
     for lane in range(LANES):
         track = order[begin + lane] if begin + lane < len(order) else -1
@@ -493,18 +492,17 @@ def solve_lanes(
 
 
 PASSES = 2
-"""Times that the coupling modes, and the states with them, are found; a third changes nothing that the errors
-on motion capture would show."""
+"""Alternations of coupling modes and states; a third does not reduce the errors on motion capture."""
 
 ON_THE_WAY = 1e-6
-"""Of the cost: where descents before the last end, which tell of modes alone; their last step is taken all
-the same. That is 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, from where ending at 10⁻¹² leads."""
+"""Relative cost tolerance of all descents but the last, which only determine the modes; their last step is
+still taken. The result is within 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, of that at 10⁻¹²."""
 
 LARGE = 200_000
-"""Person-frames from which work is large: solved in lanes, which takes as long to compile as all else of an
-engine, and a third of the time."""
+"""Person-frames from which work is solved in lanes, which takes as long to compile as the rest of an engine,
+and a third of the time."""
 
-LONGEST = 5_000  # Frames of a track that is solved in lanes; those of the longest take 15 kB each
+LONGEST = 5_000  # Frames of a track that is solved in lanes; a frame takes 15 kB
 
 NONE_GUESSED = np.zeros((0, 2), bool)
 
@@ -549,17 +547,17 @@ def solve_packed(
     Parameters
     ----------
     packed : from `initialisation.pack` or `pack_to_solve`, with the same model, which is a chain
-    max_iterations : Newton steps a track
-    tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
-    restart : search a grid of orientations for a better basin where there may be one
-    in_lanes : several tracks at a time, of those that `fit_lanes` has found
+    max_iterations : most Newton steps per track
+    tolerance : of the predicted decrease of the cost, relative to 1 + the cost
+    restart : basin search on a grid of orientations where there may be a better basin
+    in_lanes : solve several tracks at a time, of those that `fit_lanes` selects
     calibration : of the covariances; None: they are the inverse curvature
 
     Returns
     -------
     Result
-        States in the world's frame, angles not wrapped; NaN for what the model does not have. Costs are those
-        given the couplings' weights; covariances contain what is not known of the modes.
+        States in the world's frame, angles not wrapped; NaN for variables outside the model. Costs are those
+        given the couplings' weights; covariances include the uncertainty of the modes.
     """
     result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
     if model.is_linear(packed):
@@ -605,7 +603,7 @@ def solve_terms(
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
-    """Body and head (N, 2) of tracks in which they were never seen, in frames that tell nothing else."""
+    """Body and head (N, 2) of tracks without any observation of them, in frames without other information."""
     found = np.zeros((packed.offsets[-1], 2), bool)
     known = np.zeros(len(found), bool)
     if any(track.inputs for track in packed.tracks):
@@ -618,7 +616,7 @@ def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
 
 
 def _says_more(track: Track) -> BoolArray:
-    """(n,) frames in which an input is known."""
+    """(n,) True in frames with a known input."""
     known = np.zeros(len(track), bool)
     for values in track.inputs.values():
         known |= np.isfinite(values.reshape(len(track), -1)).any(axis=1)
@@ -629,7 +627,7 @@ def _says_more(track: Track) -> BoolArray:
 def finish(
     origin: FloatArray, offsets: NDArray[np.int64], has_body: bool, has_head: bool, result: Result
 ) -> None:
-    """States back in the world's frame, and NaN for what the model does not have or was not found."""
+    """States in the world's frame, and NaN for variables outside the model or not determined."""
     for track in range(len(offsets) - 1):
         failed = result.status[track] == NOT_FINITE
         for k in range(offsets[track], offsets[track + 1]):
