@@ -188,7 +188,7 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
         steps.append(GroupStep(key, tuple(group for group in kept if group), number))
     if twice:
         warnings.warn(
-            f"{source.path}: somebody in two groups at once in line {', '.join(map(str, sorted(twice)))}: "
+            f"{source.path}: a person in two groups at once in line {', '.join(map(str, sorted(twice)))}: "
             "counted in the larger one",
             InputWarning,
             stacklevel=3,

@@ -172,7 +172,7 @@ def _rows(found: Mapping[int, FoundBoxes], format: str, options: ReadOptions) ->
         refused.update(one.refused)
     if not some:
         reasons = "; ".join(f"{count} {reason}" for reason, count in refused.items())
-        nobody = f"nobody in {len(found)} frames" + (f" ({reasons} refused)" if reasons else "")
+        nobody = f"no people in {len(found)} frames" + (f" ({reasons} refused)" if reasons else "")
         raise InputError(nobody, "at least one person")
     of_nobody = [frame for frame, one in some.items() if one.track_id is None]
     if 0 < len(of_nobody) < len(some):

@@ -140,9 +140,9 @@ def _columns(path: Path, found: Suggestion) -> Suggestion:
     chosen = {key: name for key, name in chosen.items() if not (pairs and key == "id")} | pairs
     if not ({"x", "y"} <= chosen.keys() or {"lat", "lon"} <= chosen.keys()):
         there = listed(map(shortened, names), 20)
-        raise InputError(f"no columns that are places, among {there}", "--columns x=NAME,y=NAME", path=path)
+        raise InputError(f"no columns of positions among {there}", "--columns x=NAME,y=NAME", path=path)
     if "t" not in chosen and "frame" not in chosen:
-        raise InputError("no column that is a time or a frame", "--columns t=NAME", path=path)
+        raise InputError("no column of times or frames", "--columns t=NAME", path=path)
     found = found.with_option("columns", ",".join(map(_pair, chosen.items())))
     if "t" not in chosen:
         found = found.with_option(

@@ -75,7 +75,7 @@ def test_what_the_package_trackers_gives_is_taken() -> None:
     ("found", "told"),
     [
         (detections(0), "a list of them"),
-        ([], "nobody in 0 frames"),
+        ([], "no people in 0 frames"),
         ([detections(0), detections(1, ids=False)], "no ids in frame 1"),
         ([SimpleNamespace(boxes=None)], "without xyxy"),
     ],

@@ -195,7 +195,7 @@ CAMERAS = {
     "two columns": ("homography", "1 0\n0 1\n", "2 columns"),
     "three pairs": ("point_pairs", "0 0 0 0\n1 0 1 0\n1 1 1 1\n", "3 point pairs"),
     "a line": ("point_pairs", "0 0 0 0\n1 1 1 1\n2 2 2 2\n3 3 3 3\n", "line"),
-    "one point": ("point_pairs", "0 0 0 0\n0 0 0 0\n0 0 0 0\n0 0 0 0\n", "same point"),
+    "one point": ("point_pairs", "0 0 0 0\n0 0 0 0\n0 0 0 0\n0 0 0 0\n", "identical points"),
     "three on a line": ("point_pairs", "0 0 0 0\n1 0 1 0\n2 0 2 0\n0 1 0 1\n", "line"),
     "three numbers": ("point_pairs", "0 0 0\n", "3 columns"),
 }

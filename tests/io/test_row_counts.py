@@ -173,7 +173,7 @@ def test_reasons_for_which_boxes_are_refused_have_their_counts() -> None:
         assert word in told
     nobody = mixed_boxes(0)
     nobody.class_id[:] = 2
-    with pytest.raises(gt.InputError, match=r"nobody in 1 frames \(8 of another class refused\)"):
+    with pytest.raises(gt.InputError, match=r"no people in 1 frames \(8 of another class refused\)"):
         gt.from_supervision([nobody], fps=10.0)
 
 

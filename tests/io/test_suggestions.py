@@ -174,8 +174,8 @@ def test_every_variant_is_read_by_the_line_that_is_suggested(
 
 def test_what_cannot_be_read_is_told_with_what_is_missing(here: Path) -> None:
     for content, said in (
-        ("person,time,speed\n1,0,1\n1,1,1\n", "no columns that are places"),
-        ("person,x,y\n1,0,1\n1,1,1\n", "no column that is a time"),
+        ("person,time,speed\n1,0,1\n1,1,1\n", "no columns of positions"),
+        ("person,x,y\n1,0,1\n1,1,1\n", "no column of times"),
         ("person,time,x,y\n1,0,left,1\n1,1,right,1\n", "'left'"),
         ("", "empty"),
     ):

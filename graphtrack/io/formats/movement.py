@@ -124,7 +124,7 @@ def middle(points: FloatArray, names: Sequence[str], *, in_image: bool) -> tuple
     count = seen.sum(axis=-2)
     total = np.where(seen, points, 0.0).sum(axis=-2)
     found = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return found, f"the middle of the {len(names)} keypoints that are seen"
+    return found, f"the middle of the {len(names)} keypoints that were detected"
 
 
 def orientations(
@@ -269,7 +269,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     n_partial = int((np.isfinite(points).any(axis=(-2, -1)) & ~kept).sum())
     people, steps = np.nonzero(kept)
     if not len(people):
-        raise read.fail("nobody who is anywhere", "at least one position")
+        raise read.fail("no positions", "at least one position")
     ids, names_of = read.identities()
     given = {name: values[people, steps] for name, values in channels.items()}
     rows = Rows(

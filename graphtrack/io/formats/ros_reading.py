@@ -578,7 +578,7 @@ def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None
     columns.parts.clear()
     if not len(joined.get("stamp", ())):
         reasons = "; ".join(f"{count} {reason}" for reason, count in refused.items())
-        found = f"nobody in the messages ({reasons})" if reasons else "nobody in any message"
+        found = f"no people in the messages ({reasons})" if reasons else "no people in any message"
         raise InputError(found, "people", path=path)
     if (joined["name"] != "").any():
         first = _first_of_each(joined)
