@@ -46,8 +46,8 @@ LEAST_LABELS = 50
 """Labelled heads of a person that is judged: 2 s at 25 frames a second."""
 
 RELABELLED = float(np.radians(2.0))
-"""Change of a head from frame to frame beyond which it was labelled anew: the same direction in the image
-turns by less in the world as somebody walks through the wide-angle view."""
+"""Change of a head between frames above which it was relabelled: a constant direction in the image turns by
+less in the world as a person walks through the wide-angle view."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def labelled_stretch(track: Track) -> Track | None:
 
 
 def detected(track: Track, rate: float, rng: np.random.Generator) -> Track:
-    """The person seen at a share of the frames, the first among them; unseen, there is no head either."""
+    """Return a person observed at a share of the frames, including the first, with the head."""
     seen = rng.random(len(track)) < rate
     seen[0] = True
     position = np.where(seen[:, None], track.position, np.nan)
@@ -111,7 +111,7 @@ def with_noise(density: float, std: float) -> Parameters:
 
 
 def fit_filters(training: Sequence[Track], progress: Progress, *, quick: bool) -> Fitted:
-    """The parameters that make the innovations on the training tracks most likely, of each method its own.
+    """Fit the parameters of each method by the likelihood of the innovations on the training tracks.
 
     The graphs keep the noise of the positions that the Kalman filter's fit has found.
     """
@@ -205,7 +205,7 @@ def turned_around(track: Track, rng: np.random.Generator) -> Track:
 
 
 def at_random(track: Track, rng: np.random.Generator) -> Track:
-    """Heads that say nothing."""
+    """Uninformative heads."""
     drawn = rng.uniform(-np.pi, np.pi, len(track))
     return replace(track, head=np.where(np.isfinite(np.asarray(track.head)), drawn, np.nan))
 
@@ -297,7 +297,7 @@ def control_gains(
     tracks : with all heads and positions
     repetitions : of the controls that are drawn
     rng_of : from the numbers of a control and a repetition to its source of randomness
-    controls : what is changed
+    controls : changes of the heads
     """
     found = []
     for c, control in enumerate(controls):
@@ -352,7 +352,7 @@ def seeds_at(rate: float, settings: Settings) -> int:
 
 
 def fit_folds(everyone: Sequence[Person], settings: Settings, progress: Progress) -> list[Fitted]:
-    """For each person what was fitted on the others' half, at a detection rate of 80 %."""
+    """For each person the fit on the other half of the people, at a detection rate of 80 %."""
     folds = []
     for fold in range(FOLDS):
         training = [
@@ -384,7 +384,7 @@ def judge(
 def gains(found: Outcomes, rate: float, method: str, *, over: str = "kf") -> tuple[FloatArray, FloatArray]:
     """Ratios (seeds, people) of MSE and CLL; above 1 the method is better.
 
-    A ratio of log-likelihoods says nothing where they are not both negative: NaN.
+    A ratio of log-likelihoods is undefined unless both are negative: NaN.
     """
     base, own = found[rate, over], found[rate, method]
     both = (base[..., 1] < 0.0) & (own[..., 1] < 0.0)
@@ -392,7 +392,7 @@ def gains(found: Outcomes, rate: float, method: str, *, over: str = "kf") -> tup
 
 
 def spread(ratios: FloatArray) -> tuple[float | None, float | None, float | None]:
-    """Median, 1 σ over the people, 1 σ of the seeds' medians; None where there is nothing to tell from."""
+    """Median, 1 σ over the people, 1 σ of the seeds' medians; None without data."""
     if not np.isfinite(ratios).all():
         return None, None, None
     seeds = float(np.std(np.median(ratios, axis=1))) if len(ratios) > 1 else None
@@ -400,7 +400,7 @@ def spread(ratios: FloatArray) -> tuple[float | None, float | None, float | None
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment; without the recordings a line that says so."""
+    """Run the experiment; without the recordings return a note."""
     everyone = chosen(settings)
     if len(everyone) < FOLDS:
         where = "no folder is named" if settings.data is None else f"looked for in {settings.data / 'caviar'}"

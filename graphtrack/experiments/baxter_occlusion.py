@@ -225,7 +225,7 @@ SHARP = (4, 5, 6)
 """Behaviours v–vii of the corpus."""
 
 BEFORE, AFTER = 40, 20
-"""Frames kept before and after the middle of a window: what is further off does not matter to it."""
+"""Frames kept before and after the middle of a window; frames further away have no effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,7 +353,7 @@ def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
 
 
 def trajectories(found: Sequence[WindowErrors]) -> Table:
-    """Baxter et al.'s seven trajectories beside the seven of ours that turn most in the window, head
+    """Baxter et al.'s seven trajectories next to our seven that turn most in the window, head
     visible."""
     errors = [one for one in found if one.head == "visible"][-1]
     turns = np.array([_turn(track, window) for track, window in errors.case.judged])
@@ -398,7 +398,7 @@ def _turn(track: Track, window: BoolArray) -> float:
 
 @tabulated("Paper / ours: reduction of the MSE in the window, head visible")
 def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
-    """Baxter et al.'s mean over seven trajectories beside our reductions, head visible."""
+    """Baxter et al.'s mean over seven trajectories next to our reductions, head visible."""
     for errors in found:
         if errors.head == "hidden":
             continue
