@@ -170,7 +170,7 @@ LIGHT = 3.5
 """τ of eq. 3 with which a head in the bin of the travel has a weight of 0.005, not 0.905."""
 
 LABEL_STD = 0.07
-"""Metres, 1 σ of the labelled positions as the Kalman filter's fit finds it; Baxter et al.'s R says 0.71."""
+"""Metres, 1 σ of the labelled positions fitted with the Kalman filter; Baxter et al.'s R is 0.71."""
 
 
 def _as_they_are(parameters: IntentionalParameters) -> IntentionalParameters:
@@ -427,16 +427,16 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         page(_panels(detail, controls), columns=2),
         (
             "Labelled positions, in metres, are observations and truth; MSE is of one-step predictions. "
-            "Who is not detected shows no head either. Nobody sees the body.",
+            "Without a detection the head is missing too. The body is never observed.",
             "printed and consistent have Baxter et al.'s parameters (Q = 0.1·I, R = 0.5·I). The "
             "others are fitted on "
             f"the other half of the people: 1 σ of the positions {stds[0]:.2g} and {stds[1]:.2g} m, where "
-            f"Baxter et al.'s R says 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s.",
+            f"Baxter et al.'s R is 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s.",
             "CLL gains have no meaning for methods whose log-likelihood is positive, as it is once the noise "
             "is fitted: nats a detection are to be compared, between fitted methods.",
             "What the CLL gain is made of: heads turned around or drawn at random give nearly the same one. "
             "Where innovations are far below what R expects, it is the ratio of the log-determinants of "
-            "their covariances, which the prior narrows whatever it says, and it depends on the unit.",
+            "their covariances, which any prior narrows, and it depends on the unit.",
             "What the MSE loss is made of: R. With Baxter et al.'s Q and R its filter corrects 36 % "
             "of an innovation, "
             "the Kalman filter 65 %, so that what the head gets wrong stays for three frames. With R that of "

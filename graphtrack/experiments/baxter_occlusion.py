@@ -312,7 +312,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         (detail, trajectories(found), _beside(found, rng)),
         page(_panels(detail), columns=2),
         (
-            "Position and body are withheld in the window, the head as the table says; nobody sees the body.",
+            "Position and body are withheld in the window, the head as in the table; the body is never observed.",
             "Reduction: share by which the mean squared error is below a Kalman filter's (Baxter et "
             "al.'s own for "
             "printed, consistent and on the corpus, else the fitted one), offline below that of RTS, with a "
@@ -391,7 +391,7 @@ def trajectories(found: Sequence[WindowErrors]) -> Table:
 
 
 def _turn(track: Track, window: BoolArray) -> float:
-    """Sharpest turn in the window, radians; 0 where nobody moves."""
+    """Return the sharpest turn in the window, radians; 0 without motion."""
     found = turning(track)[window]
     return float(np.nanmax(found, initial=0.0))
 

@@ -173,9 +173,7 @@ def deviation_statistics(
     deviations = [found[np.isfinite(found)] for found in deviations]
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):
-        raise InputError(
-            f"nobody in {name} who moves and whose head is known", "tracks with positions and head"
-        )
+        raise InputError(f"no person in {name} who moves with a known head", "tracks with positions and head")
     mean, std = _mean_and_spread(pooled)
     counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
     found = DeviationStatistics(

@@ -483,7 +483,7 @@ def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Records:
                 }
 
 
-@tabulated("Beyond Chen et al. 2011: the graph, told whether people face where they go (full)")
+@tabulated("Beyond Chen et al. 2011: the graph with coupling modes (full)")
 def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Records:
     """The errors with ``full``, which has modes of the couplings."""
     for one in found:

@@ -65,7 +65,7 @@ def independent_walkers(
 ) -> TrackSet:
     """People who cross a square alone, each without regard to the others.
 
-    Bodies point along the way, or where they last did in somebody who stands; heads glance aside (0.4 rad).
+    Bodies point along the way, or in the last walking direction when standing; heads glance aside (0.4 rad).
 
     Parameters
     ----------

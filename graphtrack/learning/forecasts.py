@@ -174,7 +174,7 @@ def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
         parts.append((expected, actual - expected.mean, actual - straight))
     known = sum(int(np.isfinite(error).sum()) for _, error, _ in parts)
     if not known:
-        raise InputError("nobody who was seen after a forecast", f"tracks longer than {3 * EVERY:g} s")
+        raise InputError("no person observed after a forecast", f"tracks longer than {3 * EVERY:g} s")
     names = Expected.__dataclass_fields__
     joined = Expected(**{name: np.concatenate([getattr(one[0], name) for one in parts]) for name in names})
     error, straight = (np.concatenate([one[k] for one in parts]) for k in (1, 2))

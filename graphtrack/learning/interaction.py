@@ -233,9 +233,7 @@ def _weights(pairs: _Pairs, used: BoolArray) -> ConversationWeights:
     features, together = pairs.features[used], pairs.together[used]
     if not together.any() or together.all():
         raise InputError(
-            "pairs near each other who are all of one group, or none of whom are"
-            if len(together)
-            else "no pairs",
+            "only pairs of one group, or none, among pairs near each other" if len(together) else "no pairs",
             "labelled groups, and people near each other of different ones",
         )
     mean, scale = features.mean(axis=0), features.std(axis=0) + 1e-9

@@ -148,7 +148,7 @@ _CHANNELS = (("position", "pixel"), ("body", "body_likelihood"), ("head", "head_
 
 
 def hidden_frames(track: Track, channel: int, fold: int) -> NDArray[np.bool_]:
-    """Frames (n,) of which a fold hides a channel (0 position, 1 body, 2 head): stretches, by turns."""
+    """Return frames (n,) in which a fold holds out a channel (0 position, 1 body, 2 head), in intervals."""
     seconds = track.t - track.t[0]
     stretch = min(_STRETCH, 1.001 * float(seconds[-1]) / FOLDS)
     return (np.floor_divide(seconds, stretch).astype(int) + channel) % FOLDS == fold

@@ -109,7 +109,7 @@ def fit_scene(
     From detections alone: people are found, the parameters under which they are most probable are learned
     from them, and so on (expectation and maximisation, the former by the most probable explanation). From
     labelled tracks: the same parameters, of the people who are given. Raise InputError if the input cannot be
-    read, nobody is found in it, or labels are asked for and not there.
+    read, no people are found, or requested labels are missing.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Data association of recordings larger than memory, in independent blocks of time.
 
 Blocks overlap. In the middle of an overlap the people of the later block take over; they are those of the
-earlier one with whom they have most detections in common. So blocks can be associated anywhere and in any
+earlier block that share most detections with them. So blocks can be associated anywhere and in any
 order, with the same result.
 """
 

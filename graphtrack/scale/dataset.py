@@ -155,7 +155,7 @@ def open_dataset(path: str | Path) -> Dataset:
     ------
     InputError
         If nothing is there, a file is not Parquet or has a column twice, no file has rows, or a well-known
-        name says another unit than seconds or metres.
+        name has another unit than seconds or metres.
     """
     path = Path(path)
     files: list[DataFile] = []
