@@ -312,7 +312,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         (detail, trajectories(found), _beside(found, rng)),
         page(_panels(detail), columns=2),
         (
-            "Position and body are withheld in the window, the head as in the table; the body is never observed.",
+            "Position and body are withheld in the window, the head as in the table. The body is unobserved.",
             "Reduction: share by which the mean squared error is below a Kalman filter's (Baxter et "
             "al.'s own for "
             "printed, consistent and on the corpus, else the fitted one), offline below that of RTS, with a "
