@@ -153,7 +153,7 @@ def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch)
     assert done.returncode == 0, done.stderr
     walkers(here / "short.csv", people=1, steps=2)
     done = graphtrack("fit short.csv --forecast -o learned.toml")
-    assert done.returncode == 2 and "nobody who was seen after a forecast" in done.stderr
+    assert done.returncode == 2 and "no person observed after a forecast" in done.stderr
 
 
 def test_a_tracker_that_is_asked_late_says_what_one_says_that_was_always_asked():

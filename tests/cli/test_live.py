@@ -446,4 +446,4 @@ def test_well_known_names_last_as_long_as_the_stream(track, tmp_path):
     options += ("--state", tmp_path / "state")
     _, first, _ = track(rows(range(3)), *options)
     _, second, said = track(rows(range(3, 6)), *options)
-    assert first + second == whole and "going on" in said
+    assert first + second == whole and "resuming from" in said
