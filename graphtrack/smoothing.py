@@ -274,7 +274,7 @@ def track_online(
     Raises
     ------
     InputError
-        For a file of detections without identities too: who is who is found out from past and future by
+        For a file of detections without identities too: identities are associated from past and future by
         `associate`, and from the past alone by `OnlineTracker`.
     """
     options: OnlineOptions = {"engine": engine, "lag": lag, "camera": camera}
@@ -337,7 +337,7 @@ def warm_up(
 ) -> None:
     """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
 
-    Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about
+    Without it the first call waits: half a second for loading or, once on a machine, about
     half a minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
     Python shows where logging is not set up.
 

@@ -1,8 +1,8 @@
 """Appearance and detection scores as calibrated likelihood ratios, learned from tracks.
 
 Differences of descriptors are whitened by those within people, as in KISSME (Köstinger et al., CVPR 2012).
-The ratio is a logistic function of the logarithm of the whitened distance (Platt 1999), learned on people
-whom the whitening has not seen: a ratio of two Gaussians would be far too sharp, for looks have heavy tails.
+The ratio is a logistic function of the logarithm of the whitened distance (Platt 1999), calibrated on people
+held out from the whitening; a ratio of two Gaussians would be overconfident, as appearance has heavy tails.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import csgraph, optimize, sparse, spatial
 from graphtrack.saved import packed, unpacked
 
-_LEAST = 1e-12  # squared distances below it are that
-_STEEPEST = 5.0  # 1-σ of what the slope is thought to be before anything is seen; people see it to be near 4
-_SHRINKAGE = 0.3  # share of the within-person covariance that is taken to be the same in all directions
-_OUTLIER = 0.02  # least probability that looks say nothing; it bounds the ratio
+_LEAST = 1e-12  # least squared distance; smaller values are clipped
+_STEEPEST = 5.0  # 1-σ of the prior of the slope; learned slopes are near 4
+_SHRINKAGE = 0.3  # shrinkage of the within-person covariance towards an isotropic matrix
+_OUTLIER = 0.02  # least probability that appearance is uninformative; it bounds the ratio
 _FOLDS = 5  # groups of people that are held out in turn, to calibrate on
-_LEAST_PEOPLE = 4  # below which nothing is learned, and looks do not count
-_MOST_PAIRS = 20_000  # pairs of either kind that are looked at
+_LEAST_PEOPLE = 4  # least people to learn from; with fewer, appearance is not used
+_MOST_PAIRS = 20_000  # most pairs of either kind that are used
 
 
 @dataclass(frozen=True, eq=False)
 class AppearanceModel:
-    """Log likelihood ratio of looks: of one person against two people.
+    """Log likelihood ratio of appearance: the same person against two people.
 
     With the squared distance d of whitened descriptors and s = exp(offset - slope · log d), the ratio is
     ((1 - outlier) s + outlier) / ((1 - outlier) + outlier s): it falls with d, and its logarithm stays within
@@ -40,8 +40,8 @@ class AppearanceModel:
     Attributes
     ----------
     whitening : (k, k), applied from the right; two people are about 1 apart after it
-    offset, slope : of the logistic function; a slope of 0 and an offset of 0 say nothing
-    outlier : probability that looks say nothing
+    offset, slope : of the logistic function; with both 0 the ratio is uninformative
+    outlier : probability that the appearance is uninformative
     """
 
     whitening: FloatArray
@@ -57,7 +57,7 @@ class AppearanceModel:
         different: ArrayLike,
         shrinkage: float = _SHRINKAGE,
     ) -> AppearanceModel:
-        """The model of a recording, from pairs of its detections; one that says nothing if they are too few.
+        """Learn the model from pairs of detections; return an uninformative model if they are too few.
 
         ``descriptors``: (n, k), NaN where one is missing. ``same``, ``different``: (m, 2) rows of pairs that
         show one person, such as neighbours in tracklets, and two people, such as those of one frame. The
@@ -73,7 +73,7 @@ class AppearanceModel:
             return cls(np.eye(values.shape[1]), outlier=_OUTLIER)
         of_one, of_two = _held_out(values, one, person, other, shrinkage)
         offset, slope = _logistic(np.log(of_one), np.log(of_two), people)
-        # Of few people nobody knows how often looks deceive: as if one had, of two more.
+        # Beta prior of the outlier probability: one outlier in two further people.
         outlier = max(_OUTLIER, 1.0 / (people + 2.0))
         return cls(_whitening(values, one, other, shrinkage), offset, slope, outlier)
 
@@ -120,7 +120,7 @@ def _usable(values: FloatArray, pairs: ArrayLike, most: int) -> IntArray:
 
 
 def _people(pairs: IntArray, n: int) -> IntArray:
-    """A number (m,) for the person of each pair: pairs that share a detection are of one."""
+    """A number (m,) for the person of each pair; pairs that share a detection belong to the same person."""
     links = sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     _, component = csgraph.connected_components(links, directed=False)
     return np.unique(component[pairs[:, 0]], return_inverse=True)[1].astype(np.int64)
@@ -133,9 +133,9 @@ def _squares(values: FloatArray, pairs: IntArray, whitening: FloatArray) -> Floa
 
 
 def _whitening(values: FloatArray, same: IntArray, different: IntArray, shrinkage: float) -> FloatArray:
-    """(k, k) that makes differences within people alike in all directions, and two people about 1 apart.
+    """Whitening (k, k): isotropic differences within people, and unit scale of those between people.
 
-    The last makes whitenings that were learned from different people comparable.
+    The unit scale makes whitenings that were learned from different people comparable.
     """
     difference = values[same[:, 0]] - values[same[:, 1]]
     covariance = difference.T @ difference / len(difference)
@@ -150,7 +150,7 @@ def _whitening(values: FloatArray, same: IntArray, different: IntArray, shrinkag
 def _held_out(
     values: FloatArray, same: IntArray, person: IntArray, different: IntArray, shrinkage: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Squared distances of both kinds of pairs, each whitened by other people than that of the pair."""
+    """Squared distances of both kinds of pairs, each whitened by people other than those of the pair."""
     folds = min(_FOLDS, int(person.max()) + 1)
     of_one, of_two = np.empty(len(same)), np.empty(len(different))
     mine, other = person % folds, np.arange(len(different)) % folds
@@ -162,9 +162,9 @@ def _held_out(
 
 
 def _logistic(same: FloatArray, different: FloatArray, people: int) -> tuple[float, float]:
-    """Offset and slope, 0 at least, of the log ratio in log distances of pairs; both kinds weigh the same.
+    """Offset and slope (at least 0) of the log ratio in log distances of pairs; both kinds have equal weight.
 
-    There are as many independent observations as people.
+    The number of people is taken as the number of independent observations.
     """
 
     def cost(parameters: FloatArray) -> float:
@@ -180,10 +180,10 @@ def _logistic(same: FloatArray, different: FloatArray, people: int) -> tuple[flo
     return float(offset), float(slope)
 
 
-_TAUGHT_SECONDS = 0.6  # two detections of one person teach what stays the same if they are no further apart
-_APART = 1.0  # metres between two detections of a frame beyond which they show two people
-_PRIOR = 5.0  # pairs of false detections that looks tell nothing of, until more are seen
-_BINS = 6  # into which scores are put, as many in each
+_TAUGHT_SECONDS = 0.6  # longest time between two detections of a positive pair
+_APART = 1.0  # least distance in metres between two detections of a negative pair
+_PRIOR = 5.0  # pseudo-count of pairs of false detections with ratio 0
+_BINS = 6  # bins of scores, with equal counts
 
 
 def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray) -> AppearanceModel:
@@ -203,10 +203,10 @@ def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray
 
 
 def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray) -> float:
-    """Mean log ratio of looks along tracks, at least 0, by which the gain of detections is lowered.
+    """Mean log ratio of appearance along tracks, at least 0, by which the gain of detections is lowered.
 
-    A false detection of a thing resembles itself from frame to frame as much as a person does: looks tell who
-    is who, and not whether there is anybody. ``identity``: (n,), −1: false; ``descriptors``: (n, d), or NaN.
+    A false detection of an object resembles itself from frame to frame as much as a person does: appearance
+    is evidence of identity, not of existence. ``identity``: (n,), −1: false; ``descriptors``: (n, d), or NaN.
     """
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     ratios = model.log_ratio(descriptors[chains.preceding[later]], descriptors[later])
@@ -218,9 +218,9 @@ def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descri
 def resemblance_of_false_ones(
     chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray
 ) -> float:
-    """`constancy` for online use: the mean log ratio where a false detection follows a near one, at least 0.
+    """`constancy` for online use: the mean log ratio of a false detection and a near one before, at least 0.
 
-    Online, links are made because looks agree, so that the mean along tracks would rise by itself.
+    Online, links are made because appearance agrees, which biases the mean along tracks upwards.
     """
     false = np.flatnonzero((identity < 0) & has_descriptor(descriptors))
     if not len(false):
@@ -240,7 +240,7 @@ def has_descriptor(descriptors: FloatArray) -> NDArray[np.bool_]:
 
 
 def widened(descriptors: FloatArray, size: int) -> FloatArray:
-    """Descriptors (n, size): those given, or none of anybody where they have no numbers yet."""
+    """Descriptors (n, size): those given, or NaN if their size is 0."""
     return descriptors if descriptors.shape[1] == size else np.full((len(descriptors), size), np.nan)
 
 
@@ -250,8 +250,8 @@ class ScoreRatio:
 
     Attributes
     ----------
-    edges : (bins − 1,) between the bins into which scores are put
-    ratio : (bins,) log of how much more probable each is of people; none: scores say nothing
+    edges : (bins − 1,) between the bins of scores
+    ratio : (bins,) log likelihood ratio of people in each bin; empty: scores are not used
     """
 
     edges: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -270,7 +270,7 @@ class ScoreRatio:
         return cls(edges, np.log(shares[0] / shares[0].sum()) - np.log(shares[1] / shares[1].sum()))
 
     def of(self, score: FloatArray) -> FloatArray:
-        """Log ratio (n,) of scores (n,); 0: not scored."""
+        """Log ratio (n,) of scores (n,); 0: no score."""
         if not len(self.ratio):
             return np.zeros(len(score))
         return np.where(np.isfinite(score), self.ratio[np.searchsorted(self.edges, score, "right")], 0.0)
@@ -278,13 +278,13 @@ class ScoreRatio:
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """Evidence of appearance and detection scores, as it was learned from tracks.
+    """Evidence of appearance and detection scores, learned from tracks.
 
     Attributes
     ----------
-    model : of descriptors; None: none was seen
+    model : of descriptors; None: no descriptors
     constancy : see `resemblance_of_false_ones`
-    scores : of the detector
+    scores : ratio of detection scores
     """
 
     model: AppearanceModel | None = None
@@ -292,7 +292,7 @@ class Looks:
     scores: ScoreRatio = field(default_factory=ScoreRatio)
 
     def in_scene(self, scene: Scene) -> Scene:
-        """A scene that compares looks as the model does."""
+        """A scene with the constants of the appearance model."""
         model = self.model
         if model is None:
             return scene
@@ -301,13 +301,13 @@ class Looks:
         )
 
     def in_chains(self, chains: Chains, descriptors: FloatArray) -> Chains:
-        """Chains that have descriptors (n, d) as the model compares them."""
+        """Chains with descriptors (n, d), whitened by the model."""
         if self.model is None:
             return chains
         return chains._replace(looks=np.ascontiguousarray(self.model.whitened(descriptors)))
 
     def gain(self, descriptors: FloatArray, score: FloatArray) -> FloatArray:
-        """(n,) log gain of detections as a person's by descriptors (n, d) and scores (n,); NaN: none."""
+        """(n,) log gain of detections as a person's by descriptors (n, d) and scores (n,); NaN: missing."""
         less = 0.0 if self.model is None else self.constancy
         return self.scores.of(score) - less * has_descriptor(descriptors)
 
@@ -333,7 +333,7 @@ class Looks:
 
 
 def looks_of_tracks(chains: Chains, identity: IntArray, descriptors: FloatArray, score: FloatArray) -> Looks:
-    """Learn it from tracks; arguments as in `constancy` and `ScoreRatio`."""
+    """Learn the evidence from tracks; arguments as in `constancy` and `ScoreRatio`."""
     scores = ScoreRatio.learned(score, identity)
     if not descriptors.shape[1]:
         return Looks(scores=scores)

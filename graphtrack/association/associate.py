@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 FALSE = "taken for false detections"
 NOWHERE = "detections without a position"
-REPEATED = "at the place of another of the same frame"
+REPEATED = "repeated in the same frame"
 
 _ALONG = (
     "position_std",
@@ -50,16 +50,16 @@ _ALONG = (
     "head_likelihood",
     APPEARANCE,
 )
-"""Channels that the evidence reads beside the position."""
+"""Channels that the evidence reads in addition to the position."""
 
 
 def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) -> TrackSet:
-    """The tracks that rows of detections belong to, with a row for each frame from first to last.
+    """The tracks of associated detections, with a row for each frame from first to last.
 
     Parameters
     ----------
-    scene : its parameters that are known; the others are learned
-    repair : the rows are a tracker's, whose identities are kept but where the evidence is against them
+    scene : known parameters; the others are learned
+    repair : the rows have a tracker's identities, which are kept unless the evidence is against them
     """
     known = known_values(scene)
     found = with_repaired_identities(rows, known) if repair else with_identities(rows, known)
@@ -67,12 +67,12 @@ def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) ->
 
 
 def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
-    """The rows of detections with the identities that are most probable; false ones are left out.
+    """The rows of detections with the most probable identities; false detections are left out.
 
     Parameters
     ----------
-    rows : on the ground, with times; their own identities do not matter
-    scene : its parameters that are known; the others are learned
+    rows : on the ground, with times; their own identities are not read
+    scene : known parameters; the others are learned
     """
     rows, detections = detections_of(rows)
     from graphtrack.association.offline import associate_detections  # SciPy takes long to load
@@ -83,7 +83,7 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
     as_read = None if rows.as_read is None else rows.as_read.without_identities()
     rows = replace(rows, track_id=identity + 1, has_identity=True, labels={}, as_read=as_read)
-    # Nobody knows better how noisy they are than who saw them follow each other.
+    # The tracks show the noise of the positions best.
     std = rows.channels.get("position_std", np.full(len(rows), np.nan))
     std = np.where(np.isnan(std), found.scene.position_std, std)
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)), position_std=std)
@@ -92,14 +92,14 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
 
 
 def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
-    """The rows of a tracker, parted where it jumped from one person to another, and joined where it lost one.
+    """The rows of a tracker: tracks split at identity switches and joined across gaps.
 
     Parameters
     ----------
     rows : on the ground, with times and identities; those with the identity −1 have none
-    scene : its parameters that are known; the others are learned
+    scene : known parameters; the others are learned
     """
-    # Who is joined of two tracks need not stand in the order of frames.
+    # Rows of joined tracks may be out of order.
     rows, detections = detections_of(rows.taken(np.argsort(rows.frame, kind="stable")))
     known, place = np.unique(rows.track_id, return_inverse=True)
     given = np.where(rows.track_id == -1, -1, place)[detections.row]
@@ -116,12 +116,12 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     rows = replace(rows, track_id=track_id, has_identity=True, labels=labels)
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     return rows.with_notes(
-        f"repaired {before} tracks: now {after}; {moved} of {len(rows)} rows changed hands"
+        f"repaired {before} tracks: now {after}; {moved} of {len(rows)} rows changed identity"
     )
 
 
 def usable(rows: Rows) -> Rows:
-    """The rows that have a position; of those that say the same twice only the first.
+    """The rows that have a position, without repeated rows.
 
     Raise InputError with the line, where times do not increase from frame to frame.
     """
@@ -158,14 +158,14 @@ def _check_times(rows: Rows) -> None:
 
 
 def detections_of(rows: Rows) -> tuple[Rows, Detections]:
-    """The usable rows, and what the evidence reads of them."""
+    """The usable rows, and their channels that the evidence reads."""
     rows = usable(rows)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
     return rows, Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
 
 
 def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.longest_filled) -> TrackSet:
-    """Tracks with an empty row for each frame in which somebody was not seen, in gaps that are short.
+    """Tracks with an empty row for each frame without a detection, in gaps that are short.
 
     ``longest_filled``: seconds of a gap that is filled
     """
@@ -176,10 +176,10 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
 
 def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest: float) -> Track:
-    # Between two detections two steps apart somebody was hidden for one.
+    # A gap of two steps holds one frame without a detection.
     short = np.diff(track.t) - np.diff(t).min() <= longest * (1.0 + 1e-9)
     gaps = [pair for pair, fill in zip(pairwise(track.frame.tolist()), short, strict=True) if fill]
-    # Frames in which nobody at all was seen are none of the recording's: they lie a step apart.
+    # Frames without any detection are missing from the recording: they are inserted a step apart.
     between = [np.arange(a, b, step) for a, b in gaps]
     inside = [frames[(frames > a) & (frames < b)] for a, b in gaps if b - a > step]
     frame = np.unique(np.concatenate([track.frame, *inside, *between]))
@@ -194,22 +194,22 @@ def associate(
     model: Model | str | Path | None = None,
     **options: Unpack[FileReading],
 ) -> TrackSet:
-    """Find out who is who in a recording: one track a person, with a row for each frame from first to last.
+    """Associate the detections of a recording: a track for each person, with a row for each frame.
 
     Parameters
     ----------
     detections : a file, a table with or without ``track_id``, or tracks whose identities are forgotten
-    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
-        names. The others are as the model has them, else learned from the detections
+    scene : known parameters of birth, death and detection: `SceneParameters`, or a mapping of some of them by
+        name. The others are the model's, else learned from the detections
     model : a model, or a model file, whose scene it is
     **options : fields of `ReadOptions`, such as ``fps`` where there are no times, and for files ``format``
 
     Returns
     -------
     TrackSet
-        Observations, to be smoothed. ``identity_p`` says how probable it is that a row is of whom the track
-        had before; ``observed`` is 0 in frames in which nobody was seen. What was taken for false is left
-        out, and counted in the summary.
+        Observations, to be smoothed. ``identity_p`` is the probability that a row is of the same person as
+        the track's row before; ``observed`` is 0 in frames without a detection. Detections classified as
+        false are left out, and counted in the summary.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def associate(
 
 
 def rows_of(detections: Detected, *, format: str | None = None, **options: Unpack[Reading]) -> Rows:
-    """The rows of whatever holds detections, with the identities that they have.
+    """The rows of a file, a table or tracks, with the identities that they have.
 
     Raise InputError if the input cannot be read.
 
@@ -266,12 +266,11 @@ def read(
 
     Parameters
     ----------
-    path : one path, of a file or of a folder that `perception report` wrote or that is a sequence of
-        MOTChallenge, or several whose tracks are merged: ids that clash are renumbered, and tracks without a
-        label get the name of their file. Or a DataFrame (pandas, polars), another table that speaks Arrow, or
-        a mapping name → column
+    path : one path, of a file, of a folder that `perception report` wrote or of a MOTChallenge sequence; or
+        several, whose tracks are merged: ids that clash are renumbered, and tracks without a label get the
+        name of their file. Or a DataFrame (pandas, polars), another Arrow table, or a mapping name → column
     format : name of the format; None: recognised by the content
-    scene : parameters of the scene that are known, for rows without identities; the others are learned
+    scene : known parameters of the scene, for rows without identities; the others are learned
     **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
 
     Returns
@@ -282,7 +281,7 @@ def read(
     Raises
     ------
     InputError
-        With path, line and column, what was found there and what was expected.
+        With path, line and column, the value found and the value expected.
     """
     to_tracks = partial(tracks_of_rows, scene=known_values(scene))
     return read_identified(path, format=format, to_tracks=to_tracks, **options)
@@ -298,7 +297,7 @@ def tracks_of(
     Parameters
     ----------
     scene : for rows without identities, as in `read`
-    identified : whether rows without identities are an error, unless ``associate`` says otherwise
+    identified : raise an error for rows without identities, unless ``associate`` is set
     **reading : options of `read`, for paths and tables
     """
     associate: Associate = "never" if identified else "auto"
@@ -312,14 +311,14 @@ def from_supervision(
     person: int | None = 0,
     **options: Unpack[Placing],
 ) -> TrackSet:
-    """Tracks of what detectors and trackers found in the frames of a video, as ``supervision.Detections``.
+    """Tracks of the detections in the frames of a video, as ``supervision.Detections``.
 
-    Where there are ids (``tracker_id``, as after ``tracker.update`` of the package trackers), they are the
-    tracks; else detections are associated. A person stands at the middle of the box's lower edge.
+    Ids (``tracker_id``, as after ``tracker.update`` of the package trackers) are kept as tracks; without ids
+    the detections are associated. A person stands at the middle of the box's lower edge.
 
     Parameters
     ----------
-    detections : one for each frame, from 0 on, or frame → one
+    detections : one object for each frame, from 0 on, or frame → object
     fps : frames a second
     person : the class of people; None: all are people
     **options : fields of `ReadOptions`, such as ``homography``, ``calibration`` or ``metres_per_pixel``
@@ -327,7 +326,7 @@ def from_supervision(
     Raises
     ------
     InputError
-        If one is no such object, some frames have ids and others none, or nobody was found.
+        If an object has no such fields, some frames have ids and others none, or there is no person.
     """
     chosen = ReadOptions.named(fps=fps, **options)
     return tracks_of_rows(rows_of_supervision(detections, chosen, person), chosen)
@@ -347,13 +346,13 @@ def from_ultralytics(
     Parameters
     ----------
     results : one for each frame, from 0 on, or frame → one
-    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
-    fps, **options : as there
+    person : the class of people; None: the class named "person" in ``results.names``, or else 0
+    fps, **options : as in `from_supervision`
 
     Raises
     ------
     InputError
-        As there.
+        As `from_supervision`.
     """
     chosen = ReadOptions.named(fps=fps, **options)
     return tracks_of_rows(rows_of_ultralytics(results, chosen, person), chosen)

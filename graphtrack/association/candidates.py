@@ -1,7 +1,7 @@
 """Candidate links within reach, their gains, and the best match among them, compiled.
 
 Candidates are found on grids: a cell for each place, and groups of frames whose lengths double with the time
-from the frame that is decided. A candidate that another one outbids in any case is left out.
+from the frame that is decided. A candidate that another candidate outbids in any case is left out.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Edges: TypeAlias = tuple[IntArray, IntArray, FloatArray]
 """Rows (e,), columns (e,) and gains (e,) of candidates."""
 
 WORTHLESS = -10.0
-"""Gain below that of the best for the same detection with which a candidate has no probability."""
+"""Gain below that of the best for the same detection below which a candidate's probability is taken as 0."""
 
 _WORTH_OF_VELOCITY = 12.0
 """Greatest log likelihood that a track's following detections gain by a known position and velocity."""
@@ -54,7 +54,7 @@ class Grid(NamedTuple):
     spans: (
         FloatArray  # (groups, 6) earliest and latest time (s), greatest variance (m²), corner, cell size (m)
     )
-    shape: IntArray  # (groups, 3) cells along x and y, and the number of the first one
+    shape: IntArray  # (groups, 3) cells along x and y, and the number of the first cell
     start: IntArray  # (cells + 1,) of each cell in ``order``
     order: IntArray  # (n,) places of the detections in the array that the grid was made of
 
@@ -107,7 +107,7 @@ def grid_of(chains: Chains, detections: IntArray, base: int) -> Grid:
 
 @compiled
 def cells_along(low: float, high: float, corner: float, size: float, cells: int) -> tuple[int, int]:
-    """First cell along an axis from ``low`` to ``high``, and the first one behind them."""
+    """First cell along an axis from ``low`` to ``high``, and the first cell behind them."""
     first = max(math.floor((low - corner) / size), 0.0)
     end = min(math.floor((high - corner) / size) + 1.0, float(cells))
     return int(min(first, float(cells))), int(max(end, 0.0))
@@ -125,13 +125,13 @@ def near_ones(
     scene: Scene,
     found: IntArray,
 ) -> int:
-    """Put into ``found`` the places in ``others`` of detections somebody may be at; return their number.
+    """Put into ``found`` the indices in ``others`` of detections within reach; return their number.
 
     Parameters
     ----------
-    state, t, frame : of somebody, at a time (s) and in a frame
+    state, t, frame : of a person, at a time (s) and in a frame
     others, grid : detections, and their grid
-    bounds : (groups,) of what links to them are worth more than needed, but for position and gap
+    bounds : (groups,) greatest gain of links to each group over the gain needed, without position and gap
     """
     count = 0
     for g in range(len(grid.shape)):
@@ -173,7 +173,7 @@ def near_ones(
 
 @compiled
 def most_shown(scene: Scene) -> float:
-    """Greatest log likelihood ratio of looks, angles and a given identity that a link can have."""
+    """Greatest log likelihood ratio of appearance, angles and a given identity that a link can have."""
     most = scene.trust
     if scene.looks_outliers < 1.0:
         most -= math.log(scene.looks_outliers)
@@ -212,7 +212,7 @@ def gaps_missed(scene: Scene) -> FloatArray:
 
 @compiled
 def worth_of_state(tail: Row, state: FloatArray, scene: Scene) -> float:
-    """Bound of what a state at a tail adds to the log likelihood of what follows for somebody new."""
+    """Bound of a tail state's contribution to the log likelihood of a new person's detections."""
     determinant = max(state[4] * state[6] - state[5] * state[5], 1e-12)
     speed = state[2] * state[2] + state[3] * state[3]
     gained = math.log(tail.variance * scene.speed_variance / determinant)
@@ -221,9 +221,9 @@ def worth_of_state(tail: Row, state: FloatArray, scene: Scene) -> float:
 
 @compiled
 def most_offered(tail: Row, value: float, most: float, scene: Scene) -> float:
-    """Bound of what a tail of that value as somebody new adds to a link to it, but for `most_dense`.
+    """Bound of the gain of a link to a tail of that value as a new person, without `most_dense`.
 
-    What follows in it has the likelihood that it has for somebody new, and at most so much more.
+    The following detections have at least the likelihood that they have for a new person, plus the bound.
     """
     following = _WORTH_OF_VELOCITY + most if tail.following >= 0 else 0.0
     return min(0.0, value) - scene.log_birth - tail.birth + following + most
@@ -340,7 +340,7 @@ def gains_of_detections(
                 chains, chains.state[k], one.t, one.frame, detections, grid, bounds, scene, near
             )
         else:
-            # As far from the tail as somebody new may have walked.
+            # As far from the tail as a new person may have walked.
             without, later = born(chains, m, scene), chains.rows[m]
             dt = later.t - now
             bounds[0] = new + most_offered(later, without, most, scene)
@@ -388,11 +388,11 @@ def gains_of_detections(
 
 @allocating
 def raise_least(edges: Edges, whole: NDArray[np.bool_], worthless: float, least: FloatArray) -> None:
-    """Raise the gains (columns,) that matter, given candidates of which some rows (rows,) have all.
+    """Raise the gains (columns,) that matter, given all candidates of some rows (rows,).
 
-    Where a row has a candidate for a column, and each other one of the row is worth less by some amount, no
-    candidate of the column that is worth less than that amount is in the best match. It is left out if it is
-    also worth less than the column's best one and ``worthless``.
+    Where a row has a candidate for a column, and each other candidate of the row is worth less by some
+    amount, no candidate of the column that is worth less than that amount is in the best match. It is left
+    out if it is also worth less than the column's best candidate and ``worthless``.
     """
     rows, columns, gains = edges
     best, second = np.zeros(len(whole)), np.zeros(len(whole))
@@ -417,7 +417,7 @@ def keep_best(best: FloatArray, gain: float) -> None:
 
 @allocating
 def certain_pairs(edges: Edges, partner: IntArray, columns_taken: int) -> IntArray:
-    """Fill the column of each row (rows,) where it is certain, else −1; return the places of what is left.
+    """Fill the column of each row (rows,) where it is certain, else −1; return the remaining candidates.
 
     A pair is certain if it is worth as much as the best others of its row and of its column together.
     """
@@ -505,7 +505,7 @@ def match(edges: Edges, shape: tuple[int, int]) -> IntArray:
     rows, columns, gains = (values[left] for values in edges)
     row, i = np.unique(rows, return_inverse=True)
     column, j = np.unique(columns, return_inverse=True)
-    # A column of its own for each row that is to have none.
+    # A dummy column for each row, for no match.
     none, size = np.arange(len(row)), (len(row), len(column) + len(row))
     worth = np.concatenate([1.0 + gains, np.ones(len(row))])
     links = sparse.csr_array((worth, (np.append(i, none), np.append(j, len(column) + none))), shape=size)
@@ -517,7 +517,7 @@ def match(edges: Edges, shape: tuple[int, int]) -> IntArray:
 
 @allocating
 def probabilities_of_links(edges: Edges, partner: IntArray, probability: FloatArray) -> None:
-    """Fill the probability of each row's link to its column among all that either could have, or none.
+    """Fill the probability of each row's link to its column among all candidates of both, or no link.
 
     Parameters
     ----------
@@ -549,7 +549,7 @@ def probabilities_of_links(edges: Edges, partner: IntArray, probability: FloatAr
 
 @compiled
 def window(chains: Chains, first: int, scene: Scene) -> tuple[int, int]:
-    """First detection within the longest gap of a detection, and the first one behind those."""
+    """First detection within the longest gap of a detection, and the first detection behind those."""
     now = chains.rows[first].t
     begin, behind = 0, first
     while begin < behind:
@@ -710,8 +710,8 @@ def carried(
 ) -> Edges:
     """Return those of earlier candidates that still hold, by their places in ``keys`` and ``columns``.
 
-    Columns that a stale row had a candidate for become stale: what it outbid may matter now. ``place``:
-    −1 throughout, as long as there are keys
+    Columns become stale for which a stale row, or one with a candidate in a stale column, had a candidate:
+    what that outbid may matter now. ``place``: −1 throughout, as long as there are keys
     """
     rows_before, columns_before, gains = edges
     rows, others = np.empty(len(gains), np.int64), np.empty(len(gains), np.int64)
@@ -723,9 +723,13 @@ def carried(
         place[keys[i]] = -1
     for j in range(len(columns)):
         place[columns[j]] = j
+    touched = np.zeros(len(keys), np.bool_)
     for e in range(len(gains)):
         others[e] = place[columns_before[e]]
-        if others[e] >= 0 and (rows[e] < 0 or stale_rows[rows[e]]):
+        if rows[e] >= 0 and (others[e] < 0 or stale_columns[others[e]]):
+            touched[rows[e]] = True
+    for e in range(len(gains)):
+        if others[e] >= 0 and (rows[e] < 0 or stale_rows[rows[e]] or touched[rows[e]]):
             stale_columns[others[e]] = True
     for j in range(len(columns)):
         place[columns[j]] = -1

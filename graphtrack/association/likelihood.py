@@ -46,7 +46,7 @@ class Scene(NamedTuple):
     frame_seconds: float
     look_ahead: float
     body_variance: float
-    body_turn: float  # variance a second
+    body_turn: float  # variance per second
     body_outliers: float
     head_variance: float
     head_turn: float
@@ -66,37 +66,37 @@ DETECTION = np.dtype(
         ("x", float),  # metres
         ("y", float),
         ("variance", float),  # m² of each axis
-        ("gain", float),  # log of how much more likely as a person's than as a false one, position aside
-        ("birth", float),  # log of how many times the mean rate people come into view there
-        ("death", float),  # the same of those who leave
+        ("gain", float),  # log likelihood ratio of a person against a false detection, without position
+        ("birth", float),  # log of the local birth rate over its mean
+        ("death", float),  # log of the local death rate over its mean
         ("body", float),  # radians, observed; NaN: not observed
         ("head", float),
-        ("given", np.int64),  # identity that somebody gave it and that mostly is right; −1: none
+        ("given", np.int64),  # identity given by a tracker; −1: none
         ("following", np.int64),  # the next detection of the same person, or −1
-        ("preceding", np.int64),  # the one before, or −1
-        ("evidence", float),  # of the detection given those before
-        ("total", float),  # of the track up to there
-        ("rest", float),  # of the track from there on, to its end: as it was when a sweep began
-        ("alone", float),  # the value of what follows from there on as somebody new: as it was last looked at
+        ("preceding", np.int64),  # the previous detection of the same person, or −1
+        ("evidence", float),  # log likelihood of the detection given those before
+        ("total", float),  # log evidence of the track up to it
+        ("rest", float),  # log evidence of the track from it to its end, at the start of a sweep
+        ("alone", float),  # value of the track from it on as a new person, when last computed
         ("changed_before", np.int64),  # number of the move that last changed its state or its next detection
         (
             "changed_after",
             np.int64,
-        ),  # of that which last changed what follows in its chain, or the one before
+        ),  # number of the move that last changed its chain behind it, or the link before
     ]
 )
-"""A detection as kernels read it: one record, since each array that they are handed costs some time."""
+"""A detection as kernels read it: one record, since each array argument has an overhead."""
 
 Row: TypeAlias = Any
-"""One record of `DETECTION`, as kernels read it; type checkers know nothing of its fields."""
+"""One record of `DETECTION`, as kernels read it; type checkers do not know its fields."""
 
 
 class Chains(NamedTuple):
-    """n detections in the order of time, and the tracks that they are chained to; attributes are views."""
+    """n detections in the order of time, and their chaining into tracks; attributes are views."""
 
     rows: NDArray[np.void]  # (n,) of DETECTION
     state: FloatArray  # (n, STATE) filtered there, see `STATE`
-    looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
+    looks: FloatArray  # (n, d) whitened descriptors, NaN where missing; (n, 0) without appearance
 
     @property
     def t(self) -> FloatArray:
@@ -125,7 +125,7 @@ class Chains(NamedTuple):
 
     @property
     def preceding(self) -> IntArray:
-        """(n,) the one before, or −1."""
+        """(n,) the previous detection, or −1."""
         return self.rows["preceding"]
 
     @property
@@ -140,7 +140,7 @@ class Chains(NamedTuple):
 
 
 def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: FloatArray) -> Chains:
-    """Detections that are nobody's yet; their variances, gains and looks are to be set.
+    """Detections that are not linked yet; their variances, gains and appearance are to be set.
 
     Parameters
     ----------
@@ -157,14 +157,14 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
 
 
 def chains_of(detections: Detections) -> Chains:
-    """Detections that are nobody's yet, with their observed angles."""
+    """Detections that are not linked yet, with their observed angles."""
     angles = observed_angles(detections.channels, len(detections))
     position = np.ascontiguousarray(detections.position)
     return unlinked(detections.t, detections.step, position, angles)
 
 
 def link_by(chains: Chains, identity: IntArray) -> None:
-    """Chain the detections of each identity in the order of time; of two in a frame only one; −1: none."""
+    """Chain the detections of each identity in the order of time, one per frame; −1: no identity."""
     order = np.lexsort((np.arange(len(identity)), identity))
     before, after = order[:-1], order[1:]
     same = (identity[before] == identity[after]) & (identity[after] >= 0)
@@ -175,7 +175,7 @@ def link_by(chains: Chains, identity: IntArray) -> None:
 
 @compiled
 def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
-    """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
+    """Log likelihood ratio of the appearance of two detections; see `AppearanceModel`."""
     if scene.looks_outliers >= 1.0:
         return 0.0
     square = 0.0
@@ -193,7 +193,7 @@ def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
 def see_angle(
     angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
 ) -> float:
-    """Take an observed angle (rad, or NaN) into the direction at ``place`` of a state; return its log ratio.
+    """Update the direction at ``place`` of a state by an observed angle (rad, or NaN); return its log ratio.
 
     ``prior_x``, ``prior_y``: expected direction, as long as its concentration; ``outliers``: share of random
     angles, 1: angles are not used.
@@ -214,7 +214,7 @@ def see_angle(
 
 @compiled
 def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
-    """Take body and head of a later detection into the state; return their log likelihood ratio."""
+    """Update the state with body and head of a later detection; return their log likelihood ratio."""
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
     dt = later.t - earlier.t
@@ -225,7 +225,7 @@ def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state
     x, y = state[BODY], state[BODY + 1]
     square = state[2] * state[2] + state[3] * state[3]
     if square > 1e-4:
-        # Who hardly moves goes nowhere in particular.
+        # At low speed the direction of travel is undefined.
         length = 1.0 / ((scene.heading_variance + state[6] / square) * math.sqrt(square))
         x, y = x + length * state[2], y + length * state[3]
     ratio = see_angle(later.body, x, y, scene.body_variance, scene.body_outliers, state, BODY)
@@ -258,19 +258,19 @@ def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> 
     state[1] += p_gain * off * across_y
     state[2] += v_gain * off * across_x
     state[3] += v_gain * off * across_y
-    # Of the two axes one is known better; the covariance is their mean.
+    # The covariance is isotropic: the mean of both axes.
     state[4] -= 0.5 * p_gain * state[5]
     state[5] -= 0.5 * p_gain * state[6]
     state[6] -= 0.5 * v_gain * state[6]
 
 
-GATE = 6.0  # standard deviations beyond which a detection is nobody's
-SAME = 1e-7  # difference of states and of evidence that changes nobody's links
+GATE = 6.0  # standard deviations of the gate
+SAME = 1e-7  # difference of states and of evidence below which links do not change
 
 
 @compiled
 def missed(frames: int, scene: Scene) -> float:
-    """Log probability of so many frames between two detections: chance misses, or one occlusion."""
+    """Log probability of a number of frames between two detections: chance misses, or one occlusion."""
     if frames <= 0:
         return 0.0
     chance = frames * scene.log_missed
@@ -293,7 +293,7 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
     off_x, off_y = later.x - x, later.y - y
     square = 0.5 * (off_x * off_x + off_y * off_y)
     wide = spread + scene.jump_variance
-    # More than the exponential holds is added to the logarithm.
+    # Avoids overflow of the exponential.
     likelier = square / spread - square / wide
     beyond = max(likelier - 500.0, 0.0) if scene.jump_probability > 0.0 else 0.0
     stays = 1.0 - scene.jump_probability
@@ -314,7 +314,7 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
 
 @compiled
 def begin(first: Row, scene: Scene, state: FloatArray) -> float:
-    """The state of somebody at the first detection of them; its evidence."""
+    """The state of a new person at the first detection; its evidence."""
     state[0], state[1] = first.x, first.y
     state[2] = state[3] = state[5] = 0.0
     state[4], state[6] = first.variance, scene.speed_variance
@@ -326,7 +326,7 @@ def begin(first: Row, scene: Scene, state: FloatArray) -> float:
 
 @compiled
 def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
-    """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
+    """The state after detection m of a person whose state was ``before`` at detection k; its evidence."""
     earlier, later = chains.rows[k], chains.rows[m]
     density = move(earlier, before, later, scene, state)
     skipped = missed(later.frame - earlier.frame - 1, scene)
@@ -337,14 +337,14 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 
 @compiled
 def spread_after(dt: float, state: FloatArray, variance: float, scene: Scene) -> float:
-    """Variance (m²) on each axis of where a detection of that variance is from where somebody is expected."""
+    """Innovation variance (m²) on each axis, of a detection of that variance."""
     q = scene.density
     return state[4] + 2.0 * dt * state[5] + dt * dt * state[6] + q * dt**3 / 3.0 + variance
 
 
 @compiled
 def reach(state: FloatArray, dt: float, variance: float, scene: Scene) -> float:
-    """Metres from the expected position, ``dt`` seconds ahead, within which somebody's detections are."""
+    """Gate radius in metres about the position predicted ``dt`` seconds ahead."""
     spread = spread_after(dt, state, variance, scene)
     return GATE * math.sqrt(spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0))
 
@@ -377,7 +377,7 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
 
 @compiled
 def remember_rest(chains: Chains, scene: Scene, move: int) -> None:
-    """Set ``rest``, which holds for a detection as long as nothing changes but what comes before it.
+    """Set ``rest``, which holds for a detection as long as only earlier detections change.
 
     ``move``: number of the move that changes what follows, see `DETECTION`
     """
@@ -386,7 +386,7 @@ def remember_rest(chains: Chains, scene: Scene, move: int) -> None:
         rest = one.evidence + (
             chains.rows[one.following].rest if one.following >= 0 else ending(chains, m, scene)
         )
-        # What is far ahead counts where it may be that nobody is there.
+        # The far part counts where the person may have left.
         if abs(rest - one.rest) > SAME and one.alone < max(one.rest - rest, 0.0) + SAME:
             one.changed_after = move
         one.rest = rest
@@ -394,7 +394,7 @@ def remember_rest(chains: Chains, scene: Scene, move: int) -> None:
 
 @compiled
 def ending(chains: Chains, k: int, scene: Scene) -> float:
-    """Log probability that a track's last detection is k: it left, or is not seen until the very end."""
+    """Log probability that a track's last detection is k: death, or misses until the end."""
     left = chains.rows[-1].frame - chains.rows[k].frame
     if left <= 0:
         return 0.0
@@ -403,7 +403,7 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
 
 @allocating
 def born(chains: Chains, k: int, scene: Scene) -> float:
-    """Evidence of the track from detection k on, as of somebody new, over that of false detections."""
+    """Evidence of the track from detection k on, as of a new person, over that of false detections."""
     state = np.empty(STATE)
     value = begin(chains.rows[k], scene, state)
     value += run_on(chains, state, k, scene)
@@ -413,7 +413,7 @@ def born(chains: Chains, k: int, scene: Scene) -> float:
 
 @allocating
 def state_after(chains: Chains, k: int, scene: Scene) -> float:
-    """Evidence of the whole track that detection k is in, from there on as it is linked."""
+    """Evidence of the whole track of detection k, as it is linked from there on."""
     state = chains.state[k].copy()
     return chains.rows[k].total + run_on(chains, state, k, scene)
 
@@ -452,7 +452,7 @@ def head_worth(chains: Chains, k: int, scene: Scene) -> float:
 
 @compiled
 def change_after(chains: Chains, k: int, scene: Scene, move: int) -> None:
-    """Note that the next one of detection k changed: for it, and for those before that look so far ahead."""
+    """Mark the link of detection k as changed: for it, and for earlier detections that look so far ahead."""
     chains.rows[k].changed_before = move
     seen = 0
     while k >= 0 and seen < scene.look_ahead:
@@ -478,7 +478,7 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
 
 @compiled
 def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
-    """Fill the first detection of each detection's track (n,), and at each first one the track's evidence."""
+    """Fill the first detection of each detection's track (n,), and at each first detection its evidence."""
     for k in range(len(root)):
         before = chains.rows[k].preceding
         root[k] = k if before < 0 else root[before]
@@ -490,19 +490,19 @@ def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> No
 
 @compiled
 def count_up(chains: Chains, times: IntArray) -> None:
-    """Fill the number of detections that each one's track has up to it (n,); first ones have it."""
+    """Fill the length of each detection's track up to it (n,); first detections have it already."""
     for k in range(len(times)):
         before = chains.rows[k].preceding
         if before >= 0:
             times[k] = times[before] + 1
 
 
-_LEAST = 20  # neighbours in tracks below which angles say nothing
-_OUTLIERS = (0.02, 0.9)  # shares of outliers that can be learned: angles are never thought sure
+_LEAST = 20  # neighbours in tracks below which angles are not used
+_OUTLIERS = (0.02, 0.9)  # bounds of the learned share of outliers
 
 
 def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
-    """Observed body and head of each detection, (n, 2) radians; NaN where there is none.
+    """Observed body and head of each detection, (n, 2) radians; NaN where missing.
 
     ``channels``: by the names of a track's attributes; where there is no angle, class likelihoods are taken
     by their circular mean
@@ -522,7 +522,7 @@ def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
 def learn_orientation(
     chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
 ) -> SceneParameters:
-    """The parameters of angles under which the tracks' are most probable; the tracks are filtered again."""
+    """The parameters of angles of maximum likelihood for the tracks; the tracks are filtered again."""
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
     neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}
@@ -544,7 +544,7 @@ def _fitted(
     seconds: float,
     kept: Known,
 ) -> dict[str, Any]:
-    """Spreads and share of outliers of one kind of angle that make it most probable; some may be kept."""
+    """Maximum-likelihood spreads and share of outliers of one kind of angle; some may be fixed."""
     ranges = [SceneParameters.__dataclass_fields__[name].metadata["range"] for name in names]
     low, high = np.array(ranges).T
 
@@ -553,13 +553,13 @@ def _fitted(
         share = float(np.clip(given[-1], *_OUTLIERS))
         return dict(zip(names, spreads, strict=True)) | {outliers: share} | dict(kept)
 
-    # Angles turn the velocity too, and so say where somebody is seen next.
+    # Angles turn the velocity too, and so change the predicted position.
     before, others, _ = innovations(chains, Scene(*scene.packed(seconds)))
 
     def cost(given: FloatArray) -> float:
         found = parameters(given)
         share = found[outliers]
-        # A few angles' worth of doubt.
+        # A weak prior, worth a few angles.
         doubt = 0.0 if outliers in kept else 2.0 * np.log(share) + 2.0 * np.log1p(-share)
         places, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
         return before + others - places - angles - float(doubt)
@@ -569,5 +569,5 @@ def _fitted(
         cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1}
     )
     best = parameters(found.x)
-    # Nothing is gained where the tracks' angles are no more probable than any.
+    # Angles that fit no better than uniform angles are not used.
     return best | ({outliers: 1.0} if found.fun > 0.0 else {}) | dict(kept)

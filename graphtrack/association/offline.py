@@ -2,8 +2,8 @@
 
 At each time all tracks are cut: heads (what came before) and tails (what comes after) are matched again, a
 link being worth the evidence of the joined track over that of both alone. In each frame the detections are
-matched again to the tracks that span it. Each match is the best of its block, so that the evidence only
-rises; a few sweeps suffice.
+matched again to the tracks that span it. Each match maximises its block, so that the evidence never
+decreases; a few sweeps suffice.
 """
 
 from __future__ import annotations
@@ -58,25 +58,25 @@ from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_va
 
 @dataclass(frozen=True, eq=False)
 class _Visit:
-    """Candidates of a cut or of a frame, by their tracks' keys and detections, as a move left them."""
+    """Candidates of a cut or of a frame, by the keys of tracks and by detections, after a move."""
 
     move: int
     edges: Edges
 
 
-_RECENT = 2  # frames before that which is decided: heads whose candidates are looked at first
+_RECENT = 2  # frames before the current frame: candidates of their heads are computed first
 
 
 class Moves:
-    """Chains of detections, in the order of time, and what changes them.
+    """Chains of detections in the order of time, and the moves that change them.
 
     Attributes
     ----------
     chains : the tracks
     packed : the scene's parameters
-    link_p : (n,) how probable the link to the one before was, among those that either could have had
-    remembers : whether candidates are kept, so that the same move later looks at what has changed alone
-    worthless : gain, below that of the best, of candidates that count in no probability
+    link_p : (n,) probability of the link to the previous detection, among the alternatives of both
+    remembers : keep candidates, so that a repeated move computes only those that changed
+    worthless : gain, below that of the best, at which a candidate's probability is taken as 0
     """
 
     def __init__(self, chains: Chains, packed: Scene, remembers: bool = False) -> None:
@@ -87,7 +87,7 @@ class Moves:
         self._place = np.full(2 * len(chains.t), -1)
 
     def move(self, first: int, end: int) -> bool:
-        """Both moves at the frame of the detections ``first`` up to ``end``; whether a link changed."""
+        """Make both moves at the frame of the detections ``first`` up to ``end``; True if a link changed."""
         begin, last = window(self.chains, first, self.packed)
         cut = self._cut(begin, first, last)
         changed = self._frame(begin, first, end, last) or cut
@@ -101,7 +101,7 @@ class Moves:
         remember_rest(self.chains, self.packed, self._move)
 
     def _cut(self, begin: int, first: int, last: int) -> bool:
-        """Match what came before a frame to what comes from it on; whether a link changed."""
+        """Match the tracks before a frame to those from it on; return True if a link changed."""
         heads, tails = ends_at(self.chains, begin, first, last)
         if not len(heads) or not len(tails):
             return False
@@ -130,7 +130,7 @@ class Moves:
         return self._candidates(place, heads, tails, fresh, recent, gains)
 
     def _frame(self, begin: int, first: int, end: int, last: int) -> bool:
-        """Match the detections of a frame anew to the tracks that span it; whether a link changed."""
+        """Match the detections of a frame again to the tracks that span it; return whether a link changed."""
         chains, scene, base = self.chains, self.packed, int(self.chains.frame[first])
         heads, tails, keys = spanning(chains, begin, first, end, last)
         if not len(heads):
@@ -173,10 +173,10 @@ class Moves:
         place : where the move is made
         keys : (rows,) names of tracks, see `spanning`
         fresh : (rows,) and (columns,) that have changed since the move was last made there
-        recent : (rows,) whose candidates are looked at first: what they outbid need not be looked at
-        gains : candidates of some rows for some columns, whose gains matter above a least one
+        recent : (rows,) whose candidates are computed first: candidates that they outbid are skipped
+        gains : candidates of some rows for some columns, whose gains are above a least value
         """
-        self._move += 1
+        self._move += self.remembers
         pieces: list[Edges] = []
         if place in self._visits:
             pieces.append(carried(self._visits[place].edges, keys, columns, *fresh, self._place))
@@ -200,9 +200,9 @@ class Moves:
         return edges
 
     def roots(self) -> tuple[IntArray, FloatArray]:
-        """(n,) where the track of each detection begins, and at each beginning what the track is worth.
+        """Return the first detection of each detection's track (n,), and at first detections its value.
 
-        That is the log of how much more probable it is than false detections; −inf where none begins.
+        The value is the log evidence ratio over false detections; −inf elsewhere.
         """
         root, value = np.empty(len(self.chains.t), np.int64), np.empty(len(self.chains.t))
         roots(self.chains, self.packed, root, value)
@@ -217,11 +217,11 @@ def joined(pieces: Sequence[Edges]) -> Edges:
     return rows, columns, gains
 
 
-SWEEPS = 6  # over the recording at most, for one set of parameters
+SWEEPS = 6  # most sweeps over the recording for one set of parameters
 ROUNDS = 4  # alternations of finding tracks and learning the scene's parameters from them
-TRUST = 4.0  # log odds that a tracker's next detection is of the same person: it jumps at one in fifty
+TRUST = 4.0  # log odds that a tracker's next detection is of the same person: a switch in one of fifty
 _JOINED_FRAMES = 16
-"""Frames that the first sweep looks ahead: nothing is linked yet, and all that comes is a candidate."""
+"""Frames that the first sweep looks ahead: nothing is linked yet, and every detection is a candidate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +232,7 @@ class Association:
     # (n,) that the detection is of the same person as the one before it in its track; 1 at first
     probability: FloatArray
     scene: SceneParameters  # the parameters that it was found with
-    evidence: float  # log of how much more probable than that all detections are false
+    evidence: float  # log evidence ratio over all detections being false
 
 
 def associate_detections(
@@ -247,10 +247,10 @@ def associate_detections(
 
     Parameters
     ----------
-    scene : parameters that are known; the others are learned from the detections
+    scene : known parameters; the others are learned from the detections
     progress : called with sweeps done and sweeps in all
-    start : parameters to begin with; None: a guess from how many detections there are
-    rounds : times that people are found, with parameters learned from the time before
+    start : initial parameters; None: a guess from the number of detections
+    rounds : alternations of association and parameter learning
     """
     search = _Search(detections, known_values(scene), start)
     for k in range(rounds):
@@ -258,7 +258,7 @@ def associate_detections(
             search.adopt(search.learned())
         search.worthless = 0.0
         search.join_generously()
-        # The probabilities of links are those of the last round.
+        # Link probabilities are those of the last round.
         search.worthless = WORTHLESS if k == rounds - 1 else 0.0
         search.settle(progress, k * SWEEPS, rounds * SWEEPS)
     progress(rounds * SWEEPS, rounds * SWEEPS)
@@ -268,18 +268,18 @@ def associate_detections(
 def repair_detections(
     detections: Detections, given: NDArray[np.int64], scene: GivenScene = None
 ) -> Association:
-    """Keep a tracker's identities, but part those who were taken for one, and join who was taken for two.
+    """Correct a tracker's identities: split tracks at identity switches, and join fragments.
 
     Parameters
     ----------
     given : (n,) identities from 0; −1: none
-    scene : parameters that are known; the others are learned from the tracks
+    scene : known parameters; the others are learned from the tracks
 
     Returns
     -------
     Association
-        In which nothing is false: each detection keeps the identity that most of its track had, or gets a
-        new one where another track has more of that.
+        No detection is false: each keeps the identity that most of its track had, or gets a new identity
+        where another track has more of that.
     """
     search = _Search(detections, known_values(scene))
     search.begin_with(given)
@@ -291,7 +291,7 @@ def repair_detections(
 
 
 def _renamed(track: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Identities (n,) of tracks (n,): the given one that most of a track has, for who has most of it."""
+    """Identities (n,) of tracks (n,): the given identity of most of a track, kept by its longest track."""
     pairs, counts = np.unique(np.column_stack([track, given]), axis=0, return_counts=True)
     name: dict[int, int] = {}
     taken: set[int] = set()
@@ -308,7 +308,7 @@ def _renamed(track: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.i
 
 
 class _Search(Moves):
-    """The explanation of a whole recording."""
+    """The association of a whole recording."""
 
     def __init__(self, detections: Detections, known: Known, start: SceneParameters | None = None) -> None:
         n = len(detections)
@@ -327,14 +327,14 @@ class _Search(Moves):
         self.adopt(scene)
 
     def begin_with(self, given: NDArray[np.int64]) -> None:
-        """Start from the tracks of somebody's identities (n,), from 0, and trust them; −1: none."""
+        """Start from the tracks of given identities (n,), from 0, and trust them; −1: none."""
         link_by(self.chains, given)
         self.chains.rows["given"] = given
         self._trust = TRUST
         self.adopt(self.scene)
 
     def adopt(self, scene: SceneParameters) -> None:
-        """Go on with other parameters, and with who is near whom as it is known by now."""
+        """Continue with other parameters, and recompute which detections are near people."""
         self.scene = scene
         identity = self.identities()
         if (identity >= 0).any():
@@ -357,7 +357,7 @@ class _Search(Moves):
         self.filter_from(0)
 
     def learned(self) -> SceneParameters:
-        """The parameters that the tracks of now speak for."""
+        """Learn the parameters from the current tracks."""
         identity, seen = self.identities(), self.detections
         scene = learn_duplicates(seen.step, seen.position, identity, self.scene, self._known)
         if self._descriptors.shape[1]:
@@ -367,10 +367,10 @@ class _Search(Moves):
         return learn_scene(self.chains, identity, scene, self._std, seconds, self._known)
 
     def join_generously(self) -> None:
-        """One sweep in which to come and to go costs nothing.
+        """Sweep once with free births and deaths.
 
-        Two detections alone are seldom worth a birth and a death, so that nobody would ever get a third; what
-        is not worth them in the end is parted again by the sweeps that follow.
+        Two detections alone are seldom worth a birth and a death, so that no track would reach a third;
+        tracks that are not worth both are split again by the sweeps that follow.
         """
         packed = self.packed
         gap = min(packed.longest_gap, _JOINED_FRAMES * packed.frame_seconds)
@@ -386,14 +386,14 @@ class _Search(Moves):
     def settle(
         self, progress: Callable[[int, int], None] = lambda done, total: None, done: int = 0, total: int = 0
     ) -> None:
-        """Sweep until nothing changes, or often enough; report the sweeps ``done`` before and since."""
+        """Sweep to convergence or `SWEEPS` times; report the sweeps ``done`` before and since."""
         for sweep in range(SWEEPS):
             progress(done + sweep, total)
             if not self.sweep():
                 break
 
     def sweep(self) -> int:
-        """Every move once, from the first frame to the last; the number of frames in which links changed."""
+        """Make every move once, from the first frame to the last; return the number of changed frames."""
         self._move += 1
         remember_rest(self.chains, self.packed, self._move)
         return sum(
@@ -403,7 +403,7 @@ class _Search(Moves):
     # -- what came out ---------------------------------------------------------------------------------------
 
     def identities(self) -> NDArray[np.int64]:
-        """(n,) number of each detection's track; −1: it is more probably of false ones."""
+        """(n,) number of each detection's track; −1: the track is more probably false detections."""
         root, value = self.roots()
         alive = value[root] > 0.0
         numbers = np.full(len(root), -1)

@@ -1,8 +1,8 @@
 """Online data association with a revision window.
 
-The moves of `offline` are made in the newest frames alone. Older decisions are final; of them the last
-detection of each track is kept, for it may be found again, and the newest ones, to learn the scene's
-parameters from.
+The moves of `offline` are made in the newest frames alone. Older decisions are final; the last detection of
+each track is kept, for it may be detected again, and the newest detections, from which the scene's parameters
+are learned.
 """
 
 from __future__ import annotations
@@ -62,17 +62,17 @@ class Notes:
     """Attributes of n detections alongside their chains."""
 
     std: FloatArray  # declared noise, metres, or NaN
-    place: IntArray  # in its update
+    place: IntArray  # index in its update
     said: IntArray  # track id that was last reported
-    number: IntArray  # track id of the track that begins with it, once there is one
-    before: IntArray  # detections of its track that are forgotten by now
+    number: IntArray  # track id of the track that begins with it, 0 before it has an id
+    before: IntArray  # detections of its track that were dropped
     clutter: FloatArray  # density of false detections there, over its mean
-    score: FloatArray  # the detector's, or NaN
-    descriptor: FloatArray  # (n, d), NaN where one is missing; d is 0 until the first one comes
+    score: FloatArray  # detection score, or NaN
+    descriptor: FloatArray  # (n, d), NaN where missing; d is 0 until the first descriptor
 
     @classmethod
     def of(cls, std: FloatArray, clutter: FloatArray, score: FloatArray, descriptor: FloatArray) -> Notes:
-        """Of the detections of a new frame."""
+        """Attributes of the detections of a new frame."""
         n = len(std)
         nobody = np.full(n, NOBODY)
         return cls(
@@ -80,27 +80,27 @@ class Notes:
         )
 
     def extended(self, new: Notes) -> Notes:
-        """With those of further detections."""
+        """These attributes with those of further detections."""
         both = zip(vars(self).values(), vars(new).values(), strict=True)
         return Notes(*(np.concatenate(pair) for pair in both))
 
     def of_some(self, some: IntArray) -> Notes:
-        """Those of some detections."""
+        """The attributes of some detections."""
         return Notes(*(values[some] for values in vars(self).values()))
 
 
 LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
-"""Detections after which the scene's parameters are learned; then after as many more as the last."""
+"""Detections after which the scene's parameters are first learned; then at each doubling."""
 
 REMEMBERED = 3200  # decided detections that parameters are learned from
-GUESS_SECONDS = 10.0  # weight of the first guess of how people turn: at first they all may walk straight
+GUESS_SECONDS = 10.0  # weight of the prior of turning: at first all people may walk straight
 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
-"""Parameters of turning, and the power of each that is a variance."""
+"""Parameters of turning, and the exponent that makes a variance of each."""
 
 
 class History:
-    """The newest detections that were decided upon, for parameters to be learned from."""
+    """The newest final detections, from which parameters are learned."""
 
     def __init__(self) -> None:
         self.t, self.std, self.score = np.zeros(0), np.zeros(0), np.zeros(0)
@@ -110,7 +110,7 @@ class History:
         self.since: float | None = None
 
     def add(self, chains: Chains, notes: Notes, owner: IntArray, first: int, end: int) -> None:
-        """Remember the detections ``first`` up to ``end``, and forget as many where there are too many."""
+        """Store the detections ``first`` up to ``end``, and drop the oldest beyond the limit."""
         new = {name: getattr(chains, name) for name in ("t", "position", "facing", "frame")}
         new |= {name: getattr(notes, name) for name in ("std", "score", "descriptor")}
         self.descriptor = widened(self.descriptor, notes.descriptor.shape[1])
@@ -131,7 +131,7 @@ class History:
         return found
 
     def is_due(self) -> bool:
-        """Return whether parameters are to be learned."""
+        """Return True if parameters are to be learned."""
         known = len(LEARNED_AT)
         due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
         return self.count >= due
@@ -139,7 +139,7 @@ class History:
     def learned(
         self, scene: SceneParameters, step_seconds: float, known: Known
     ) -> tuple[SceneParameters, Places, Looks]:
-        """Learn the parameters that are not known, the maps of rates, and the worth of looks and scores."""
+        """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
         chains.gain[:] = 0.0
@@ -156,7 +156,7 @@ class History:
         return scene, learn_places(chains, identity), shown
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
-        """With turns as the mean, over time, of the first guess and of what was found."""
+        """Weight the parameters of turning between prior and estimate by time."""
         watched = 0.0 if self.since is None else float(self.t[-1]) - self.since
         share, guess = GUESS_SECONDS / (GUESS_SECONDS + watched), SceneParameters()
         mean = {}
@@ -167,25 +167,25 @@ class History:
 
 
 TOLD = 0.45
-"""How probable somebody has to be, and that who is not seen is still there, to be told. What makes an
-F-measure greatest is half of it (Lipton et al. 2014, ECML PKDD), and IDF1 of made-up crowds is 0.9."""
+"""Least probability of existence, and of presence where hidden, of a reported person: half the greatest
+F-measure maximises it (Lipton et al. 2014, ECML PKDD), and IDF1 of synthetic crowds is 0.9."""
 
-_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))  # the same of a track's value
+_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))  # the same as a track's value
 
 REVISED_FRAMES = 8
-"""Frames in which decisions may change: as many detections as say whose they are."""
+"""Frames of the revision window: enough detections to decide their identities."""
 
 AGES = {0.1: tuple(range(REVISED_FRAMES - 1, -1, -1)), 0.0: (7, 3, 1, 0)}
-"""Least seconds between frames → ages of the frames that are decided again; at high rates some are enough."""
+"""Least seconds between frames → ages of the frames that are decided again; fewer at high frame rates."""
 
 
 @dataclass(frozen=True)
 class Revision:
-    """A detection that changes its track; −1: none."""
+    """A detection that changes its track; −1: no track."""
 
     t: float  # seconds
     frame: int  # the number of its update
-    detection: int  # its place in that
+    detection: int  # its index in the update
     before: int  # track id
     after: int  # track id
 
@@ -194,10 +194,10 @@ class Revision:
 class Decision:
     """Assignment of a frame's n detections."""
 
-    identity: IntArray  # (n,) track ids, from 1; −1: nobody's so far
+    identity: IntArray  # (n,) track ids, from 1; −1: no track so far
     # (n,) that each is of the same person as the track's detection before; 1 for a first one
     probability: FloatArray
-    revised: tuple[Revision, ...]  # what was said of earlier ones, and no longer holds
+    revised: tuple[Revision, ...]  # changes of earlier assignments
 
 
 class OnlineAssociation(Moves):
@@ -205,7 +205,7 @@ class OnlineAssociation(Moves):
 
     Parameters
     ----------
-    scene : what is known of how people come, go and are detected; the rest is learned from what is seen
+    scene : known parameters of birth, death and detection; the others are learned online
     lag : seconds within which decisions may be revised
     """
 
@@ -218,7 +218,7 @@ class OnlineAssociation(Moves):
         nowhere = np.zeros((0, 2))
         super().__init__(unlinked(empty, none, nowhere, nowhere.copy()), Scene(*self.scene.packed(1.0)))
         self._notes = Notes.of(empty, empty, empty, np.zeros((0, 0)))
-        self._first: list[int] = []  # detection of each frame that can be revised, oldest first
+        self._first: list[int] = []  # first detection of each frame that can be revised, oldest first
         self._history = History()
         self._places: Places | None = None
         self._looks = Looks()
@@ -228,16 +228,16 @@ class OnlineAssociation(Moves):
 
     @property
     def descriptor_size(self) -> int:
-        """Size of appearance descriptors; 0: none has come so far."""
+        """Size of appearance descriptors; 0: no descriptor so far."""
         return int(self._notes.descriptor.shape[1])
 
     @property
     def step_seconds(self) -> float:
-        """Seconds from a frame to the next, as most were lately."""
+        """Median seconds between recent frames."""
         return median(self._intervals) if self._intervals else 1.0
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
         return {
             "known": dict(self.known),
             "scene": asdict(self.scene),
@@ -258,7 +258,7 @@ class OnlineAssociation(Moves):
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> OnlineAssociation:
-        """One that goes on where `state` was taken, to the last bit.
+        """Restore an association from `state`, bit for bit.
 
         Raise KeyError, TypeError, ValueError or InputError if the state is damaged.
         """
@@ -280,7 +280,7 @@ class OnlineAssociation(Moves):
         return found
 
     def open_detections(self) -> list[tuple[tuple[int, int], int]]:
-        """Those that can still be revised, oldest first: (update, place in it), and whose each one is."""
+        """Detections that can still be revised, oldest first: (update, index in it), and their track ids."""
         first = self._first[0] if self._first else len(self.chains.t)
         frame, place, said = (
             values[first:].tolist() for values in (self.chains.frame, self._notes.place, self._notes.said)
@@ -288,7 +288,7 @@ class OnlineAssociation(Moves):
         return list(zip(zip(frame, place, strict=True), said, strict=True))
 
     def hidden(self) -> list[int]:
-        """Track ids of those who were not seen in the newest frame, and probably are still there."""
+        """Track ids without a detection in the newest frame whose people probably are still there."""
         chains, now = self.chains, self.updates - 1
         root, value = self.roots()
         number = self._notes.number[root]
@@ -297,7 +297,7 @@ class OnlineAssociation(Moves):
         return sorted(number[last[self._still_there(last, now) > TOLD]].tolist())
 
     def _still_there(self, last: IntArray, now: int) -> FloatArray:
-        """Return the probability (n,) that those last seen at these detections have not left by a frame."""
+        """Return the probability (n,) that the people last detected at these have not left by a frame."""
         chains, frames = self.chains, now - self.chains.frame[last]
         longest = int(frames.max(initial=0))
         often = np.exp([missed(k, self.packed) for k in range(longest + 1)])
@@ -315,7 +315,7 @@ class OnlineAssociation(Moves):
         return found
 
     def remembered(self) -> set[int]:
-        """The track ids of those who may be found again."""
+        """The track ids that may be detected again."""
         return set(self._notes.said.tolist())
 
     def update(
@@ -327,19 +327,19 @@ class OnlineAssociation(Moves):
         score: FloatArray | None = None,
         descriptor: FloatArray | None = None,
     ) -> Decision:
-        """Take in a frame's detections.
+        """Associate a frame's detections.
 
         Raise InputError if time does not increase, a position is not finite or descriptors have another size
-        than before. Nothing has changed then.
+        than before. The state is then unchanged.
 
         Parameters
         ----------
-        t : seconds, after those of the update before
+        t : seconds, after those of the previous update
         position : (n, 2) metres; n may be 0
         std : (n,) metres, NaN where unknown
         facing : (n, 2) radians, body and head as they were observed; NaN: not observed
-        score : (n,) how sure the detector was, in its own units; NaN: it does not say
-        descriptor : (n, d) what each looks like, NaN where that is not known; d is the same in all frames
+        score : (n,) detection scores, in the detector's units; NaN: no score
+        descriptor : (n, d) appearance descriptors, NaN where missing; d is the same in all frames
         """
         position = np.asarray(position, float).reshape(-1, 2)
         self.check_time(t)
@@ -375,7 +375,7 @@ class OnlineAssociation(Moves):
         return self._decide(first)
 
     def check_time(self, t: float) -> None:
-        """Raise InputError unless a frame may come at a time (seconds)."""
+        """Raise InputError unless a frame at a time (seconds) is valid."""
         if not np.isfinite(t) or not t > self._last:
             after = "a time in seconds" + (f" after {self._last:g}" if self.updates else "")
             raise InputError(f"t = {t:g}", after)
@@ -383,7 +383,7 @@ class OnlineAssociation(Moves):
     # -- one step ------------------------------------------------------------------------------------------
 
     def _append(self, t: float, position: FloatArray, facing: FloatArray, notes: Notes) -> int:
-        """Put a frame's detections behind the others; where they begin."""
+        """Append a frame's detections; return the index of the first."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
         new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
         new = self._looks.in_chains(new, notes.descriptor)
@@ -399,7 +399,7 @@ class OnlineAssociation(Moves):
         return first
 
     def _forget(self, t: float) -> None:
-        """Decide for good what is too old to be revised; leave of it what may be found again."""
+        """Finalise frames that leave the revision window; keep detections that may be continued."""
         chains = self.chains
         kept = [k for k in self._first if chains.t[k] >= t - self.lag][-(REVISED_FRAMES - 1) :]
         settled = kept[0] if kept else len(chains.t)
@@ -411,11 +411,11 @@ class OnlineAssociation(Moves):
         owner = np.where(value[root] > 0.0, number, NOBODY)
         self._history.add(chains, self._notes, owner, open_before, settled)
         following = chains.following[:settled]
-        # Nobody who is not believed by now will be found again after a gap.
+        # A track of too low a value is not continued after a gap.
         lost = (following < 0) & (value[root[:settled]] > 0.0)
         heads = (lost & (chains.t[:settled] >= t - self.scene.longest_gap)) | (following >= settled)
         remain = np.concatenate([np.flatnonzero(heads), np.arange(settled, len(chains.t))])
-        # A track's number and length go on with what is left of it.
+        # A track's number and length pass to the detections that remain of it.
         self._notes.number[:settled] = number[:settled]
         self._notes.before[:settled] = times[:settled] - 1
         self._notes = self._notes.of_some(remain)
@@ -428,7 +428,7 @@ class OnlineAssociation(Moves):
         self._first = [int(place[k]) for k in kept]
 
     def _prepare(self) -> None:
-        """Variances and gains of the frames that can be revised, and their tracks filtered anew."""
+        """Recompute variances and gains in the revision window, and filter its tracks again."""
         self._pack()
         chains = self.chains
         if not self._first:
@@ -443,7 +443,7 @@ class OnlineAssociation(Moves):
         self.packed = self._looks.in_scene(Scene(*self.scene.packed(self.step_seconds)))
 
     def _weigh_duplicates(self) -> None:
-        """Set the gains of detections: less where they are near somebody who is detected already."""
+        """Set the gains of detections: lower near a person who is detected already."""
         chains, notes, first = self.chains, self._notes, self._first[0]
         root, value = self.roots()
         track = np.where(value[root] > 0.0, root, NOBODY)
@@ -456,7 +456,7 @@ class OnlineAssociation(Moves):
         self.filter_from(first)
 
     def _times(self) -> IntArray:
-        """(n,) how many detections its track has up to each one."""
+        """(n,) length of each detection's track up to it."""
         times = self._notes.before + 1
         count_up(self.chains, times)
         return times
@@ -480,7 +480,7 @@ class OnlineAssociation(Moves):
     # -- parameters ----------------------------------------------------------------------------------------
 
     def _learn(self) -> None:
-        """From what was decided, as it grows; from how much is seen before that. What is known is kept."""
+        """Learn from final detections; before that, guess from their number. Known values are kept."""
         chains, history = self.chains, self._history
         if not len(chains.t):
             return

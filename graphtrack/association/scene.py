@@ -1,8 +1,8 @@
 """Parameters of a scene, learned from detections and their tracks (expectation maximisation).
 
 Rates of misses, occlusions, duplicates, births, deaths and clutter, and the motion. Births, deaths and
-clutter also have maps over the ground plane: events are counted on a grid, blurred, and divided by as many
-as there would be if they happened alike everywhere.
+clutter also have maps over the ground plane: events are counted on a grid, blurred, and divided by the counts
+expected under uniform rates.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 _DUPLICATE_REACH = 3.0  # spreads within which a detection may be a duplicate
 
 Pairs: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
-"""Two detections each, and their squared distances (m²)."""
+"""Two detections per pair, and their squared distances (m²)."""
 
 
 def duplicate_density(
@@ -33,15 +33,14 @@ def duplicate_density(
 ) -> FloatArray:
     """Return the expected density of duplicates of other people at each detection, (n,) 1/m².
 
-    Of two who walk in each other's place the one with more detections is the person. ``identity``: (n,), −1:
-    false.
+    Of two tracks that coincide, the track with more detections is the person. ``identity``: (n,), −1: false.
     """
     times = np.bincount(identity[identity >= 0], minlength=1)
     return duplicate_density_of(duplicate_pairs(frame, position, scene), identity, scene, times)
 
 
 def duplicate_pairs(frame: NDArray[np.int64], position: FloatArray, scene: SceneParameters) -> Pairs:
-    """Those of which one can be a duplicate of the other, as `pairs_within` has them."""
+    """Pairs in which one detection can be a duplicate of the other, in the order of `pairs_within`."""
     return pairs_within(frame, position, _DUPLICATE_REACH * scene.duplicate_spread)
 
 
@@ -101,33 +100,33 @@ def learn_duplicates(
     return replace(scene, **{name: found[name] for name in free})
 
 
-_EDGE = 3  # frames at either end of a recording in which somebody may have been missed who was there
+_EDGE = 3  # frames at either end of a recording in which a person present may have been missed
 
-_PRIOR_EVENTS = 2.0  # events that the first guess counts for
+_PRIOR_EVENTS = 2.0  # pseudo-count of events at the first guess
 
 _FIRST_STD = 0.3
-"""Metres of noise at first, more than most detectors have: too much is unlearned, too little is not."""
+"""Initial noise in metres, more than most detectors have: learning lowers it, but hardly raises it."""
 
 
 def edge_of(frames: int) -> int:
-    """Frames at either end of a recording of so many that do not tell who came or left."""
+    """Frames at either end of a recording that are not counted as births or deaths."""
     return min(_EDGE, frames // 4)
 
 
 def area(position: FloatArray) -> float:
-    """Square metres in which detections are, (n, 2) metres: of the box around nearly all of them."""
+    """Area in m² of the box around nearly all detections, (n, 2) metres."""
     low, high = np.quantile(position, [0.005, 0.995], axis=0)
     return float(max(np.prod(high - low), 1.0))
 
 
 def first_guess(detections: Detections) -> SceneParameters:
-    """Parameters before anything is known but how many detections there are, and where."""
+    """Initial parameters, from the number and the places of detections."""
     start = SceneParameters()
     frames = detections.step[-1] + 1
     each = len(detections) / frames
     square = area(detections.position)
     seconds = detections.step_seconds
-    # One in ten is false; people stay for ten seconds or so.
+    # One detection in ten is false; people stay for about ten seconds.
     return replace(
         start,
         position_std=_FIRST_STD,
@@ -146,12 +145,12 @@ def learn_scene(
     seconds: float,
     known: Known = NOTHING,
 ) -> SceneParameters:
-    """The parameters that make the tracks found most probable, with a little of those before.
+    """Maximum a posteriori parameters given the tracks, with the previous parameters as a weak prior.
 
     Parameters
     ----------
     identity : (n,) of each detection; −1: false
-    known_std : (n,) metres that detections say themselves; NaN: they do not
+    known_std : (n,) declared noise of detections, metres; NaN: not declared
     """
     if not (identity >= 0).any():
         return scene
@@ -187,7 +186,7 @@ def scene_log_density(
 
     Parameters
     ----------
-    chains : the tracks, linked; they are filtered anew
+    chains : the tracks, linked; they are filtered again
     identity : (n,) of each detection; −1: false
     """
     events = _Events.of(chains, identity, seconds)
@@ -206,7 +205,7 @@ def scene_log_density(
 
 
 def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
-    """Frames (links,) between each detection of a person and the one before it."""
+    """Frames (links,) between each detection of a person and the previous one."""
     linked = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     return (chains.frame[linked] - chains.frame[chains.preceding[linked]] - 1).astype(float)
 
@@ -217,7 +216,7 @@ class _Events:
 
     gaps: FloatArray  # frames of each gap within a track
     seen: int  # detections of people
-    links: int  # pairs of these that follow each other
+    links: int  # pairs of consecutive detections
     born: int  # people who came into view
     left: int  # people who left
     in_view: float  # seconds that people were there
@@ -226,7 +225,7 @@ class _Events:
 
     @classmethod
     def of(cls, chains: Chains, identity: NDArray[np.int64], seconds: float) -> _Events:
-        """Of the tracks in chains that are linked, with the identities (n,) of them; −1: false."""
+        """Count them in linked chains, with the identities (n,); −1: false."""
         person = identity >= 0
         gaps = gaps_of(chains, identity)
         frames, square = int(chains.frame[-1]) + 1, area(chains.position)
@@ -234,7 +233,7 @@ class _Events:
         first, last = np.full(people, frames), np.zeros(people, np.int64)
         np.minimum.at(first, identity[person], chains.frame[person])
         np.maximum.at(last, identity[person], chains.frame[person])
-        # Who is there at the beginning was not born then, and who is there at the end has not left.
+        # A person present at the start or at the end is no birth or death.
         edge = edge_of(frames)
         return cls(
             gaps[gaps > 0],
@@ -249,14 +248,14 @@ class _Events:
 
 
 def _per_exposure(events: int, exposure: float, before: float, low: float, high: float) -> float:
-    """Events per exposure, with `_PRIOR_EVENTS` at the rate before: none so far does not mean never."""
+    """Events per exposure, with `_PRIOR_EVENTS` at the previous rate, so that no rate becomes 0."""
     return float(np.clip((events + _PRIOR_EVENTS) / (exposure + _PRIOR_EVENTS / before), low, high))
 
 
 def _motion(
     chains: Chains, scene: SceneParameters, seconds: float, known_std: FloatArray, known: Known
 ) -> dict[str, Any]:
-    """Acceleration density and noise under which the detections follow each other most probably."""
+    """Acceleration density and noise of maximum likelihood, given the links."""
     unknown = np.isnan(known_std)
     names = [name for name in _MOTION if name not in known]
     if not names:
@@ -272,7 +271,7 @@ def _motion(
         if unknown.any():
             chains.variance[unknown] = tried.position_std**2
         total, _, count = innovations(chains, Scene(*tried.packed(seconds)))
-        # Weak priors about the guess, so that a track or two do not decide.
+        # Weak priors about the guess, for recordings of few tracks.
         off = logarithms - start
         return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)
 
@@ -289,20 +288,20 @@ _MOTION = {
     "jump_probability": (1e-4, 0.2),
     "jump_std": (0.1, 1.5),
 }
-"""Least and greatest of what is learned of how people move and how they are seen to, in m²/s³, m, 1 and m."""
+"""Bounds of the learned motion and noise parameters, in m²/s³, m, 1 and m."""
 
 
 SPREAD = 2.0
-"""Metres, standard deviation of the blur: who comes in at one place may come in so far beside it."""
+"""Metres, standard deviation of the blur of the places where people enter."""
 
 AHEAD = 2.0
-"""Seconds ahead of the last position at which the map of deaths is read: who has just come in stays."""
+"""Seconds ahead of the last position at which the map of deaths is read: a person entering stays."""
 
 _CELL = 0.5 * SPREAD
 _REACH = 4.0 * SPREAD
-_LARGEST = 1000  # corners along an axis: a kilometre; what lies beyond is counted at the edge
+_LARGEST = 1000  # corners along an axis: a kilometre; events beyond are counted at the edge
 _PEAK = 1.0 / (2.0 * np.pi * SPREAD**2)
-_PRIOR = 2.0 * _PEAK  # events per square metre that the mean rate counts for: two on the spot
+_PRIOR = 2.0 * _PEAK  # pseudo-count per square metre of the mean rate: two at the peak
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,9 +311,9 @@ class Places:
     Attributes
     ----------
     origin : (2,) metres, of the grid's first corner
-    births, deaths, clutter : (2, nx, ny) events per square metre, as many as there were, and as there
-        would be if they happened alike wherever they could
-    ways_out : the deaths, where whoever left would have been `AHEAD` seconds later
+    births, deaths, clutter : (2, nx, ny) events per square metre, observed, and expected under uniform
+        rates
+    ways_out : the deaths, at the positions `AHEAD` seconds after the last detection
     """
 
     origin: FloatArray
@@ -328,7 +327,7 @@ class Places:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return births, deaths and clutter at positions (n, 2), as multiples of their mean rates.
 
-        ``own``: (n,) each, of the events, those per square metre that are not to count
+        ``own``: (n,) each, events per square metre to leave out of the counts
         """
         came, left, false = (0.0, 0.0, 0.0) if own is None else own
         cells = self._in_cells(position)
@@ -336,24 +335,24 @@ class Places:
         return births, deaths, _rate(self.clutter, false, cells)
 
     def leaving_for(self, goal: FloatArray) -> FloatArray:
-        """Return the death rate of those who would be at (n, 2) in `AHEAD` seconds, in mean rates."""
+        """Return the death rate at positions (n, 2) predicted `AHEAD` seconds ahead, in mean rates."""
         return _rate(self.ways_out, 0.0, self._in_cells(goal))
 
     def _in_cells(self, position: FloatArray) -> FloatArray:
-        """(2, n) of positions (n, 2), as indices of the grids' corners, with fractions."""
+        """(2, n) fractional indices of the grids' corners, of positions (n, 2)."""
         cells: FloatArray = ((position - self.origin) / _CELL).T
         return cells
 
 
 def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> FloatArray:
-    """Return the rate as a multiple of its mean, without the events (n,) that are not to count."""
+    """Return the rate as a multiple of its mean, without the events (n,) to leave out."""
     events, expected = (ndimage.map_coordinates(grid, cells, order=1, mode="nearest") for grid in grids)
     rate: FloatArray = (np.maximum(events - own, 0.0) + _PRIOR) / (expected + _PRIOR)
     return rate
 
 
 def learn_places(chains: Chains, identity: IntArray) -> Places:
-    """From people found in a recording, their tracks filtered.
+    """Learn the maps from the filtered tracks of a recording.
 
     ``identity`` (n,) is of each detection, from 0; −1: false.
     """
@@ -372,7 +371,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
         return ndimage.gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
 
     square = area(position)
-    # Who is there may leave; to come into view and to be false is possible everywhere.
+    # Deaths are exposed where people are; births and clutter everywhere.
     each = len(last) / max(int(person.sum()), 1)
     return Places(
         low,
@@ -393,7 +392,7 @@ def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, Fl
 
 
 def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
-    """The detections with which somebody came into view, and left, within the recording."""
+    """The detections at births and at deaths within the recording."""
     newest = int(chains.frame[-1])
     edge = edge_of(newest + 1)
     person = identity >= 0
@@ -403,7 +402,7 @@ def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _of_own(position: FloatArray, identity: IntArray, events: IntArray) -> FloatArray:
-    """(n,) per square metre, what the event of a detection's own track counts for there."""
+    """(n,) per square metre, the contribution of a detection's own track to the count there."""
     event = np.full(max(int(identity.max()), 0) + 1, -1)
     event[identity[events]] = events
     found = np.where(identity >= 0, event[identity], -1)

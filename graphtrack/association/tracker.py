@@ -1,4 +1,4 @@
-"""`DetectionTracker`: from the detections of a frame to estimates of everybody, online."""
+"""`DetectionTracker`: from the detections of a frame to estimates of all people, online."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from graphtrack.tracks.validation import APPEARANCE, INPUT
 
 
 def facing_of(seen: Sequence[Observation]) -> FloatArray:
-    """Observed body and head, (n, 2) radians; NaN where there is none."""
+    """Observed body and head, (n, 2) radians; NaN where missing."""
     channels: dict[str, FloatArray] = {}
     for name in ("body", "head"):
         angles = [getattr(one, name) for one in seen]
@@ -53,7 +53,7 @@ def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
 
     Raise InputError for a descriptor that has another size.
 
-    ``size``: d as it was before; 0: that of the first one
+    ``size``: d as it was before; 0: that of the first descriptor
     """
     given = [one.inputs.get(APPEARANCE) for one in seen]
     rows = [None if one is None else np.atleast_1d(np.asarray(one, float)) for one in given]
@@ -70,7 +70,7 @@ def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
 
 
 def to_smooth(seen: Observation, noise: float) -> Observation:
-    """An observation without what says whose it is alone; of that noise (m) where it does not say its own."""
+    """An observation without identity and appearance; with that noise (m) where it declares none."""
     if seen.position_std is not None and seen.score is None and not seen.inputs:
         return seen
     inputs = {name: value for name, value in seen.inputs.items() if name != APPEARANCE}
@@ -78,23 +78,23 @@ def to_smooth(seen: Observation, noise: float) -> Observation:
 
 
 Key = tuple[int, int]
-"""The number of an update, and the place of a detection in it."""
+"""The number of an update, and the index of a detection in it."""
 
 UNSEEN = -1
-"""The place of what was not detected."""
+"""The index of a missing detection."""
 
 
 class SceneGroups(Protocol):
     """Groups from the estimates of the frames that have ended, for the observations of the next."""
 
     def begin(self, t: float, frame: int = 0) -> None:
-        """Begin the frame of a time (seconds), if that is later than the last, which has ended then."""
+        """Begin the frame of a time (seconds), which ends the previous frame if it is later."""
 
     def group(self, track_id: int) -> Group | None:
-        """Return the input of a person in this frame; None: nothing is known."""
+        """Return the input of a person in this frame; None: no input."""
 
     def estimated(self, track_id: int, estimate: Estimate) -> None:
-        """Take in an estimate of this frame."""
+        """Add an estimate of this frame."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,8 +104,8 @@ class PersonEstimate(Estimate):
     Attributes
     ----------
     track_id : of the person, from 1
-    detection : place of the person's detection among those given; −1: not seen in this frame
-    identity_p : probability that the detection is of whom the track had before
+    detection : index of the person's detection in the frame; −1: no detection
+    identity_p : probability that the detection is of the same person as the track's detection before
     """
 
     track_id: int = 0
@@ -119,11 +119,11 @@ class PersonEstimate(Estimate):
 
 
 class DetectionTracker:
-    """Track everybody in a scene online from detections without identities; see `OnlineTracker`.
+    """Track all people in a scene online from detections without identities; see `OnlineTracker`.
 
-    ``groups``: source of the input `GROUP` of everybody's observations; None: the detections' own.
+    ``groups``: source of the input `GROUP` of all observations; None: the detections' own.
     ``walkable``: area in which people walk, for a model with its term.
-    ``revised`` is what the last update took back, ``newest`` its observations.
+    ``revised`` has the revisions of the last update, ``newest`` its observations.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class DetectionTracker:
     ) -> None:
         self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
         self.model, self._camera, self._walkable = Model.named(model), camera, walkable
-        smoother = self._smoother()  # checks the options, and compiles what there is to compile
+        smoother = self._smoother()  # checks the options, and compiles
         self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
         known = {**self.model.scene, **known_values(scene)}
         self._association = OnlineAssociation(known, math.inf if lag is None else lag)
@@ -150,7 +150,7 @@ class DetectionTracker:
         self.newest: list[Observation] = []
 
     def __len__(self) -> int:
-        """The people who are followed."""
+        """The tracked people."""
         return len(self._people)
 
     def __repr__(self) -> str:
@@ -164,17 +164,17 @@ class DetectionTracker:
     def update(
         self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
     ) -> list[PersonEstimate]:
-        """Take in a frame's detections; what is known of everybody who is there, in the order of track ids.
+        """Add a frame's detections; return the estimates of all present people, in the order of track ids.
 
-        Those are told, too, who were not seen and more probably were missed than left. Raise InputError if
-        time does not increase, a detection has no position or cannot be used, or a descriptor of looks has
-        another size than before. Nothing has changed then.
+        People without a detection who more probably were missed than left are reported too. Raise
+        InputError if time does not increase, a detection has no position or cannot be used, or an appearance
+        descriptor has another size than before. The state is then unchanged.
 
         Parameters
         ----------
-        t : seconds, after those of the update before; any step
-        detections : observations, whose own times do not matter, or positions (n, 2) in metres; none is fine.
-            What they look like is their input ``appearance``, of one size in all frames
+        t : seconds, after those of the previous update; any step
+        detections : observations, whose own times are not read, or positions (n, 2) in metres; may be empty.
+            Their appearance is their input ``appearance``, of one size in all frames
         """
         seen = [self.on_the_ground(one, t) for one in detections]
         position = np.array([one.position for one in seen], float).reshape(-1, 2)
@@ -185,10 +185,10 @@ class DetectionTracker:
         association, noise = self._association, self.scene.position_std
         decision = association.update(t, position, std, facing_of(seen), score, descriptors)
         number = association.updates - 1
-        # Nobody knows better how noisy they are than who saw them follow each other.
+        # The tracks show the noise of the positions best.
         self._seen |= {(number, place): to_smooth(one, noise) for place, one in enumerate(seen)}
         owners, hidden = association.open_detections(), association.hidden()
-        # Who is hidden sees an empty frame, in which the model predicts.
+        # A hidden person gets an empty frame, in which the model predicts.
         self._seen[number, UNSEEN] = Observation(t=t)
         settled = owners[0][0][0] if owners else number
         self._seen = {key: one for key, one in self._seen.items() if key[0] >= settled}
@@ -201,7 +201,7 @@ class DetectionTracker:
         return people
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
         people = [
             {"track_id": track_id, "smoother": person.smoother.state(), "keys": person.keys}
             | ({"told": list(person.told.items())} if person.told else {})
@@ -214,7 +214,7 @@ class DetectionTracker:
     def from_state(
         cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
     ) -> Self:
-        """A tracker that goes on where `state` was taken, given the same model and options.
+        """Restore a tracker from `state`, given the same model and options.
 
         Raise InputError if the state is damaged, or of a model with other terms.
         """
@@ -235,7 +235,7 @@ class DetectionTracker:
 
     @property
     def updates(self) -> int:
-        """Frames that were taken in."""
+        """Number of updates."""
         return self._association.updates
 
     @property
@@ -244,11 +244,11 @@ class DetectionTracker:
         return self._association.descriptor_size
 
     def check_time(self, t: float) -> None:
-        """Raise InputError unless a frame may come at a time (seconds)."""
+        """Raise InputError unless a frame at a time (seconds) is valid."""
         self._association.check_time(t)
 
     def _follow(self, owners: list[tuple[Key, int]], hidden: list[int], number: int, settled: int) -> None:
-        """Have every person's smoother see the detections that are the person's by now."""
+        """Feed every person's smoother the detections now assigned to the person."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
         if self._groups is not None:
             self._groups.begin(self._seen[number, UNSEEN].t, number)
@@ -273,14 +273,14 @@ class DetectionTracker:
                 fed.append((person, sorted(keys + unseen)))
             else:
                 del self._people[track_id]
-        # Nobody's smoother knows of another's, and what is compiled does without the interpreter's lock. A
+        # Smoothers are independent, and compiled code releases the interpreter's lock. A
         # thread gets its people at once: handed over one by one, the slowest frames take twice as long.
         parts = 1 if self._threads is None else processors()
         feed = map if self._threads is None else self._threads.map
         list(feed(self._feed_all, [fed[k::parts] for k in range(parts)]))
 
     def _feed_all(self, people: list[tuple[_Person, list[Key]]]) -> None:
-        """Feed some people: those of whom something new was seen and nothing else is thought, all at once."""
+        """Feed a chunk of people; all smoothers with only new observations are updated together."""
         ahead: list[_Person] = []
         seen: list[Observation] = []
         for person, keys in people:
@@ -311,7 +311,7 @@ class DetectionTracker:
         person.keys = keys
 
     def _seen_by(self, person: _Person, key: Key) -> Observation:
-        """An observation, with what the person was told of their conversation then."""
+        """An observation, with the person's group of its time."""
         return with_group_at(self._seen[key], person.told.get(key[0]))
 
     def _told(self, decision: Decision, hidden: list[int]) -> list[PersonEstimate]:
@@ -332,7 +332,7 @@ class DetectionTracker:
         return OnlineSmoother(self.model, **self._options)
 
     def on_the_ground(self, detection: Any, t: float) -> Observation:
-        """A detection as an observation at the time, with the camera's position where it has none.
+        """A detection as an observation at the time, with the position from the camera where it has none.
 
         Raise InputError if it has none at all, or cannot be used.
         """
@@ -351,7 +351,7 @@ class DetectionTracker:
 
 @dataclass
 class _Person:
-    """A person's smoother, the revisable detections that it has seen, and the groups that it was given."""
+    """A person's smoother, its revisable detections, and the groups that it was given."""
 
     smoother: OnlineSmoother
     estimate: Estimate | None = None
@@ -359,7 +359,7 @@ class _Person:
     told: dict[int, Group] = field(default_factory=dict)
 
 
-UNSAID = "of whom nothing was said at once"
+UNSAID = "not reported online"
 
 
 def track_rows(
@@ -389,7 +389,7 @@ def track_rows(
                 identity[row], probability[row] = person.track_id, person.identity_p
         revised += len(tracker.revised)
         advance(len(places))
-    note = f"associated {len(rows)} detections online: {len(told)} people; {revised} taken back later"
+    note = f"associated {len(rows)} detections online: {len(told)} people; {revised} identities revised"
     rows = replace(rows, track_id=identity, has_identity=True, labels={})
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     tracks = TrackSet.from_rows(rows.keep(identity > 0, UNSAID).with_notes(note))

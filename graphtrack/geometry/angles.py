@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 UNIFORM_STD = float(np.pi / np.sqrt(3.0))
-"""Standard deviation of the uniform density on the circle (radians): the most an angle can be unknown."""
+"""Standard deviation of the uniform density on the circle (radians), the maximum of an angle."""
 
 
 def wrap(angle: ArrayLike) -> FloatArray:
@@ -26,7 +26,7 @@ def wrap(angle: ArrayLike) -> FloatArray:
 
 
 def wrapped(angle: float) -> float:
-    """As `wrap`, of one angle: a tenth of the time."""
+    """As `wrap`, for a single float, in a tenth of the time."""
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
@@ -84,7 +84,7 @@ def mixture_log_density(
     ----------
     angle : (n,) θ in radians
     means : (k,) or (n, k) μ in radians
-    weights : (n, k), not negative; they count by their share. All 0 say nothing: the density is 1/2π
+    weights : (n, k), not negative; normalised. All 0: uninformative, the density is 1/2π
     kappa : κ of every component, of each angle (n,) or of all
     uniform : ε, the probability of an outlier
     """
@@ -98,7 +98,7 @@ def mixture_log_density(
 
 
 def highest_log_density(kappa: FloatArray | float, uniform: float) -> FloatArray:
-    """log of ε/2π + (1 − ε)·VM(0; 0, κ): no mixture of such components is denser anywhere."""
+    """log of ε/2π + (1 − ε)·VM(0; 0, κ): upper bound of the log density of such mixtures."""
     return np.log((uniform + (1.0 - uniform) / special.i0e(kappa)) / (2.0 * np.pi))
 
 
@@ -109,7 +109,7 @@ def mean_resultant_length(concentration: ArrayLike) -> FloatArray:
 
 
 def concentration_from_resultant(length: ArrayLike) -> FloatArray:
-    """The κ of von Mises densities of such mean resultant lengths (any shape), to 5·10⁻³ of itself.
+    """The κ of von Mises densities of given mean resultant lengths (any shape), to a relative 5·10⁻³.
 
     One step of Newton's method from the approximation of Banerjee et al. (2005).
     """
@@ -118,7 +118,7 @@ def concentration_from_resultant(length: ArrayLike) -> FloatArray:
     ratio = mean_resultant_length(kappa)
     per_kappa = np.divide(ratio, kappa, out=np.full_like(kappa, 0.5), where=kappa > 0.0)
     slope = np.maximum(1.0 - ratio**2 - per_kappa, 1e-12)
-    # Far out, the ratio's rounding is all there is to divide.
+    # For large κ the residual is rounding only.
     return np.where(kappa < 1e3, np.maximum(kappa - (ratio - known) / slope, 0.5 * kappa), kappa)
 
 
@@ -130,6 +130,6 @@ def class_centres(n_classes: int) -> FloatArray:
 def class_kappa(n_classes: int) -> float:
     """Concentration of one class: σ is half the distance of the centres.
 
-    That is the narrowest for which equal weights give a flat density (the ripple is 2·exp(−π²/2) = 1.4 %).
+    This is the narrowest σ for which equal weights give a flat density (the ripple is 2·exp(−π²/2) = 1.4 %).
     """
     return (n_classes / np.pi) ** 2

@@ -19,7 +19,7 @@ LARGEST_CONDITION = 1e10
 """The condition number, after normalising the coordinates, from which a homography counts as singular."""
 
 LARGEST_ENTRY = 1e15
-"""The largest number in a homography, and in a point to fit one to, that is not a mistake."""
+"""The largest valid entry of a homography, and of a point to fit one to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class HomographyFit:
     ----------
     homography : (3, 3) source → target
     rms_error, max_error : distance between mapped source and target, in the target's units
-    n_pairs : number of pairs; with four the errors are 0 whatever the points are worth
+    n_pairs : number of pairs; with four pairs the errors are always 0
     """
 
     homography: FloatArray
@@ -79,7 +79,7 @@ def fit_homography(source: ArrayLike, target: ArrayLike) -> HomographyFit:
     if np.linalg.cond(normalised) > LARGEST_CONDITION:
         raise InputError("points in a line", "4 points, no 3 of them in a line")
     homography = np.linalg.inv(into_target) @ normalised @ into_source
-    # What a camera sees of a plane lies on one side of its horizon; the sign shall be positive there.
+    # The visible part of a plane lies on one side of the horizon; the sign is chosen positive there.
     depth = homography[2, :2] @ source.T + homography[2, 2]
     if np.median(depth) < 0.0:
         homography, depth = -homography, -depth
@@ -109,19 +109,19 @@ def jacobian(homography: ArrayLike, points: ArrayLike) -> FloatArray:
 
 
 def check_homography(homography: ArrayLike) -> FloatArray:
-    """The homography as a (3, 3) array of determinate sign and size.
+    """The homography as a (3, 3) array, normalised in sign and scale.
 
     Raises
     ------
     InputError
-        If it has another shape, is not finite or is singular for all practical purposes.
+        If it has another shape, is not finite or is numerically singular.
     """
     homography = np.array(homography, dtype=float)
     if homography.shape != (3, 3):
         raise InputError(f"a homography of shape {homography.shape}", "shape (3, 3)")
     if not np.all(np.abs(homography) <= LARGEST_ENTRY):
         raise InputError("a homography with a value beyond reason", f"nine numbers within ±{LARGEST_ENTRY:g}")
-    # Balance rows and columns first: metres and pixels rightly differ in size, that is not singular.
+    # Balance rows and columns first: metres and pixels differ in scale without being singular.
     balanced = homography.copy()
     for _ in range(10):
         for axis in (0, 1):
@@ -139,7 +139,7 @@ def _normaliser(points: FloatArray) -> FloatArray:
     centre = points.mean(axis=0)
     distance = float(np.mean(np.linalg.norm(points - centre, axis=1)))
     if not 0.0 < distance < np.inf:
-        raise InputError("the same point again and again", "4 points, no 3 of them in a line")
+        raise InputError("identical points", "4 points, no 3 of them in a line")
     scale = np.sqrt(2.0) / distance
     return np.array([[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0.0, 0.0, 1.0]])
 
@@ -150,15 +150,15 @@ Lens = Literal["pinhole", "fisheye"]
 _COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 
 _UNDISTORTED_WITHIN = 0.5
-"""Pixels by which an undistorted point, distorted again, may miss; beyond, the lens model has no inverse."""
+"""Largest round-trip error of an undistorted point in pixels; beyond it, the lens model has no inverse."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroundCamera:
-    """A camera that looks at the ground plane.
+    """A camera above the ground plane.
 
-    *Raw* pixels (u, v) are those of the image, origin top left, v down. *Ideal* pixels are raw ones with the
-    lens distortion taken out; without distortion they are the same.
+    *Raw* pixels (u, v) are those of the image, origin top left, v down. *Ideal* pixels are raw pixels without
+    the lens distortion; without distortion they are the same.
 
     Attributes
     ----------
@@ -223,13 +223,13 @@ class GroundCamera:
 
     @classmethod
     def from_homography(cls, homography: ArrayLike, *, visible: ArrayLike | None = None) -> GroundCamera:
-        """A camera of which only the homography is known.
+        """A camera with only a known homography.
 
         Parameters
         ----------
         homography : (3, 3) pixel → ground (metres), of either sign
-        visible : (n, 2) pixels of points on the ground, which tell the visible side of the horizon. Without
-            them it is the side below the horizon, as in an upright image.
+        visible : (n, 2) pixels of points on the ground, which determine the visible side of the horizon.
+            Without them it is the side below the horizon, as in an upright image.
         """
         homography = check_homography(homography)
         points = None if visible is None else np.asarray(visible, dtype=float).reshape(-1, 2)
@@ -267,7 +267,7 @@ class GroundCamera:
         translation : (3,) metres: a point X has camera coordinates R·X + t
         intrinsics : (3, 3) camera matrix in pixels
         distortion : (5,) k1, k2, p1, p2, k3, or (4,) k1 … k4 of a fisheye
-        lens : see there
+        lens : as in the attributes
         """
         rotation, translation = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
         intrinsics = np.asarray(intrinsics, dtype=float)
@@ -345,7 +345,7 @@ class GroundCamera:
     def pixel_jacobian(self, pixel: ArrayLike) -> FloatArray:
         """Metres per raw pixel: (..., 2, 2) derivative of the ground point at raw pixels (..., 2).
 
-        It is `ground_jacobian` but for a fisheye, whose raw and ideal pixels have little in common.
+        It equals `ground_jacobian` except for a fisheye, whose raw and ideal pixels differ much.
         """
         if self.lens == "pinhole":
             return self.ground_jacobian(pixel)
@@ -386,17 +386,17 @@ class GroundCamera:
             return None
         pose = np.linalg.inv(self.intrinsics) @ self._to_image
         first, second, translation = pose.T / np.sqrt(np.linalg.norm(pose[:, 0]) * np.linalg.norm(pose[:, 1]))
-        # Nearest rotation: the two columns are orthonormal only as far as the homography is exact.
+        # Nearest rotation: the two columns are orthonormal only for an exact homography.
         rough = np.column_stack([first, second, np.cross(first, second)])
         left, _, right = np.linalg.svd(rough)
         return np.asarray(-(left @ right).T @ translation, dtype=float)
 
     def ray_bearing(self, position: ArrayLike) -> FloatArray:
-        """World direction (..., radians) in which the camera looks at ground points (..., 2).
+        """World direction (..., radians) of the camera's view towards ground points (..., 2).
 
-        With the optical centre known this is the direction from the point below it. Else the image is
-        taken to be upright: the ray's vertical plane is then seen as the image column through the point,
-        exactly so on the central column and nearly so elsewhere as long as the camera looks down by little.
+        With a known optical centre this is the direction from the point below it. Else the image is assumed
+        to be upright: the ray's vertical plane then projects to the image column through the point, exactly
+        on the central column and approximately elsewhere for a small downward tilt.
         """
         position = np.asarray(position, dtype=float)
         centre = self.optical_centre_on_ground
@@ -424,18 +424,18 @@ class GroundCamera:
         return wrap(sign * facing)
 
     def image_direction_to_world(self, direction_in_image: ArrayLike, pixel: ArrayLike) -> FloatArray:
-        """World direction (radians) of something horizontal that points along an image-plane direction.
+        """World direction (radians) of a horizontal object that points along an image-plane direction.
 
         Parameters
         ----------
         direction_in_image : (...,) radians in the image, 0 = right, counter-clockwise with v *up*
-        pixel : (..., 2) raw pixel at which it is seen
+        pixel : (..., 2) raw pixel of the object
 
         Notes
         -----
-        The map is the derivative of `image_to_ground` at the pixel, the lens distortion included. It
-        holds at any height: the ground that is seen through a pixel is that of the plane at the height of
-        what is seen there, enlarged about the camera. So take the pixel where the thing itself is seen.
+        The map is the derivative of `image_to_ground` at the pixel, the lens distortion included. It holds at
+        any height: the plane at the object's height has the same image as the ground, enlarged about the
+        camera. So take the pixel of the object itself, not of its foot point.
         """
         pixel = np.asarray(pixel, dtype=float)
         toward = unit(direction_in_image) * np.array([0.5, -0.5])
@@ -449,7 +449,7 @@ class GroundCamera:
 
 
 def _bent(point: FloatArray, distortion: FloatArray) -> FloatArray:
-    """Points (..., 2) at distance 1 before the camera, as the lens shows them (OpenCV's model)."""
+    """Points (..., 2) at distance 1 before the camera, distorted by the lens (OpenCV's model)."""
     k1, k2, p1, p2, k3 = distortion
     x, y = point[..., 0], point[..., 1]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -461,7 +461,7 @@ def _bent(point: FloatArray, distortion: FloatArray) -> FloatArray:
 
 
 def _bent_by_fisheye(point: FloatArray, distortion: FloatArray) -> FloatArray:
-    """The same by OpenCV's fisheye model."""
+    """Points (..., 2) at distance 1 before the camera, distorted by OpenCV's fisheye model."""
     radius = np.hypot(point[..., 0], point[..., 1])
     angle = np.arctan(radius)
     k1, k2, k3, k4 = distortion

@@ -20,9 +20,9 @@ AreaLike: TypeAlias = "WalkableArea | str | Path | Any"
 REACH = 2.0
 """Metres within which a wall is taken into account."""
 WALLS = 2
-"""Walls of a position that are taken into account: in a corner there are two."""
+"""Most walls of a position that are taken into account: a corner has two."""
 
-_PARALLEL = 0.95  # Cosine between normals above which a second wall adds nothing to the first
+_PARALLEL = 0.95  # Cosine between normals above which a second wall is redundant
 _ON_WALL = 1e-9  # metres
 
 
@@ -61,7 +61,7 @@ class WalkableArea:
 
     @classmethod
     def of(cls, area: AreaLike) -> WalkableArea:
-        """Return an area from what a user gives.
+        """Return an area from a path, a polygon or an area.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class WalkableArea:
         return cls(geometry)
 
     def contains(self, position: FloatArray) -> NDArray[np.bool_]:
-        """Return (n,) whether positions (n, 2) are in the area or on its border; False where NaN."""
+        """Return a mask (n,), True for positions (n, 2) in the area or on its border; False where NaN."""
         import shapely
 
         position = np.asarray(position, dtype=float)
@@ -126,7 +126,7 @@ class WalkableArea:
         offset = np.sum(normal * nearest, axis=1)
         first = np.flatnonzero(np.diff(row, prepend=-1))
         walls[row[first], 0] = np.column_stack([normal[first], offset[first]])
-        # Somebody outside is brought back over the nearest wall; a second one is of the inside alone.
+        # A position outside is attracted by the nearest wall only; second walls are for positions inside.
         facing = np.sum(normal * walls[row, 0, :2], axis=1)
         other = np.flatnonzero(is_inside & (facing < _PARALLEL))
         second = other[np.flatnonzero(np.diff(row[other], prepend=-1))]
@@ -137,8 +137,8 @@ class WalkableArea:
         """Return a path (k, 2) from ``start`` (2,) that follows the walls where it would cross them.
 
         A point beyond a wall is replaced by the nearest point of the area, ``margin`` metres from its walls,
-        or by the point before where the straight way there crosses a wall, too. A path that begins outside
-        is returned as it is.
+        or by the previous point where the straight way there crosses a wall, too. A path that begins outside
+        is returned unchanged.
         """
         import shapely
 
@@ -155,7 +155,7 @@ class WalkableArea:
         return found
 
     def _near(self, position: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Pairs of a position and a segment within `REACH`; of a position outside the nearest segment too."""
+        """Pairs of a position and a segment within `REACH`, or the nearest segment of one outside."""
         import shapely
 
         known = np.flatnonzero(np.isfinite(position).all(axis=1))
@@ -169,7 +169,7 @@ class WalkableArea:
 
 
 def _segments(ring: FloatArray) -> FloatArray:
-    """Segments (n, 2, 2) of a closed ring (n + 1, 2), without those of no length."""
+    """Segments (n, 2, 2) of a closed ring (n + 1, 2), without segments of zero length."""
     ends = np.stack([ring[:-1], ring[1:]], axis=1)
     return ends[np.any(ends[:, 0] != ends[:, 1], axis=1)]
 

@@ -16,16 +16,16 @@ ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
 
 
 def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
-    """Return the engine asked for, or "chain" wherever that is possible.
+    """Return the requested engine, or for "auto" "chain" wherever that is possible.
 
     Raises
     ------
     InputError
-        For an engine that is none of whole tracks, or the chain with a term that has no compiled kernel.
+        For an engine that is not offline, or the chain with a term that has no compiled kernel.
     """
     if engine in ("isam2", "fixed-lag"):
         raise InputError(
-            f"engine {engine!r}, which takes one observation after the other, for whole tracks",
+            f"engine {engine!r}, which is online, for offline smoothing",
             "gtsam, where iSAM2 ends once it has all, or graphtrack track with --engine isam2 --lag none",
         )
     if engine not in ("auto", "chain", "gtsam"):
@@ -42,7 +42,7 @@ def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
 
 
 def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
-    """Return the online engine asked for, or "chain" wherever that is possible; InputError as `engine_of`."""
+    """Return the requested online engine, or for "auto" "chain" where possible; errors as `engine_of`."""
     if engine not in ENGINES:
         raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
     if engine == "auto":
@@ -53,7 +53,7 @@ def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
 
 
 def check_lag(lag: float | None, engine: OnlineEngine) -> None:
-    """Raise InputError for what is no length of a window (seconds), or none where the engine needs one."""
+    """Raise InputError for an invalid window length (seconds), or none where the engine needs one."""
     if lag is None and engine != "isam2":
         raise InputError(f"no lag with the engine {engine}", "seconds; the full history is for isam2")
     if lag is not None and not (is_number(lag) and math.isfinite(lag) and lag > 0.0):

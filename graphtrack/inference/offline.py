@@ -1,4 +1,4 @@
-"""Offline smoothing of whole tracks: the compiled chain engine where the model is a chain, else GTSAM."""
+"""Offline smoothing: the compiled chain engine where the model is a chain, else GTSAM."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_count
 
 FEWEST, MOST = 5_000, 25_000
-"""Frames that a thread of the chain engine takes at a time: few are dear, many take memory besides."""
+"""Frames per task of the chain engine's threads: few have a high overhead, many need more memory."""
 
 
 def solve_each(
@@ -47,9 +47,9 @@ def solve_each(
     progress: Callable[[int], None] | None = None,
     n_frames: int | None = None,
 ) -> list[Solution | Failure]:
-    """Smooth every track by itself with the engine that `engine_of` has chosen for the model.
+    """Smooth every track separately with the engine that `engine_of` has chosen for the model.
 
-    ``n_frames``: person-frames of all the work that the tracks are a part of, if there are others.
+    ``n_frames``: person-frames of the whole job, if the tracks are a part of it.
     """
     options = SolverOptions() if options is None else options
     if jobs is not None:
@@ -78,7 +78,7 @@ def smooth_track(
     Raises
     ------
     SolveError
-        If there is nothing to smooth, or the result is not finite or worse than the start.
+        If there are no positions, or the result is not finite or worse than the start.
     """
     options = SolverOptions() if options is None else options
     solver = engine_of(model, engine)
@@ -100,10 +100,10 @@ def _solve_batches(
     progress: Callable[[int], None] | None,
 ) -> list[Solution | Failure]:
     found: dict[int, Solution | Failure] = {}
-    # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
+    # The kernels release the interpreter's lock: while they run, the next batch is packed.
     workers = processors() if jobs is None else jobs
     with ThreadPoolExecutor(workers) as pool:
-        # Several turns for each thread, so that all end at about the same time.
+        # Several tasks per thread, for load balance.
         size = min(max(tracks.n_frames // (4 * workers), FEWEST), MOST)
         batches = [(which, way) for way in (True, False) for which in _batches(tracks, in_lanes, way, size)]
 
@@ -119,7 +119,7 @@ def _solve_batches(
 
 
 def _batches(tracks: TrackSet, in_lanes: list[bool], way: bool, size: int) -> Iterator[list[int]]:
-    """Places of tracks that are solved one way, about ``size`` frames at a time, lanes in groups."""
+    """Indices of tracks that are solved one way, about ``size`` frames at a time, lanes in groups."""
     group = LANES if way else 1
     batch: list[int] = []
     frames = 0

@@ -1,8 +1,8 @@
-"""The online smoother: one person, one observation at a time, and observations that come late or again.
+"""The online smoother: one person, one observation at a time, out-of-sequence and repeated ones included.
 
 Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
 GTSAM, for any list of terms) and ``isam2`` (`Isam2`; GTSAM's, in a window or over the full history). An
-estimate uses only what came before it.
+estimate uses earlier observations only.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from graphtrack.tracks.display import html_pairs
 
 
 def worked_in(window: Window, observation: Observation, place: int, inserted: bool, template: Step) -> Window:
-    """The window with one more observation, in a step like ``template`` or in place of one; linked anew."""
+    """The window with one more observation, in a step like ``template`` or in place of one; linked again."""
     values = dict(window.values)
     steps = list(window.steps[:place])
     if inserted:
@@ -63,7 +63,7 @@ def worked_in(window: Window, observation: Observation, place: int, inserted: bo
 
 
 def merged(known: Observation, new: Observation) -> Observation | None:
-    """The known observation with the channels that only the new one has; None if there are none."""
+    """The known observation with the additional channels of the new one; None if there are none."""
     added: dict[str, Any] = {
         name: getattr(new, name)
         for name in CHANNELS
@@ -85,26 +85,26 @@ def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float
 
 
 _PROMISED_DECREASE = 1e-8
-"""Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
+"""Relative change of the cost below which the chain engine takes no further Newton step."""
 
 
 class OnlineSmoother:
     """Track one person online.
 
-    The first on a machine compiles what it needs, which takes about half a minute; see `warm_up`.
+    The first call on a machine compiles, which takes about half a minute; see `warm_up`.
 
     Parameters
     ----------
     model : a `Model`, the name of a preset or a model file; by default "full"
     engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
         "isam2"
-    lag : seconds of history that are kept open; None: all of it, with isam2
+    lag : seconds of history that are re-estimated; None: all of it, with isam2
     camera : camera of the scene, for observations in pixels
     relinearize_threshold : isam2: change of a variable beyond which the factors of its step are linearised
         again (metres, m/s, radians)
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
-        than this (metres, m/s, radians); by default one or two mostly do, and the errors are no larger for it
-    max_iterations : or after so many
+        than this (metres, m/s, radians); the default mostly takes one or two steps, without larger errors
+    max_iterations : most steps for an observation
 
     Examples
     --------
@@ -167,17 +167,17 @@ class OnlineSmoother:
     # -- the public face -----------------------------------------------------------------------------------
 
     def update(self, observation: Observation) -> Estimate:
-        """Take in one observation and return the estimate at the latest time.
+        """Add one observation and return the estimate at the latest time.
 
         Raises
         ------
         InputError
-            If a time or value is no number within bounds. The state is unchanged.
+            If a time or value is not a number within bounds. The state is then unchanged.
         """
         return self._take(self.usable(observation))
 
     def usable(self, observation: Observation) -> Observation:
-        """Return the observation checked, with the position of its pixel; InputError as `update`."""
+        """Return the checked observation, with the position of its pixel; InputError as `update`."""
         observation = checked(observation)
         if observation.position is not None or observation.pixel is None or self.camera is None:
             return observation
@@ -190,7 +190,7 @@ class OnlineSmoother:
     def update_together(
         smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
     ) -> list[Estimate]:
-        """Each smoother's `update` in few calls into compiled code; observations as `usable` gives them."""
+        """Make each smoother's `update` in few calls into compiled code; observations as from `usable`."""
         estimates: list[Estimate | None] = [None] * len(smoothers)
         places: list[int] = []
         windows: list[ChainWindow] = []
@@ -216,7 +216,7 @@ class OnlineSmoother:
         return self._work_in(observation)
 
     def revise(self, since: float, observations: Sequence[Observation]) -> Estimate | None:
-        """Take back what was seen since a time in seconds, and take in positioned observations in order.
+        """Remove the observations since a time in seconds, and add positioned observations in order.
 
         Returns the estimate at the latest time, or None, without a change, if the window has nothing older.
         """
@@ -248,7 +248,7 @@ class OnlineSmoother:
 
     @property
     def window(self) -> tuple[float, float] | None:
-        """The times (seconds) between which late observations can be worked in; None before the first."""
+        """Earliest and latest time (seconds) that out-of-sequence observations may have, or None."""
         steps = self._smoother.steps
         return (steps[0].observation.t, steps[-1].observation.t) if steps else None
 
@@ -258,13 +258,13 @@ class OnlineSmoother:
         return [(step.observation.t, np.array(smoother.state(step))) for step in smoother.steps]
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
         smoother = self._smoother
         saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
         return pack_state(saved) | {"terms": self._terms()}
 
     def later_state(self) -> Callable[[], dict[str, Any]]:
-        """Return a function that computes the present `state` later; with the chain engine this is quick."""
+        """Return a function that computes the present `state` later; quick with the chain engine."""
         smoother = self._smoother
         if not isinstance(smoother, ChainWindow):
             found = self.state()
@@ -277,10 +277,10 @@ class OnlineSmoother:
     def from_state(
         cls, state: dict[str, Any], model: Model | str | Path | None = None, **options: Any
     ) -> OnlineSmoother:
-        """A smoother that goes on where `state` was taken, given the same model and options.
+        """Restore a smoother from `state`, given the same model and options.
 
-        Its estimates are the same to the last bit where the engine is chain or fixed-lag, and was; else they
-        are those of a window that is built again, within the tolerances of the solver.
+        Its estimates are bit-identical where both engines are chain or fixed-lag; else they are those of a
+        rebuilt window, within the tolerances of the solver.
 
         Raises
         ------
@@ -334,7 +334,7 @@ class OnlineSmoother:
         self._next_index += 1
         return self._estimate(found, observation, "new")
 
-    # -- late and repeated observations --------------------------------------------------------------------
+    # -- out-of-sequence and repeated observations ---------------------------------------------------------
 
     def _work_in(self, observation: Observation) -> Estimate:
         steps = self._smoother.steps

@@ -1,4 +1,4 @@
-"""Options and results of the offline engines, and the extreme input that makes an estimate fail."""
+"""Options and results of the offline engines, and the diagnosis of extreme input."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ OfflineEngine = Literal["chain", "gtsam"]
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """When the iterations end.
+    """Termination criteria and options of the offline solvers.
 
     Attributes
     ----------
-    max_iterations : steps
-    relative_tolerance : of the cost. GTSAM stops when a step brought less; the chain engine, whose steps
-        converge quadratically, when the next one promises less than a thousandth of it.
+    max_iterations : most steps
+    relative_tolerance : of the cost. GTSAM stops after a smaller decrease; the chain engine, whose steps
+        converge quadratically, when the predicted decrease is less than a thousandth of it.
     step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
-    restart : where observations contradict each other, a grid of orientations is searched for a better basin,
-        and the descent starts anew from there (with GTSAM too, where every term has compiled kernels)
+    restart : basin search: where observations contradict each other, search a grid of orientations for a
+        better basin, and descend from there (with GTSAM too, where every term has compiled kernels)
     """
 
     max_iterations: int = 100
@@ -57,7 +57,7 @@ class Solution:
     track : the estimates, with ``velocity`` and ``covariance``
     initial_cost, cost : negative log density at the start and at the end
     iterations : steps taken
-    converged : whether a tolerance was met
+    converged : True if a tolerance was met
     engine : "chain" or "gtsam"
     """
 
@@ -86,7 +86,7 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Failure:
-    """A track that could not be smoothed, and why."""
+    """A track that could not be smoothed, and the reason."""
 
     track_id: int
     reason: str
@@ -107,8 +107,8 @@ def estimated_tracks(
     """Tracks with estimates, (n, 6) states and (n, 6, 6) covariances, in place of their observations.
 
     Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
-    ``modes`` (n, 3) are absent where they begin with NaN. All tracks share the arrays, ``covariance`` the
-    caller's.
+    ``modes`` (n, 3) are absent where they begin with NaN. All tracks share the arrays, and ``covariance`` is
+    not copied.
     """
     position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
     others = {
@@ -134,7 +134,7 @@ def estimated_tracks(
 
 
 _USUAL = {"position_std": (1e-4, 1e3), "body_kappa": (0.0, 1e6), "head_kappa": (0.0, 1e6)}
-"""Values of the channels with which the solvers are well conditioned."""
+"""Values of the channels for which the solvers are well conditioned."""
 
 _SHORTEST, _FARTHEST = 1e-5, 1e6  # Seconds between frames, and metres from the origin, likewise
 
@@ -145,16 +145,16 @@ _INDETERMINATE = re.compile(
 )
 """How GTSAM reports that a linear system has no unique solution, with the variable."""
 _NUMERICAL = (_INDETERMINATE, re.compile("a step of the solver is not finite"))
-"""Reasons that are what an extreme input leads to."""
+"""Reasons that extreme input can cause."""
 
 
 def not_finite(track: Track, model: Model) -> str:
-    """Reason why a track has no finite estimate, with the input that is the likeliest cause."""
+    """Reason for a non-finite estimate of a track, with the input that is the likeliest cause."""
     return with_extreme(NOT_FINITE, track, model)
 
 
 def with_extreme(reason: str, track: Track, model: Model) -> str:
-    """A reason why a track could not be estimated, with its most extreme input, if there is one."""
+    """Failure reason of a track, with its most extreme input, if there is one."""
     channels = {name: getattr(track, name) for name in _USUAL}
     return _joined(reason, _extremes(track.t, track.frame, track.position, channels, model))
 
@@ -178,7 +178,7 @@ def _extremes(
     channels: Mapping[str, FloatArray | None],
     model: Model,
 ) -> Iterator[tuple[float, str]]:
-    """Return by what factor each extreme input exceeds its usual range, and its name."""
+    """Yield the factor by which each extreme input exceeds its usual range, and its name."""
     dt = np.diff(t)
     if dt.size and 0.0 < dt.min() < _SHORTEST:
         k = int(dt.argmin())
@@ -212,7 +212,7 @@ def _outside(
 
 
 def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:
-    """The reason and the most extreme input; of a numerical reason, which that input explains, no more."""
+    """The reason and the most extreme input; only the input for a numerical reason that it explains."""
     worst = max(extremes, default=None)
     if worst is not None:
         return f"{NOT_FINITE if any(one.match(reason) for one in _NUMERICAL) else reason}: {worst[1]}"

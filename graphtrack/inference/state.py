@@ -30,7 +30,7 @@ _CHECKS = tuple((name, FIELDS[name].low, FIELDS[name].high, _SIZES.get(name, 0))
 
 
 def checked(observation: Observation) -> Observation:
-    """Return an observation that an engine can use, with tuples where it had lists or arrays.
+    """Return a checked observation, with tuples in place of lists and arrays.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def _shown(value: object) -> str:
 
 
 def _wrong(observation: Observation) -> str | None:
-    """The first channel that cannot be used as it is; this is asked of every observation."""
+    """The first channel with an invalid value; it is called for every observation."""
     if not -LARGEST_SECONDS <= observation.t <= LARGEST_SECONDS:
         return "t"
     for name, low, high, size in _CHECKS:
@@ -114,7 +114,7 @@ def _mended(observation: Observation) -> Observation:
 
 @dataclass(frozen=True, eq=False)
 class MarginalPrior:
-    """½·dᵀ·Λ·d − ηᵀ·d + ½·c, where d is the deviation from a linearisation point.
+    """½·dᵀ·Λ·d − ηᵀ·d + ½·c, with d the deviation from a linearisation point.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class MarginalPrior:
         return values
 
     def firm(self, kappa: float) -> MarginalPrior:
-        """The same, but that it holds each orientation by no less than a concentration."""
+        """The same prior with at least a given concentration on each orientation."""
         information, place = self.information.copy(), 0
         for point in self.point:
             if len(point) == 1:
@@ -154,7 +154,7 @@ class MarginalPrior:
         return replace(self, information=information)
 
     def turned(self, turns: Mapping[int, float], near: float) -> MarginalPrior:
-        """The same in another basin: key → radians to there; ``near``: cosine within the same basin."""
+        """The same prior in another basin: key → radians to there; ``near``: cosine within the same basin."""
         point = tuple(
             (there[0] + turns[key],) if len(there) == 1 and math.cos(turns[key]) < near else there
             for key, there in zip(self.keys, self.point, strict=True)
@@ -162,7 +162,7 @@ class MarginalPrior:
         return replace(self, point=point)
 
     def factor(self) -> gtsam.LinearContainerFactor:
-        """The factor. A linearisation point belongs to it: without one its error would be 0 everywhere."""
+        """The factor, with its linearisation point: without one its error would be 0 everywhere."""
         sizes = [variable_dimension(key) for key in self.keys]
         ends = np.cumsum(sizes)
         place = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
@@ -189,7 +189,7 @@ class MarginalPrior:
 
 
 def marginal_prior(factor: gtsam.HessianFactor, linearization: gtsam.Values) -> MarginalPrior:
-    """The prior that a marginal is, which was made at a linearisation point."""
+    """The prior of a marginal that was computed at a linearisation point."""
     keys = tuple(factor.keys())
     point = tuple(
         tuple(linearization.atVector(key).tolist())
@@ -197,13 +197,13 @@ def marginal_prior(factor: gtsam.HessianFactor, linearization: gtsam.Values) -> 
         else (linearization.atRot2(key).theta(),)
         for key in keys
     )
-    # A copy: what GTSAM returns is a view of the factor's own memory, which goes with the factor.
+    # A copy: GTSAM returns a view of memory that the factor frees.
     linear = np.array(factor.linearTerm()).ravel()
     return MarginalPrior(keys, point, factor.information(), linear, float(factor.constantTerm()))
 
 
 class StatePrior(NamedTuple):
-    """The same on a state of six: Λ (6, 6), η (6,) and the point; zero for what the model does not have."""
+    """The same on a state of six: Λ (6, 6), η (6,) and the point; zero for coordinates outside the model."""
 
     information: FloatArray
     linear: FloatArray
@@ -240,7 +240,7 @@ def on_variables(prior: StatePrior, step: Step, model: Model) -> MarginalPrior:
 
 
 def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
-    """GTSAM keys of a step's variables, and their places in the state."""
+    """GTSAM keys of a step's variables, and their indices in the state."""
     found = [(step.position_key, PLACES["position"]), (step.velocity_key, PLACES["velocity"])]
     if model.has_body:
         found.append((step.body_key, slice(BODY, BODY + 1)))
@@ -252,7 +252,7 @@ def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
 STATE_VERSION = 4
 
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
-"""What an observation raises that a smoother cannot take in."""
+"""Errors of a smoother for an observation that it cannot use."""
 
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
 Angles = tuple[float, float]
@@ -271,13 +271,12 @@ class Estimate:
     position : (2,) metres; velocity : (2,) m/s; NaN while waiting for a first position
     body, head : radians; NaN when the model does not estimate them
     covariance : (6, 6) in the order of `graphtrack.tracks.track.STATE`
-    status : what became of the observation. "new": it came in order. "late": it came out of order but
-        within the window, and was worked in. "duplicate": its time was known and it had nothing new, so it
-        was left out. "too-late": it was older than the window and left out. "waiting": no position has been
-        seen yet, so it was left out. "failed": it could not be used; the state is the one before it.
-    reason : why it failed
-    aligned_p : probability that the body faces where the motion goes; NaN without modes
-    gait_offset : radians from the direction of motion to the body, as expected; NaN without modes
+    status : result of the observation. "new": in order. "late": out of sequence within the window, and
+        used. "duplicate": known time and nothing new, ignored. "too-late": older than the window, ignored.
+        "waiting": no position so far, ignored. "failed": it could not be used; the state is the previous one.
+    reason : the reason of a failure
+    aligned_p : probability that the body is aligned with the motion; NaN without modes
+    gait_offset : expected angle from the direction of motion to the body, radians; NaN without modes
     glance_p : probability that the head glances aside; NaN without modes
     """
 
@@ -319,7 +318,7 @@ class Estimate:
 
 
 def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track:
-    """A track of online estimates, one for each frame of the recorded one."""
+    """A track of online estimates, one for each frame of the recorded track."""
     found, channels = list(estimates), ["position", "velocity", "covariance"]
     channels += [name for name, has in (("body", model.has_body), ("head", model.has_head)) if has]
     channels += ["aligned_p", "gait_offset", "glance_p"] if model.has_modes else []
@@ -329,15 +328,15 @@ def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The window that a smoother is rebuilt from.
+    """The window from which a smoother is rebuilt.
 
     Attributes
     ----------
-    steps : the steps whose variables are still open, oldest first
+    steps : the steps whose variables are not marginalised, oldest first
     values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
-    prior : what remains of the steps before; None if there were none
-    anchor : else the angles (radians) that hold the first orientations; see `graph.batch.beginning`
-    modes : probabilities of the couplings' modes before the window
+    prior : marginal of the earlier steps; None if there were none
+    anchor : else the angles (radians) at which first orientations are held; see `graph.batch.beginning`
+    modes : probabilities of the coupling modes before the window
     """
 
     steps: tuple[Step, ...]
@@ -348,12 +347,12 @@ class Window:
 
 
 def present(model: Model) -> list[int]:
-    """The places in a state of six of what a model estimates."""
+    """The indices of a model's variables in a state of six."""
     return [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
 
 
 def leaving(steps: Sequence[Step], lag: float, newest: Step | None = None) -> int:
-    """Return how many of a window's first steps are older than the lag (seconds)."""
+    """Return the number of a window's first steps that are older than the lag (seconds)."""
     if not steps:
         return 0
     horizon = (newest or steps[-1]).observation.t - lag - TIME_TOLERANCE
@@ -361,7 +360,7 @@ def leaving(steps: Sequence[Step], lag: float, newest: Step | None = None) -> in
 
 
 def predicted(step: Step, state_of: Callable[[Step], tuple[float, ...]]) -> tuple[float, ...]:
-    """Initial values of a new step: constant velocity, the angles as they were or are seen."""
+    """Initial values of a new step: constant velocity, angles constant or as observed."""
     seen = step.observation
     if step.previous is None or step.dt is None:
         x, y = seen.position if seen.position is not None else (math.nan, math.nan)
@@ -377,7 +376,7 @@ def predicted(step: Step, state_of: Callable[[Step], tuple[float, ...]]) -> tupl
 
 
 def read_step(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ...]:
-    """x, y, vx, vy, body, head of a step from GTSAM values; NaN for what the model does not have."""
+    """x, y, vx, vy, body, head of a step from GTSAM values; NaN for variables outside the model."""
     body = values.atRot2(step.body_key).theta() if model.has_body else math.nan
     head = values.atRot2(step.head_key).theta() if model.has_head else math.nan
     position, velocity = values.atPoint2(step.position_key), values.atVector(step.velocity_key)
@@ -414,8 +413,8 @@ class SavedState(NamedTuple):
     """An online smoother between two observations."""
 
     engine: str
-    window: Window  # from which any engine can go on
-    arrays: Mapping[str, FloatArray]  # from which the same engine goes on to the last bit
+    window: Window  # for any engine
+    arrays: Mapping[str, FloatArray]  # for the same engine, bit for bit
     last: Estimate | None
     next_index: int
 

@@ -1,4 +1,4 @@
-"""Machine code before it is needed: everything that smoothing and tracking with a model call."""
+"""Compilation ahead of use of the functions for smoothing and tracking with a model."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from graphtrack.model.observation import observations, seconds_between
 if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine
 
-WHOLE = "the solver of whole tracks"
+WHOLE = "the offline solver"
 
 
 def make_all_ready(
     model: Model, engine: OnlineEngine | Literal["gtsam"] = "auto", *, large: bool = False
 ) -> None:
-    """Compile, or load, all that smoothing and tracking with a model and an engine call.
+    """Compile, or load, all functions for smoothing and tracking with a model and an engine.
 
-    ``large``: also what solves many tracks in lanes, where the model has it.
+    ``large``: also the solver of many tracks in lanes, where the model has it.
     """
     if not is_chain(model):
         make_ready(WHOLE, _graph_rehearsal(None))
@@ -50,10 +50,10 @@ def make_solver_ready(
     *,
     complete: bool = False,
 ) -> None:
-    """Compile, or load, what an engine calls for whole tracks, ``in_lanes`` or not.
+    """Compile, or load, the offline functions of an engine, ``in_lanes`` or not.
 
-    ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with terms of one's
-    own.
+    ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with user-defined
+    terms.
     """
     if engine == "chain":
         make_ready(WHOLE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
@@ -63,7 +63,7 @@ def make_solver_ready(
 
 
 def make_online_ready(model: Model, engine: OnlineEngine) -> None:
-    """Compile, or load, what a compiled window calls, or what guides GTSAM's online engines."""
+    """Compile, or load, the functions of a compiled window, or those of GTSAM's online engines."""
     make_ready(
         "the online solver", _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model)
     )
@@ -105,7 +105,7 @@ def _online_rehearsal(model: Model) -> Rehearsal:
 
 
 def _like(model: Model) -> Model:
-    """A model that calls the same functions, whatever its parameters."""
+    """A model that calls the same functions, with any parameters."""
     if has_own_kernels(model):
         return Model(model.preset, terms=model.own_terms)
     return Model("full" if model.has_modes else "joint")

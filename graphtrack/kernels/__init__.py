@@ -1,6 +1,6 @@
-"""Shared by terms and the compiled engine: the layout of a frame, kernels and their arithmetic.
+"""The layout of a frame, kernels and their arithmetic, for terms and for the compiled engine.
 
-The chain solver adds kernels up. One takes the states of a frame (or of two that follow each other), adds to
+The chain solver sums kernels. A kernel takes the states of a frame (or of two consecutive frames), adds to
 the gradient and to the blocks of the Hessian, and returns its cost; see `Kernel`.
 """
 

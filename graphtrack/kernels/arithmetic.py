@@ -1,8 +1,8 @@
 """Bessel functions and elementary functions as polynomials in compiled code, of floats and of `lanes`.
 
-Loops over them become vector instructions. Code that calls `math.exp`, `log`, `log1p`, `cos` or `sin` with
-lanes has these. Errors: 10⁻¹⁴ of the result (`exp`, `expm1`), 3·10⁻¹⁶ of the greater of 1 and the result
-(`log`) or the angle (`cos_sin`).
+Loops over them are vectorised. Code that calls `math.exp`, `log`, `log1p`, `cos` or `sin` with lanes gets
+these. Errors: 10⁻¹⁴ of the result (`exp`, `expm1`), 3·10⁻¹⁶ of the greater of 1 and the result (`log`) or the
+angle (`cos_sin`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def log_i0e(x: Any) -> Any:
 
 
 def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
-    """A function of numbers (n,) that often are one number, evaluated once where they are."""
+    """A function of numbers (n,), evaluated once where all are equal."""
     alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
     return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)
 
@@ -53,7 +53,7 @@ _PI_HIGH, _PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 
 
 def _like(kind: Any, element: Any) -> Any:
-    """The type of so many elements as another has."""
+    """The type with the element count of another."""
     return ir.VectorType(element, kind.count) if isinstance(kind, ir.VectorType) else element
 
 
@@ -62,12 +62,12 @@ def _all(kind: Any, value: int) -> Any:
 
 
 _BITS, _SHORT = ir.IntType(64), ir.IntType(32)
-"""Conversions go by way of 32 bits, for which every processor has an instruction."""
+"""Conversions by way of 32 bits, for which every processor has an instruction."""
 
 
 @intrinsic
 def whole_of(_context: Any, x: Any) -> Any:
-    """The greatest whole number that is not greater, as a float."""
+    """The floor of a number, as a float."""
 
     def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
         kind = args[0].type
@@ -114,7 +114,7 @@ def exp(x: Any) -> Any:
     x = choose(x < _LEAST, _LEAST, x)
     whole = whole_of(x * LOG2E + 0.5)
     r = x - whole * LN2_HIGH - whole * LN2_LOW
-    # Taylor's series, to a twelfth power of which the next is 2e-16 where r is greatest, ½·ln 2.
+    # Taylor series to the twelfth power; the next term is at most 2e-16, at r = ½·ln 2.
     y = 1.0 / 3628800.0 + r * (1.0 / 39916800.0 + r * (1.0 / 479001600.0))
     y = 1.0 / 5040.0 + r * (1.0 / 40320.0 + r * (1.0 / 362880.0 + r * y))
     y = 1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * y))
@@ -142,7 +142,7 @@ def expm1(x: Any) -> Any:
     whole = whole_of(x * LOG2E + 0.5)
     r = x - whole * LN2_HIGH - whole * LN2_LOW
     z, power = r * r, power_of_two(whole)
-    # Taylor's series, to an eleventh power of which the next is 2e-16 where r is greatest, ½·ln 2.
+    # Taylor series to the eleventh power; the next term is at most 2e-16, at r = ½·ln 2.
     even = 1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (1.0 / 39916800.0))
     odd = 1.0 / 40320.0 + z * (1.0 / 3628800.0 + z * (1.0 / 479001600.0))
     even = 1.0 + z * (1.0 / 6.0 + z * (1.0 / 120.0 + z * even))
@@ -152,7 +152,7 @@ def expm1(x: Any) -> Any:
 
 @compiled
 def cos_sin(x: Any) -> tuple[Any, Any]:
-    """Cosine and sine of an angle in radians; of up to 10⁶ or so, beyond which their error shows."""
+    """Cosine and sine of an angle in radians, up to about 10⁶; beyond, the error grows."""
     turns = whole_of(x * _QUARTER + 0.5)
     r = x - turns * _PI_HIGH - turns * _PI_LOW
     z = r * r
@@ -170,7 +170,7 @@ def cos_sin(x: Any) -> tuple[Any, Any]:
 
 @compiled
 def direction_of(x: Any, y: Any) -> tuple[Any, Any]:
-    """Cosine and sine of the direction of a vector; of 0 where there is none."""
+    """Cosine and sine of the direction of a vector; of direction 0 for the zero vector."""
     square = x * x + y * y
     some = square > 0.0
     size = math.sqrt(choose(some, square, 1.0))

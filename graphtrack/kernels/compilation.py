@@ -1,4 +1,4 @@
-"""Compilation by numba's public decorator, cached on disk, without the interpreter's lock.
+"""Compilation by numba's public decorator, cached on disk, releasing the interpreter's lock.
 
 `compiled` declares a function, `allocating` one that makes arrays; `make_ready` compiles ahead, with a log.
 """
@@ -17,40 +17,46 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
 
-import numba
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.tracks.track import Track
+
+try:
+    import numba
+except ValueError as error:  # numba reads its settings when it is imported
+    settings = " ".join(f"{name}={value}" for name, value in os.environ.items() if name.startswith("NUMBA_"))
+    expected = f"environment variables that numba takes (“{error}”)"
+    raise InputError(settings or "settings that numba refuses", expected) from error
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 OPTIONS = {
     "nogil": True,
     "error_model": "numpy",
-    # Sums may be reordered and fused; NaN and infinity keep their meaning ("nnan" would break isnan).
+    # Sums may be reordered and fused; NaN and infinity stay valid ("nnan" would break isnan).
     "fastmath": {"contract", "reassoc", "nsz", "arcp"},
-    "no_cfunc_wrapper": True,  # nobody calls them from C
+    "no_cfunc_wrapper": True,  # they are not called from C
 }
 INNER = {"_nrt": False, "no_cpython_wrapper": True}
-"""Options of what compiled code alone calls and makes no arrays."""
+"""Options of functions that only compiled code calls and that make no arrays."""
 
 _NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
 """Annotations of numbers; "Any": floats or `lanes`."""
 
 _DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
-"""Found in sources that declare compiled functions."""
+"""Text that marks sources with compiled functions."""
 
-_CACHE_DIR = threading.Lock()  # Held while numba's setting of the cache folder is another
+_CACHE_DIR = threading.Lock()  # Held while numba's cache folder is changed
 
 
 def compiled(function: Function, **options: bool) -> Function:
-    """Compile a function that makes no arrays and hands none back, without counting references to arrays.
+    """Compile a function that makes and returns no arrays, without reference counting of arrays.
 
     Raises
     ------
     TypeError
-        If the annotation says that anything but numbers is returned: numba would free an array in use.
+        If the annotation is not of numbers: numba would free an array in use.
     """
     annotation = getattr(function, "__annotations__", {}).get("return")
     returned = str(getattr(annotation, "__name__", annotation))
@@ -60,29 +66,29 @@ def compiled(function: Function, **options: bool) -> Function:
 
 
 def inner(function: Function) -> Function:
-    """`compiled`, for what compiled code alone calls: without the wrapper for Python."""
+    """`compiled`, for functions that only compiled code calls: without the wrapper for Python."""
     return compiled(function, **INNER)
 
 
 def merged(function: Function) -> Function:
-    """`compiled`, for a function with one caller: its statements become part of that function's."""
+    """`compiled`, for a function with one caller, into which it is inlined."""
     return _declared(function, inline="always")
 
 
 def allocating(function: Function) -> Function:
-    """Compile a function that makes arrays, or hands some back."""
+    """Compile a function that makes or returns arrays."""
     return _declared(function, _nrt=True)  # else it would be as its first caller is
 
 
 def inner_allocating(function: Function) -> Function:
-    """`allocating`, for what compiled code alone calls."""
+    """`allocating`, for functions that only compiled code calls."""
     return _declared(function, _nrt=True, no_cpython_wrapper=True)
 
 
 def _declared(function: Function, **options: bool | str) -> Function:
     if numba.config.DISABLE_JIT:
         expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
-        raise InputError("a numba that is told not to compile", expected)
+        raise InputError("compilation disabled by NUMBA_DISABLE_JIT", expected)
     home = machine_code_folder()
     if home is not None:
         # Numba reads the folder when a function is declared.
@@ -125,16 +131,16 @@ logger = logging.getLogger("graphtrack")
 UNNOTICED = 3.0  # Seconds of compiling up to which nothing is logged
 
 TRACK = Track(0, np.arange(4), np.linspace(0.0, 0.3, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
-"""Synthetic track, 0.1 s a frame, with which compiled functions are called the first time."""
+"""Synthetic track, 0.1 s per frame, for the first call of compiled functions."""
 
-_READY = set[str]()  # Names of the rehearsals that this process has run: machine code is the process's
+_READY = set[str]()  # Names of the rehearsals that this process has run
 
 
 @dataclass(frozen=True)
 class Rehearsal:
     """A small job with synthetic data that calls every compiled function of some kind of work.
 
-    ``seconds`` of processor time are what compiling takes, about. Of several with one name the first is run.
+    ``seconds`` : approximate processor time of compilation. Rehearsals of one name are run once.
     """
 
     name: str
@@ -142,7 +148,7 @@ class Rehearsal:
     seconds: float
 
     def mark(self) -> Path | None:
-        """The file that says that the machine code is on disk; None where it can be kept in no folder."""
+        """The marker file of machine code on disk; None where no folder can keep it."""
         home = machine_code_folder()
         return None if home is None else home / f"{self.name.replace(' ', '-')}.compiled"
 

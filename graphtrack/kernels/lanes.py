@@ -1,12 +1,12 @@
-"""Vectors with a number of each of several tracks, which compiled functions take in place of floats.
+"""Vectors with a number from each of several tracks, which compiled functions take in place of floats.
 
-`Lanes` is a vector of `LANES` floats, which the processor adds, multiplies … at once; comparisons of them
-give a `LaneMask`. A function that asks `choose` and `any_of` where it would write ``if`` is compiled for
-floats and for lanes from one source. `lane_array` makes an array of floats, whose last axis is that of the
-lanes, into one that is indexed as if its elements were floats: ``a[k]``, ``a[k, i]``, ``a[k, i] += x``.
-`lane_records` does the same for records: ``frame.x``.
+`Lanes` is a vector of `LANES` floats, on which the processor operates at once; comparisons of them give a
+`LaneMask`. A function with `choose` and `any_of` in place of ``if`` is compiled for floats and for lanes from
+one source. `lane_array` views an array of floats, whose last axis is that of the lanes, as an array that is
+indexed as if its elements were floats: ``a[k]``, ``a[k, i]``, ``a[k, i] += x``. `lane_records` does the same
+for records: ``frame.x``.
 
-It stands on what numba documents for extensions: types, models, intrinsics and lowering.
+It uses numba's documented extension interface: types, models, intrinsics and lowering.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _MaskType(types.Type):
 
 
 class LaneArrayType(types.Type):
-    """An array (n, *dims) of lanes; ``masked``: what is put there reaches some lanes alone."""
+    """An array (n, *dims) of lanes; ``masked``: assignments change some lanes only."""
 
     def __init__(self, dims: tuple[int, ...], masked: bool) -> None:
         self.dims, self.masked = dims, masked
@@ -129,7 +129,7 @@ def _flag_to_mask(context: Any, builder: Any, given: Any, wanted: Any, value: An
 def _binary(
     operators: tuple[Callable[..., Any], ...], emit: Callable[[Any, Any, Any], Any], of: Any, to: Any
 ) -> None:
-    """Have operators of two such numbers, or of one and a plain one."""
+    """Register operators of two such numbers, or of one and a plain number."""
     plain = types.Boolean if of == LaneMask else types.Number
 
     class Template(AbstractTemplate):
@@ -194,7 +194,7 @@ def _unary(name: str) -> Any:
 
 
 def of_lanes(function: Callable[..., Any], own: Callable[..., Any]) -> None:
-    """Have compiled code call ``own`` where a function of Python's library is given lanes."""
+    """Replace a function of Python's library by ``own`` for lanes in compiled code."""
     # Without annotations, which numba compares.
     overload(function)(lambda x: (lambda x: own(x)) if x == Lanes else None)
 
@@ -208,7 +208,7 @@ for _known, _own in ((math.sqrt, _unary("sqrt")), (abs, _unary("fabs"))):
 
 @intrinsic
 def choose(_context: Any, condition: Any, one: Any, other: Any) -> Any:
-    """``one`` where the condition holds, else the other: of floats, or in each lane."""
+    """``one`` where the condition holds, else the other argument: for floats, or in each lane."""
     if condition == LaneMask:
         return Lanes(condition, Lanes, Lanes), lambda _c, builder, _s, args: builder.select(*args)
     kind = Lanes if Lanes in (one, other) else types.float64
@@ -239,7 +239,7 @@ def negate(_context: Any, condition: Any) -> Any:
 
 @intrinsic
 def lane_count(_context: Any, value: Any) -> Any:
-    """The number of lanes of a number or a condition: 1 of floats."""
+    """The number of lanes of a number or a condition: 1 for floats."""
     count = LANES if value in (Lanes, LaneMask) else 1
     return types.intp(value), lambda _c, _b, _s, _a: ir.Constant(ir.IntType(types.intp.bitwidth), count)
 
@@ -257,7 +257,7 @@ def lane_of(_context: Any, value: Any, lane: Any) -> Any:
 
 @intrinsic
 def only_lane(_context: Any, condition: Any, lane: Any) -> Any:
-    """A condition of the same type that holds in one lane alone; of floats it holds."""
+    """A condition of the same type that holds in one lane only; for floats it holds."""
 
     def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
         holds = ir.Constant(ir.IntType(1), 1)
@@ -309,7 +309,7 @@ def lane_records(_context: Any, array: Any, records: Any) -> Any:
 
 @intrinsic
 def masked(_context: Any, array: Any, mask: Any) -> Any:
-    """The same array, but what is put there reaches the mask's lanes alone; of floats, the array itself."""
+    """The same array with assignments only in the mask's lanes; for floats, the array itself."""
     if not isinstance(array, LaneArrayType):
         return array(array, mask), lambda context, builder, sig, args: impl_ret_borrowed(
             context, builder, array, args[0]

@@ -17,7 +17,7 @@ X, Y, VX, VY, BODY, HEAD = range(6)  # Places in the state
 
 N = 6  # Degrees of freedom of a frame
 
-LANES = 8  # Tracks that are solved at once, each in a lane of a vector
+LANES = 8  # Tracks that are solved at once, one per lane of a vector
 
 TIME_TOLERANCE = 1e-6  # Seconds up to which two durations are equal: times of 10⁹ s are rounded to 10⁻⁷ s
 
@@ -27,16 +27,16 @@ PLACES: dict[str, slice] = {
     "body": slice(BODY, BODY + 1),
     "head": slice(HEAD, HEAD + 1),
 }
-"""Variables of a frame, by name, and where they stand in its state."""
+"""Variables of a frame, by name, and their indices in its state."""
 
 
 class Field(NamedTuple):
-    """Numbers that a term packs: of each frame, or shared by all frames.
+    """Numbers that a term packs: for each frame, or shared by all frames.
 
     Attributes
     ----------
-    name : by which kernels are given it; unique among all terms
-    meaning : what it is, with its unit
+    name : parameter name in kernels; unique among all terms
+    meaning : description, with the unit
     shape : (): one number
     """
 
@@ -45,11 +45,11 @@ class Field(NamedTuple):
     shape: tuple[int, ...] = ()
 
 
-DT = Field("dt", "seconds since the person's frame before; 0 at the first")  # What every record has
+DT = Field("dt", "seconds since the person's previous frame; 0 at the first")  # What every record has
 
 
 def record_type(fields: Iterable[Field]) -> np.dtype:
-    """Records of floats with such fields, each once."""
+    """Records of floats with the given fields, without repetitions."""
     return np.dtype([(f.name, float, f.shape) for f in dict.fromkeys(fields)])
 
 
@@ -65,7 +65,7 @@ def place_in_row(field: str, record: np.dtype) -> int:
 
 
 class Problem(NamedTuple):
-    """Some tracks end to end, as the kernels see them: N frames, m tracks."""
+    """Some tracks end to end, as the kernels read them: N frames, m tracks."""
 
     records: np.ndarray  # (N,) of the program's FRAME
     shared: np.ndarray  # (1,) of its SHARED
@@ -73,9 +73,9 @@ class Problem(NamedTuple):
     head_heights: FloatArray
     body_directions: FloatArray  # (classes, 2) cosines and sines of the centres
     head_directions: FloatArray
-    origin: FloatArray  # (m, 2) metres, what a track's positions are counted from
+    origin: FloatArray  # (m, 2) metres, origin of a track's positions
     offsets: NDArray[np.int64]  # (m + 1,)
-    prior: FloatArray  # (8, 6) on the first frame: rows Λ, then η and the point d = 0; no rows: there is none
+    prior: FloatArray  # (8, 6) on the first frame: rows Λ, then η and the point d = 0; no rows: no prior
 
 
 VariableName = Literal["position", "velocity", "body", "head"]
@@ -86,36 +86,37 @@ Function = Callable[..., Any]
 class Kernel:
     """A function that adds a term's part at one frame to the gradient and the Hessian, and returns its cost.
 
-    The names of the function's parameters say what it is given:
+    The names of the function's parameters determine its arguments:
 
     ``state``, ``before``
-        (6,) of the frame and of the one before; places as in `layout`. Positions count from the origin
+        (6,) of the frame and of the previous one; indices as in `layout`. Positions are relative to
+        the origin
     ``origin_x``, ``origin_y``
-        metres, where that is in the world
+        metres, the origin in the world
     ``body_cos``, ``body_sin``, ``head_cos``, ``head_sin``, and the same with ``_before``
-        of the orientations; a kernel that reads them so takes part in the search for other basins
+        of the orientations; a kernel that reads them takes part in the basin search
     ``gradient``, ``hessian``
-        (6,) and (6, 6) of the frame, to be added to; of the Hessian, the lower triangle
+        (6,) and (6, 6) of the frame, to be added to; only the lower triangle of the Hessian
     ``gradient_before``, ``hessian_before``, ``transition``
-        those of the frame before, and ∂²/∂before_i ∂state_j
+        those of the previous frame, and ∂²/∂before_i ∂state_j
     ``exact``
-        whether to add the true second derivative, or one that is never negative, of Gauss–Newton's kind: with
-        it, ½·gᵀ·H⁻¹·g is no more than the cost
+        True for the exact second derivative, else a positive semidefinite one of Gauss–Newton's kind,
+        with which ½·gᵀ·H⁻¹·g is no more than the cost
     ``start``
-        (6,) the state of the track's first frame where the descent began
+        (6,) the initial state of the track's first frame
     any field
         of the frame's record, or shared by all frames
 
     Attributes
     ----------
     function : compiled
-    gate : field of the record that is greater than 0 where the kernel is to be called
-    variables, before : variables of the frame, and of the frame before, whose derivatives it adds
-    unless : field that keeps it from being called where that is greater than 0
-    names : parameter → what it is given, where that is not its own name
-    switched : whether the modes of the couplings switch it; see `gait.GaitOffsets`
-    add_quarter_turns : compiled; a quicker way, if there is one, to look its cost up in four directions. Adds
-        to ``cost`` (4,) what the kernel costs at its orientation, and one, two and three quarters on
+    gate : field of the record that is greater than 0 where the kernel is called
+    variables, before : variables of the frame, and of the previous frame, whose derivatives it adds
+    unless : field that disables it where that is greater than 0
+    names : parameter → its argument, where that has another name
+    switched : True if the coupling modes switch it; see `gait.GaitOffsets`
+    add_quarter_turns : compiled; a faster evaluation of the cost in four directions, if there is one. Adds
+        to ``cost`` (4,) the kernel's cost at its orientation, and at one, two and three quarter turns from it
     """
 
     function: Function
@@ -144,6 +145,6 @@ class Kernel:
 
 
 def arguments_of(function: Function, names: Mapping[str, str]) -> tuple[str, ...]:
-    """The names of a function's parameters, or what stands for them."""
+    """The names of a function's parameters, or their replacements."""
     parameters = inspect.signature(getattr(function, "py_func", function)).parameters
     return tuple(names.get(name, name) for name in parameters)

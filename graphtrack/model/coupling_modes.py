@@ -1,7 +1,7 @@
-"""Coupling modes given the states: the mode of each coupling, and the coupling that follows from it.
+"""Coupling modes given the states: the mode of each coupling, and the resulting coupling.
 
 The hidden Markov chains of `graphtrack.model.terms.gait`, by the forward–backward recursion; the couplings of
-the next descent are the expectation over modes and offsets. One source for a track and for lanes.
+next descent are the expectation over modes and offsets. One source for a single track and for lanes.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _LAST = BINS - 1
 class ModeMemory(NamedTuple):
     """Memory for the recursions over the modes of tracks of up to n frames: of one track, or of lanes."""
 
-    dt: FloatArray  # (n,) seconds since the frame before; 0 at a first frame
+    dt: FloatArray  # (n,) seconds since the previous frame; 0 at a first frame
     ahead: FloatArray  # (n, 3) velocity and body orientation a lead later
     likelihood: FloatArray  # (n, ROW) of the observations at each of `BASE` offsets; their logarithm at first
     filtered_body: FloatArray  # (n, ROW) probabilities given the past, not normalised
     filtered_head: FloatArray  # (n, ROW)
     spare: FloatArray  # (1, ROW)
-    after: FloatArray  # (2, ROW) likelihood of all that follows, for two frames
+    after: FloatArray  # (2, ROW) likelihood of all following observations, for two frames
     weight: FloatArray  # (1, ROW) probabilities given all frames, not normalised
     before: FloatArray  # (2, ROW) filtered probabilities of both couplings in the frame before the first
     held: FloatArray  # (n, 4) offset from motion to body, cosine and sine; probabilities: aligned, a glance
@@ -136,7 +136,7 @@ def add_angle_evidence(
     along = choose(known, kappa * (cos * base_cos + sin * base_sin), 0.0)
     across = choose(known, kappa * (sin * base_cos - cos * base_sin), 0.0)
     softened, cosines, sines = uniform > 0.0, modes.cos, modes.sin
-    # Two loops, since one with a condition in it does not become vector instructions.
+    # Two loops: a condition within a loop prevents vectorisation.
     if not any_of(softened):
         for j in range(BASE):
             row[j] += weight * (cosines[j] * along + sines[j] * across - kappa)
@@ -157,7 +157,7 @@ def add_class_evidence(
     directions: FloatArray,
     kappa: Any,
 ) -> None:
-    """The same of class likelihoods; ``heights`` and ``directions`` as in `pose.add_classes`."""
+    """The same for class likelihoods; ``heights`` and ``directions`` as in `pose.add_classes`."""
     if not any_of(weight * kappa > 0.0):
         return
     n_classes = len(heights) - 1
@@ -175,7 +175,7 @@ def add_class_evidence(
 def add_head_evidence(
     problem: Problem, place: int, modes: Modes, weight: Any, base_cos: Any, base_sin: Any, row: FloatArray
 ) -> None:
-    """Add what a frame, the ``place`` of its record, has observed of the head: an angle and classes."""
+    """Add the observations of the head, an angle and classes, of the frame whose record is at ``place``."""
     frame = problem.records[place]
     add_angle_evidence(
         row,
@@ -205,14 +205,14 @@ def judge_body(
         nothing = 0.0 * frame.dt
         for j in range(BASE):
             row[j] = nothing
-        # What holds an aligned body to the motion in this frame; κ₁ contains the weight w here.
+        # Concentration of an aligned body about the motion in this frame; κ₁ contains the weight w here.
         coupling = frame.body_aligned_kappa * squared_excess(states[k, VX], states[k, VY], threshold)
         active = (coupling > 0.0) & is_observed(frame)
         if not any_of(active):
             continue
         cos, sin = direction_of(memory.ahead[k, AHEAD_VX], memory.ahead[k, AHEAD_VY])
-        # Frames within the time in which deviations persist tell of the same deviation, so of the information
-        # remains what the coupling lets through.
+        # Deviations persist, so consecutive frames repeat the same information: it is reduced by the factor
+        # that the coupling transmits.
         share = choose(active, coupling / (coupling + frame.body_information), 0.0)
         head, spread = frame.head_information, frame.head_aligned_kappa
         loose = coupling * spread
@@ -248,7 +248,7 @@ def judge_head(
         for j in range(BASE):
             row[j] = nothing
         coupling = frame.head_aligned_kappa
-        # Of whom neither motion nor body is known, as of those who stand, the head would be judged by itself.
+        # Without motion and body, as of standing people, the head would be compared with itself.
         motion = frame.body_aligned_kappa * squared_excess(states[k, VX], states[k, VY], threshold)
         known = frame.body_information + choose(is_observed(frame), motion, 0.0)
         active = (coupling > 0.0) & (known > 0.0)
@@ -276,9 +276,9 @@ def classified_in(problem: Problem, track: int) -> tuple[bool, bool]:
 
 @inner
 def drift_of(drift: float, dt: Any) -> tuple[Any, Any]:
-    """Number of diffusion passes for ``dt`` seconds, and the share that goes to either side in each."""
+    """Number of diffusion passes for ``dt`` seconds, and the share that moves to either side in each."""
     share = dt * (drift / (_TURN / BINS) ** 2)
-    # More passes than `MOST_DRIFT` leave hardly anything but the uniform density.
+    # After `MOST_DRIFT` passes the density is nearly uniform.
     passes = choose(share > 0.0, -whole_of(-2.0 * share), 0.0)
     passes = choose(passes < float(MOST_DRIFT), passes, float(MOST_DRIFT))
     side = choose(passes > 0.0, 0.5 * share / choose(passes > 0.0, passes, 1.0), 0.0)
@@ -287,7 +287,7 @@ def drift_of(drift: float, dt: Any) -> tuple[Any, Any]:
 
 @inner
 def drift_further(row: FloatArray, passes: Any, side: Any) -> None:
-    """All passes of a drift but one, in place; the recursions do that one themselves."""
+    """All passes of a drift but the last, in place; the recursions make the last."""
     turn = 1.0
     while any_of(passes > turn):
         share = choose(passes > turn, side, 0.0)
@@ -302,7 +302,7 @@ def drift_further(row: FloatArray, passes: Any, side: Any) -> None:
 
 
 class Changes(NamedTuple):
-    """Probabilities of what changes within a step; what is not kept is drawn again from the long run."""
+    """Probabilities of mode changes within a step; a changed mode is redrawn from the stationary density."""
 
     begins: Any  # no glance before, a glance after
     ends: Any  # a glance before, none after
@@ -321,11 +321,11 @@ def changes_in(modes: Modes, dt: Any) -> Any:
 
 @compiled
 def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray, memory: ModeMemory) -> None:
-    """The recursion forward, not normalised; ``before`` (ROW,) counts if the first frame has a dt."""
+    """The forward recursion, not normalised; ``before`` (ROW,) counts if the first frame has a dt."""
     likelihood, spare, anywhere, near = memory.likelihood, memory.spare[0], modes.anywhere, modes.share
     glances = modes.glance_share > 0.0
     share = 0.0 * memory.dt[0] + 1.0
-    # Of the frame before: the probability of no glance.
+    # The probability of no glance in the previous frame.
     base = share
     if any_of(memory.dt[0] > 0.0):
         base = 0.0 * share
@@ -421,7 +421,7 @@ class Following(NamedTuple):
 def smooth_modes(
     k: int, modes: Modes, filtered: FloatArray, following: Any, memory: ModeMemory
 ) -> tuple[Any, Any]:
-    """One frame of the recursion backward, as `Smoothed` and `Following`."""
+    """One frame of the backward recursion, as `Smoothed` and `Following`."""
     row, now, weights = memory.likelihood[k], filtered[k], memory.weight[0]
     source, target = memory.after[1 - (k & 1)], memory.after[k & 1]
     scale, again, side = following.scale, following.again, following.side
@@ -480,7 +480,7 @@ def smooth_modes(
         share * glance_cos,
         share * glance_sin,
     )
-    # Of the frame before: the likelihood of what follows, if its mode were drawn again, is taken as 1.
+    # In the previous frame, the likelihood of later observations after a redrawn mode is scaled to 1.
     dt = memory.dt[k]
     inside, changes = dt > 0.0, changes_in(modes, dt)
     passes, side = drift_of(modes.drift, dt)
@@ -532,14 +532,14 @@ class Coupling(NamedTuple):
     """One coupling in a frame."""
 
     kappa: Any
-    cos: Any  # of its offset
+    cos: Any  # of the offset
     sin: Any
     spread: Any  # standard deviation of the pull by modes and offsets
 
 
 @inner
 def loosened(kappa: Any, excess: Any, missing: Any, weight: Any, diffusion: float) -> Any:
-    """A coupling's κ as a multiple where the lead is unknown for ``missing`` seconds and may have turned."""
+    """Factor of a coupling's κ where the lead is unknown for ``missing`` seconds and turns are possible."""
     unknown = (missing > 0.0) & (kappa > 0.0)
     return choose(unknown, 1.0 / (1.0 + kappa * excess / weight * diffusion * missing), 1.0)
 
@@ -558,13 +558,13 @@ def couple(
     weights: FloatArray,
     has_spread: bool,
 ) -> Any:
-    """The coupling by the probabilities of its modes, turned by the lead until that is over, as `Coupling`.
+    """The expected coupling over the modes, turned by the lead while that lasts, as `Coupling`.
 
     Parameters
     ----------
     kappa : concentration when aligned
     excess, missing, weight, diffusion : as in `loosened`
-    has_spread : whether the spread is wanted; else it is 0
+    has_spread : compute the spread; else it is 0
     """
     cos, sin = expected(found, modes.strength, modes.free_strength, modes.glance_strength)
     size = math.sqrt(cos * cos + sin * sin)
@@ -642,7 +642,7 @@ def renew_head(
     has_spread: bool,
     memory: ModeMemory,
 ) -> None:
-    """Set the coupling of head and body in all frames, and how far the head steers the steps after them."""
+    """Set the coupling of head and body in all frames, and the head's steering of the following steps."""
     shared, offset, filtered = problem.shared[0], problem.offsets[track], memory.filtered_head
     modes = gait.classified_head if classified else gait.head
     look_ahead(n, length, states, modes.lead, False, memory.dt, memory.ahead)
@@ -673,7 +673,7 @@ def renew_head(
         memory.spread[k, HEAD_MODE] = common * coupling.spread
         left += frame.dt
         if k < n - 1:
-            # The head steers as far as it is expected to point where the motion goes, and no glance does.
+            # The head steers by the probability that it points along the motion; a glance does not steer.
             after = problem.records[offset + k + 1]
             cos, sin = expected(found, 1.0, 1.0, 0.0)
             forth = memory.held[k, 0] * cos - memory.held[k, 1] * sin
@@ -683,7 +683,7 @@ def renew_head(
 
 @inner
 def begin_back(zero: Any, memory: ModeMemory) -> Any:
-    """Nothing follows the last frame; as `Following`."""
+    """The likelihood after the last frame: uniform; as `Following`."""
     for j in range(ROW):
         memory.after[0, j] = memory.after[1, j] = zero
     return Following(zero, zero + 1.0, zero, zero + 1.0, zero)
@@ -701,14 +701,14 @@ def renew_couplings(
     has_spread: bool,
     memory: ModeMemory,
 ) -> None:
-    """Set the couplings of a track's frames, and the steering between them, by the modes the states imply.
+    """Set the couplings of a track's frames, and the steering between them, by the modes given the states.
 
     Parameters
     ----------
     n, length : number of frames: of the longest of the lanes, and of each
     states : (n, 6)
-    classified : whether the head is observed by a classifier, which may see it turned all along
-    has_spread : whether ``memory.spread`` is wanted
+    classified : the head is observed by a classifier, whose errors may persist
+    has_spread : compute ``memory.spread``
     memory : ``before`` is read where the first frame has a dt; ``held`` and ``spread`` are results
     """
     offset = problem.offsets[track]
@@ -720,7 +720,7 @@ def renew_couplings(
 
 @inner
 def glance_variance(glance: Any, gait: Gait) -> Any:
-    """Variance added to a head that glances with a probability above the long run's."""
+    """Variance added to a head with a probability of a glance above the stationary one."""
     more = (glance - gait.head.glance_share) / (1.0 - gait.head.glance_share)
     less = 1.0 - choose(more > 0.0, more, 0.0)
     return gait.glance_variance * (1.0 - less * less)
@@ -728,7 +728,7 @@ def glance_variance(glance: Any, gait: Gait) -> Any:
 
 @compiled
 def add_glance_variance(n: int, held: FloatArray, gait: Gait, covariance: FloatArray) -> None:
-    """Add it to the covariances (n, 6, 6), in place; ``held`` (n, 4) is that of `ModeMemory`."""
+    """Add the glance variance to covariances (n, 6, 6), in place; ``held`` (n, 4) is that of `ModeMemory`."""
     for k in range(n):
         covariance[k, HEAD, HEAD] += glance_variance(held[k, GLANCE], gait)
 

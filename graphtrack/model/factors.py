@@ -1,8 +1,8 @@
 """GTSAM factors: native von Mises, custom ones through a checked wrapper, and those derived from kernels.
 
-GTSAM takes a callback's Jacobians on trust; `custom_factor` makes wrong shapes Python errors. From a kernel's
+GTSAM does not check a callback's Jacobians; `custom_factor` makes wrong shapes Python errors. From a kernel's
 cost c, gradient g and Gauss–Newton block H, a pivoted Cholesky factorisation makes rows with JᵀJ = H and
-Jᵀr = g; one more row, without Jacobian, carries what c is beyond ½‖r‖².
+Jᵀr = g; one more row, without Jacobian, carries the cost c beyond ½‖r‖².
 """
 
 from __future__ import annotations
@@ -72,13 +72,13 @@ def custom_factor(
     Raises
     ------
     FactorShapeError
-        When the factor is used, if a function returns something else; the message names the key.
+        When the factor is used, if a function returns another shape; the message names the key.
     """
     keys = list(keys)
     shapes = [(rows, variable_dimension(key)) for key in keys]
 
     def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        del this  # a traceback would keep it, and its repr after the factor is gone ends the process
+        del this  # a traceback would keep it, and its repr after the factor is freed ends the process
         if jacobians is None:
             value = residual(values)
         elif linearised is None:
@@ -107,7 +107,7 @@ def custom_factor(
 
 @cache
 def unit_noise(rows: int) -> gtsam.noiseModel.Base:
-    """The noise model of residuals that are whitened already."""
+    """The noise model of whitened residuals."""
     return gtsam.noiseModel.Unit.Create(rows)
 
 
@@ -153,11 +153,11 @@ COUPLED = (
     "steer_cross",
     "steer_spread",
 )
-"""The fields of a frame that the modes of the couplings set; see `gait.GaitOffsets`."""
+"""The fields of a frame that the coupling modes set; see `gait.GaitOffsets`."""
 
-Couplings = Mapping[int, Sequence[float]]  # Index of a step → what its `COUPLED` fields are now
+Couplings = Mapping[int, Sequence[float]]  # Index of a step → values of its `COUPLED` fields
 
-_SMALLEST_PIVOT = 1e-14  # Of the greatest: what is smaller is rounding of a block that is not of full rank
+_SMALLEST_PIVOT = 1e-14  # Relative to the greatestpivot; smaller pivots are rounding errors
 
 _CONSTANTS: dict[str, Any] = {
     "BODY": BODY,
@@ -178,7 +178,7 @@ _SCRATCH = {
     "hessian": 5,
     "transition": 6,
 }
-"""What a kernel is given to read states from and to add to, in the order of `_Evaluation`'s arrays."""
+"""Arguments of kernels, states to read and arrays to add to, in the order of `_Evaluation`'s arrays."""
 
 
 def couplings_of(records: np.ndarray) -> list[tuple[float, ...]]:
@@ -221,7 +221,7 @@ def derived_factors(
 
 
 class _Call:
-    """A kernel with what it is given in all frames that were packed alike."""
+    """A kernel with its arguments in all frames of equal packing."""
 
     def __init__(self, kernel: Kernel, packed: PackedTracks) -> None:
         self.kernel = kernel
@@ -235,7 +235,7 @@ class _Call:
         self.arguments = [given.get(name, 0.0) for name in kernel.arguments]
         self.place = {name: i for i, name in enumerate(kernel.arguments)}
         self.scratch = [(self.place[name], name) for name in _SCRATCH if name in self.place]
-        # (which variable, the places of its cosine and sine among the arguments, whether of the frame before)
+        # (variable, indices of its cosine and sine among the arguments, True for the previous frame)
         self.variables = [
             (name, self.place.get(f"{name}_cos{end}"), self.place.get(f"{name}_sin{end}"), earlier)
             for names, end, earlier in ((kernel.before, "_before", True), (kernel.variables, "", False))
@@ -271,9 +271,9 @@ def _factor(
         evaluation.follow(couplings, step.index)
     blocks = [evaluation.jacobian[:, part] for part in call.parts]
 
-    # Not through `custom_factor`: these shapes are right, and its checks take as long as a kernel.
+    # Without `custom_factor`, whose checks take as long as a kernel.
     def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        del this  # a traceback would keep it, and its repr after the factor is gone ends the process
+        del this  # a traceback would keep it, and its repr after the factor is freed ends the process
         evaluation(values)
         if jacobians is not None:
             for i, block in enumerate(blocks):
@@ -297,7 +297,7 @@ class _Evaluation:
         for name, value in live:
             if name in call.place:
                 self._arguments[call.place[name]] = value
-        # Slices of the states, for it takes longer to make one than to write to it.
+        # Preallocated slices of the states: making a slice takes longer than writing to it.
         self._vectors: list[tuple[bool, int, FloatArray]] = []
         self._rotations: list[tuple[int, FloatArray, int | None, int | None]] = []
         for (name, cos, sin, earlier), key in zip(call.variables, keys, strict=True):
@@ -344,10 +344,10 @@ def factorise(
     residual: FloatArray,
     jacobian: FloatArray,
 ) -> None:
-    """Rows whose squares are a cost, with its gradient and its block of Gauss–Newton's kind.
+    """Rows whose squares are a cost, with its gradient and its Gauss–Newton block.
 
-    ``gradients`` (2, 6) and ``hessians`` (3, 6, 6; lower triangles of two frames, and the block between)
-    become zero; ``columns`` (n,) of the 12 degrees of freedom; ``residual``, ``jacobian`` (n + 1, …) are
+    ``gradients`` (2, 6) and ``hessians`` (3, 6, 6; lower triangles of two frames, and the block between) are
+    reset to zero; ``columns`` (n,) of the 12 degrees of freedom; ``residual``, ``jacobian`` (n + 1, …) are
     filled in.
     """
     n = len(columns)
@@ -385,6 +385,6 @@ def factorise(
             left[i] -= jacobian[row, i] * residual[row]
             for j in range(n):
                 block[i, j] -= jacobian[row, i] * jacobian[row, j]
-        # What rounding leaves there would be taken for a pivot.
+        # Rounding errors there would be taken for a pivot.
         block[pivot, pivot] = 0.0
     residual[n] = math.sqrt(max(rest, 0.0))

@@ -1,9 +1,9 @@
-"""Frame programs: the kernels of some terms, called one after another, written out for floats and lanes.
+"""Frame programs: the kernels of a list of terms, called one after another, for floats and for lanes.
 
-Compiled code calls `add_frame`, `cut` and `set_quarter_turns`; the type of the problem's records chooses the
-program, that of the package's terms (`program`) or one generated for terms of a user's own. Loops over
-kernels could not be inlined or cached. ``python -m graphtrack.model.generator`` writes `program`; a test
-compares.
+Compiled code calls `add_frame`, `cut` and `set_quarter_turns`; the type of the problem's records selects the
+program: that of the package's terms (`program`), or one generated for a user's terms. Loops over kernels
+could not be inlined or cached. ``python -m graphtrack.model.generator`` writes `program`; a test compares
+it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _FUNCTIONS: dict[tuple[str, ...], Any] = {}  # Names of the fields of a record �
 
 @dataclass(frozen=True, eq=False)
 class FrameProgram:
-    """Record types of a frame program, and the gates of links to the frame before and of switched kernels."""
+    """Record types of a frame program, and the gates of links to the previous frame and of the modes."""
 
     types: RecordTypes
     links: tuple[str, ...]
@@ -57,10 +57,10 @@ OF_PRESETS = FrameProgram.of(program)  # The program of the package's terms
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of compiled code that is chosen by the type of records, which ``records_of`` finds."""
+    """A function of compiled code that is selected by the type of records, which ``records_of`` finds."""
 
     def stub(*_arguments: Any) -> Any:
-        raise NotImplementedError(f"{name} is called by compiled code alone")
+        raise NotImplementedError(f"{name} can only be called from compiled code")
 
     def implementation(*arguments: Any) -> Any:
         kind = records_of(*arguments)
@@ -72,7 +72,7 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
 
     # Numba compares the parameters' names.
     implementation.__signature__ = inspect.signature(getattr(program, name).py_func)  # type: ignore[attr-defined]
-    # As `inner`: else numba would compile them once more for callers that make arrays.
+    # As `inner`: else numba would compile them again for callers that make arrays.
     overload(stub, jit_options={**OPTIONS, **INNER})(implementation)
     return stub
 
@@ -103,7 +103,7 @@ _GIVEN = {
     "BODY": "at_body",
     "HEAD": "at_head",
 }
-"""Parameters of kernels that are no fields → the expressions that they are given."""
+"""Parameters of kernels that are not fields → the expressions passed for them."""
 
 _HEADER = '''"""The frame program of {title}.
 
@@ -182,14 +182,14 @@ class Program:
     Parameters
     ----------
     terms : whose fields and kernels it has, each once
-    title : of what
-    others : terms of which it has the fields alone, since other functions read them
-    *fields : other fields of the record
+    title : description of the terms
+    others : terms whose fields alone it has, since other functions read them
+    *fields : further fields of the record
 
     Raises
     ------
     ValueError
-        For kernels whose parameters or gates are unknown, and for two fields of one name.
+        For kernels with unknown parameters or gates, and for two fields of one name.
     """
 
     def __init__(
@@ -224,11 +224,11 @@ class Program:
     def _call(
         self, indent: int, begin: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]
     ) -> str:
-        """A call of a function, whose parameters have other ``names``, with what they stand for ``here``."""
+        """A call of a function, with its parameters renamed by ``names`` and replaced by ``here``."""
         known, given = {**self._known, **here}, arguments_of(function, names)
         for name in given:
             if name not in known:
-                expected = "a field or one that `Kernel` names"
+                expected = "a field or a name of `Kernel`"
                 raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
         line = f"{begin}{self._name(function)}({', '.join(known[name] for name in given)})"
         space = " " * indent
@@ -247,7 +247,7 @@ class Program:
         text = ""
         for name, fields, what in (
             ("FRAME", self.fields, "One frame. A gate is 0 where its kernel is not called."),
-            ("SHARED", self.shared, "What all frames of a job share."),
+            ("SHARED", self.shared, "Fields shared by all frames of a job."),
         ):
             text += f"{name} = np.dtype([\n"
             for f in fields:
@@ -257,8 +257,8 @@ class Program:
         links = [kernel.gate for kernel in self.kernels if kernel.before]
         switched = [kernel.gate for kernel in self.kernels if kernel.switched]
         for name, gates, what in (
-            ("LINKS", links, "Gates of what links a frame to the one before."),
-            ("SWITCHED", switched, "Gates of what the coupling modes switch."),
+            ("LINKS", links, "Gates of links to the previous frame."),
+            ("SWITCHED", switched, "Gates of kernels that the coupling modes switch."),
         ):
             quoted = "".join(f'"{gate}", ' for gate in dict.fromkeys(gates)).strip()
             text += f'{name} = ({quoted})\n"""{what}"""\n\n'
@@ -280,7 +280,7 @@ class Program:
         return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in links) + "\n"
 
     def _quarter_turns(self) -> str:
-        """Of the kernels that the basin search looks up."""
+        """Calls of the kernels that the basin search tabulates."""
         text = _QUARTERS
         for kernel in self.kernels:
             name = kernel.orientation
@@ -306,7 +306,7 @@ def program_of(model: Model) -> FrameProgram:
 
 @cache
 def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
-    """The program of some terms: the presets' where they bring nothing new, else one of their own."""
+    """The program of a list of terms: the presets' if it has all of them, else a generated one."""
     if _brought(kinds) <= _brought(every_term()):
         return OF_PRESETS
     functions = [
@@ -320,8 +320,8 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
         _check(function)
     title = ", ".join(kind.__name__ for kind in kinds)
     name = f"program_{_digest(functions)}"
-    # The solver's machine code on disk is told apart by the names of the record's fields.
-    source = Program(kinds, title, every_term(), Field(name, "of which program the record is")).source
+    # The names of the record's fields distinguish the solver's machine code on disk.
+    source = Program(kinds, title, every_term(), Field(name, "program of the record")).source
     # Machine code on disk names the module of each function, which is imported when it is loaded.
     module = sys.modules[name] = ModuleType(name)
     exec(compile(source, f"<{name}>", "exec"), vars(module))
@@ -342,13 +342,13 @@ def _check(function: Function) -> None:
     name = getattr(function, "py_func", function).__name__
     if getattr(sys.modules.get(function.__module__), name, None) is not function:
         raise InputError(
-            f"the kernel {name}, which no module has under that name",
+            f"the kernel {name}, which is not an attribute of its module",
             "a function at the top of a module, a script or a notebook",
         )
 
 
 def _digest(functions: Iterable[Function]) -> str:
-    """A digest of all that the machine code of some functions depends on."""
+    """A digest of everything that the machine code of some functions depends on."""
     digest, waiting, known = hashlib.sha256(), list(functions), set[int]()
     while waiting:
         function = getattr(waiting.pop(), "py_func", None)

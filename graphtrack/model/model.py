@@ -64,13 +64,13 @@ presets: dict[str, tuple[type[Term], ...]] = {
         HoldsStill,
     ),
 }
-"""Name → terms. ``joint-body`` is what Chen et al. (2011) call separate (κ₂ = 0), ``joint`` their model, and
-``intentional`` Baxter et al. (2014). In ``full`` couplings have modes; ``joint-place`` has a place that draws
-people or keeps them off; in ``social`` people face those whom they stand in conversation with."""
+"""Name → terms. ``joint-body`` is "separate" of Chen et al. (2011) (κ₂ = 0), ``joint`` their model, and
+``intentional`` that of Baxter et al. (2014). In ``full`` couplings have modes; ``joint-place`` has a place
+that attracts or repels people; in ``social`` the members of a conversation face each other."""
 
 
 def every_term() -> tuple[type[Term], ...]:
-    """All that the presets are made of, and what holds a track's first orientations."""
+    """All terms of the presets, and the anchor of a track's first orientations."""
     return (*dict.fromkeys(kind for terms in presets.values() for kind in terms), Anchor)
 
 
@@ -78,27 +78,27 @@ _FULL = Parameters(
     motion=MotionParameters(acceleration_density=0.18, head_rate=2.7, lasting_std=0.25),
     likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
 )
-# Couplings that always hold take a turn's beginning for noise: more is stated of what they lag behind.
+# Permanent couplings lag behind turns: the covariance is inflated by more.
 _JOINT = Parameters(
     motion=MotionParameters(lasting_std=0.26),
     orientation=OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.69),
 )
-# Nothing turns: what a term of one's own says of an angle is all that there is to say.
+# No rotational diffusion: only a user's own term acts on an angle.
 _NOTHING_TURNS = Parameters(orientation=steady(Parameters()).orientation)
 preset_parameters: dict[str, Parameters] = {
     "position": _NOTHING_TURNS,
     **dict.fromkeys(("joint-body", "joint", "joint-intentional", "joint-place"), _JOINT),
     **dict.fromkeys(("full", "social"), _FULL),
 }
-"""Default parameters of the presets for which those of `Parameters` are not the best."""
+"""Default parameters of the presets whose best values differ from those of `Parameters`."""
 
 
 def default_parameters(preset: str) -> Parameters:
-    """The parameters that a preset has where none are given."""
+    """The default parameters of a preset."""
     return preset_parameters.get(preset, Parameters())
 
 
-BEST_PRESET = "full"  # The preset of which a model is where none is named
+BEST_PRESET = "full"  # The default preset
 
 
 class Model:
@@ -109,17 +109,17 @@ class Model:
     preset : name of a list in `presets`
     parameters : their parameters; by default those of the preset
     terms : further terms of your own, as classes
-    scene : what is known of how people come, go and are detected where it is used: `SceneParameters`, or some
-        of them by their names
+    scene : known parameters of birth, death and detection: `SceneParameters`, or a mapping of some of them by
+        name
 
     Attributes
     ----------
-    scene : name → value of what is known of a scene; what is not is learned from detections
+    scene : name → value of the scene's known parameters; the others are learned from detections
     terms : all terms, in order
     own_terms : the classes of your own
-    has_body, has_head : whether some term acts on them; if so they are estimated
-    has_modes : whether the couplings have modes
-    has_groups : whether people face those of their group, who are found where tracks do not say
+    has_body, has_head : True if a term acts on them; they are then estimated
+    has_modes : True if the couplings have modes
+    has_groups : True if people face their group; groups are detected where tracks do not have them
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class Model:
         return html_table(repr(self), ("term", ""), terms)
 
     def _changed(self) -> list[str]:
-        """The parameters that are not the preset's own."""
+        """The parameters that differ from the preset's."""
         own = asdict(default_parameters(self.preset))
         changed = [
             f"{table}.{name}={value!r}"
@@ -168,7 +168,7 @@ class Model:
         return Model(self.preset, parameters, self.own_terms, self.scene)
 
     def with_scene(self, scene: GivenScene) -> Model:
-        """The same terms and parameters, and what is known of another scene."""
+        """The same terms and parameters, with the known parameters of another scene."""
         return Model(self.preset, self.parameters, self.own_terms, scene)
 
     def has_term(self, kind: type[Term]) -> bool:
@@ -177,7 +177,7 @@ class Model:
 
     @property
     def compiled_terms(self) -> tuple[Term, ...]:
-        """The terms that the chain engine packs, with those that anchor first orientations."""
+        """The terms that the chain engine packs, with the anchor of first orientations."""
         known = tuple(term for term in self.terms if term.is_compiled)
         return (*known, Anchor(self.parameters, self.has_body, self.has_head))
 
@@ -194,7 +194,7 @@ class Model:
         return all(term.states("is_linear") and term.is_linear(packed) for term in self.terms)
 
     def factors(self, step: Step, couplings: Couplings | None = None) -> list[gtsam.NonlinearFactor]:
-        """All factors that arrive with a step; ``couplings`` set what the modes switch."""
+        """All factors of a step; ``couplings`` are those that the modes set."""
         for term in self.terms:
             if term.is_compiled:
                 vars(term).setdefault("packer", self._packer)
@@ -208,7 +208,7 @@ class Model:
 
     @cached_property
     def _packer(self) -> FramePacker:
-        """Packs a frame for all terms at once."""
+        """The packer of frames for all terms at once."""
         known = [term for term in self.terms if term.is_compiled]
         return FramePacker(known, RecordTypes.of(known))
 
@@ -217,11 +217,11 @@ class Model:
         return sum(term.cost(states, track, camera) for term in self.terms)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contents of a model file; InputError if the model has terms of its own."""
+        """Return the contents of a model file. Raise InputError if the model has terms of your own."""
         if self.own_terms:
             names = ", ".join(kind.__name__ for kind in self.own_terms)
             raise InputError(
-                f"a model with terms of its own ({names}), which a file cannot hold",
+                f"a model with user-defined terms ({names}), which a file cannot hold",
                 "a preset and its parameters: save Model(preset, parameters), add the terms once loaded",
             )
         scene = {"scene": dict(self.scene)} if self.scene else {}

@@ -1,4 +1,4 @@
-"""One step of a track as the factors see it, and the states of a whole track as the densities see them."""
+"""One step of a track as factors read it, and the states of a whole track as densities read them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from graphtrack.tracks.track import Track
 class Observation:
     """Observations of one person at one time. ``None`` is a missing channel; units as in `Track`.
 
-    ``inputs`` has what else is known then: name → a number or a tuple of them. What is missing is left out.
+    ``inputs`` has further known values: name → a number or a tuple of numbers. Missing inputs are left out.
     """
 
     t: float
@@ -65,7 +65,7 @@ def observation_at(
 
 
 def _seen(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
-    """Return the channels of frame k, without those that are missing there."""
+    """Return the channels of frame k, without the missing ones."""
     seen: dict[str, Any] = {}
     for name, values in channels.items():
         value = values[k]
@@ -84,11 +84,11 @@ class Step:
     Attributes
     ----------
     index : number of the frame's variables: X(index) … H(index)
-    observation : what was seen there
-    previous : the step before; None at the beginning of the chain
-    dt : seconds since the person's frame before; None at the very first. A chain whose beginning was
-        marginalised has a first step with a dt.
-    starts : whether the velocity prior stands here (at the first step with a position)
+    observation : the frame's observation
+    previous : the previous step; None at the start of the chain
+    dt : seconds since the person's previous frame; None at the first. A chain with a marginalised past has a
+        first step with a dt.
+    starts : True where the velocity prior applies (at the first step with a position)
     camera : camera of the scene, for the pixel likelihood
     """
 
@@ -100,14 +100,14 @@ class Step:
     camera: GroundCamera | None = None
 
     def alone(self) -> Step:
-        """The step without the link to the one before, through which the whole past would stay in memory."""
+        """The step without the link to the previous one, which would keep the whole past in memory."""
         if self.previous is None:
             return self
         return Step(self.index, self.observation, None, self.dt, self.starts, self.camera)
 
     @property
     def is_ambiguous(self) -> bool:
-        """Return True if observations may speak for several directions, as class likelihoods do."""
+        """Return True if an observation can have several modes, as class likelihoods do."""
         seen = self.observation
         return seen.body_likelihood is not None or seen.head_likelihood is not None
 
@@ -159,7 +159,7 @@ def chain(track: Track, camera: GroundCamera | None = None) -> list[Step]:
 
 
 def seconds_between(previous: Step | None, observation: Observation) -> float | None:
-    """The ``dt`` of a step; None without a step before."""
+    """The ``dt`` of a step; None without a previous step."""
     return None if previous is None else observation.t - previous.observation.t
 
 
@@ -170,20 +170,20 @@ def require_position(track: Track) -> None:
 
 
 def observed_vectors(track: Track, name: str) -> FloatArray:
-    """Vectors (n, 2) that point where body or head was seen to point; NaN where it was not."""
+    """Vectors (n, 2) along the observed directions of body or head; NaN where unobserved."""
     angle = getattr(track, name)
     directions = None if angle is None else unit(angle)
     return vectors_of(directions, getattr(track, f"{name}_likelihood"), len(track))
 
 
 def observed_angle(track: Track, name: str) -> FloatArray:
-    """Angle (n,) in radians at which body or head was observed; NaN where it was not."""
+    """Observed angle (n,) of body or head in radians; NaN where unobserved."""
     vectors = observed_vectors(track, name)
     return np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
 
 
 def vectors_of(directions: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
-    """Vectors (n, 2) from unit vectors, or else from class likelihoods; NaN where there are neither."""
+    """Vectors (n, 2) from unit vectors, or else from class likelihoods; NaN where both are missing."""
     if directions is not None and classes is None:
         return directions
     vectors = np.full((n, 2), np.nan) if directions is None else directions.copy()
@@ -191,6 +191,6 @@ def vectors_of(directions: FloatArray | None, classes: FloatArray | None, n: int
         total = classes.sum(axis=1)
         usable = np.isfinite(total) & (total > 0.0)
         weights = classes[usable] / total[usable, None]
-        # Not `@`: its rounding depends on how many rows there are, so a track's on the tracks beside it.
+        # Not `@`: its rounding depends on the number of rows, so on the other tracks of a batch.
         vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
     return vectors

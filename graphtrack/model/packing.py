@@ -34,18 +34,18 @@ class PackedTerm(Protocol):
 
     @property
     def repeats(self) -> bool:
-        """Return True if frames with the same observations are packed alike but for what is `live`."""
+        """Return True if frames with equal observations have equal packings except for `live`."""
 
     def __hash__(self) -> int: ...
 
     def pack(self, packed: PackedTracks) -> None:
-        """Fill in the records' `fields`, and what is `shared`."""
+        """Fill in the records' `fields`, and `shared`."""
 
     def live(self, seen: Observation) -> Iterable[tuple[str, float]]:
-        """Fields of a frame, with their values, that vary with the position and the angles seen there."""
+        """Fields of a frame, with their values, that vary with the observed position and angles."""
 
     def states(self, name: str) -> bool:
-        """Return whether the class itself defines ``name``."""
+        """Return True if the class itself defines ``name``."""
 
     @property
     def packer(self) -> FramePacker:
@@ -60,9 +60,9 @@ class PackedTracks:
     ----------
     tracks : the tracks
     camera : camera of the scene, for the pixel likelihood
-    offsets : (m + 1,) where each track begins, and the end
-    records : (N,) one for each frame
-    shared : (1,) what all frames share
+    offsets : (m + 1,) index of each track's first frame, and the end
+    records : (N,) one record for each frame
+    shared : (1,) fields shared by all frames
     body_heights, head_heights : (N, classes + 1) class likelihoods and, last, the outliers' part
     """
 
@@ -98,7 +98,7 @@ class PackedTracks:
         terms: Iterable[PackedTerm],
         types: RecordTypes,
     ) -> PackedTracks:
-        """A frame from the midst of a track, ``dt`` seconds after the one before; 0 where there is none."""
+        """A frame within a track, ``dt`` seconds after the previous one; 0: no previous frame."""
         packed = cls([track], camera, np.array([0, 1]), np.zeros(1, types.frame), np.zeros(1, types.shared))
         packed.dt = np.array([dt])
         packed.is_first = packed.dt == 0.0
@@ -112,7 +112,7 @@ class PackedTracks:
         return self
 
     def channel(self, name: str) -> FloatArray | None:
-        """One channel (N, …) of all tracks, NaN where a track does not have it; None where none has."""
+        """One channel (N, …) of all tracks, NaN for tracks without it; None if no track has it."""
         values = [getattr(track, name) for track in self.tracks]
         if len(values) == 1 or all(value is not None for value in values):
             return values[0] if len(values) == 1 else np.concatenate(values)
@@ -126,7 +126,7 @@ class PackedTracks:
         return np.concatenate(parts)
 
     def directions(self, name: str) -> FloatArray | None:
-        """Unit vectors (N, 2) to where body or head was seen to point, NaN where it was not; found once."""
+        """Unit vectors (N, 2) along the observed directions of body or head, NaN where unobserved; cached."""
         if name not in self._directions:
             angle = self.channel(name)
             self._directions[name] = None if angle is None else unit(angle)
@@ -143,19 +143,19 @@ class PackedTracks:
 
     @cached_property
     def t(self) -> FloatArray:
-        """(N,) seconds since the first frame of the same track, from which alone the solvers read time."""
+        """(N,) seconds since the first frame of the same track, the only times that the solvers read."""
         return np.concatenate([track.t - track.t[:1] for track in self.tracks])
 
     @cached_property
     def is_first(self) -> NDArray[np.bool_]:
-        """(N,) whether a frame begins a track."""
+        """(N,) True at the first frame of a track."""
         first = np.zeros(self.offsets[-1], bool)
         first[self.offsets[:-1]] = True
         return first
 
     @cached_property
     def dt(self) -> FloatArray:
-        """(N,) seconds since the frame before of the same track; 0 at its first."""
+        """(N,) seconds since the previous frame of the same track; 0 at its first."""
         dt = np.diff(self.t, prepend=self.t[:1])
         dt[self.is_first] = 0.0
         return dt
@@ -167,13 +167,13 @@ class PackedTracks:
 
     @cached_property
     def has_position(self) -> NDArray[np.bool_]:
-        """(N,) whether a position was observed."""
+        """(N,) True where a position was observed."""
         x, y = np.isfinite(self.position).T  # `all` over two columns takes several times as long
         return np.asarray(x & y)
 
     @cached_property
     def first_seen(self) -> NDArray[np.int64]:
-        """(m,) index of each track's first frame with a position; its first frame where there is none."""
+        """(m,) index of each track's first frame with a position; its first frame if it has no position."""
         begins = self.offsets[:-1]
         if self.has_position[begins].all():
             return begins
@@ -183,37 +183,37 @@ class PackedTracks:
 
     @cached_property
     def origin(self) -> FloatArray:
-        """(m, 2) metres: the first position of each track, 0 where there is none. States count from it."""
+        """(m, 2) metres: the first position of each track, the origin of its states; 0 if it has none."""
         return np.nan_to_num(self.position[self.first_seen])
 
 
 class RecordTypes(NamedTuple):
-    """Types of the records of frames, and of what all frames share."""
+    """Types of the records of frames, and of the fields shared by all frames."""
 
     frame: np.dtype
     shared: np.dtype
 
     @classmethod
     def of(cls, terms: Sequence[PackedTerm]) -> RecordTypes:
-        """With the fields of some terms, and no others."""
+        """The types with the fields of some terms only."""
         frame = record_type((DT, *(field for term in terms for field in term.fields)))
         return cls(frame, record_type(field for term in terms for field in term.shared))
 
 
-_KINDS = 256  # Kinds of frame that are remembered, packed
+_KINDS = 256  # Size of the cache of packed frames
 
 
 class FramePacker:
-    """Frames packed one at a time, from memory where one of the kind came before.
+    """Frames packed one at a time, with a cache by kind.
 
-    The kind is what was seen, with its stated spread, and how long after the frame before. A frame with
-    inputs, pixels or class likelihoods is of no kind, and is remembered until the next one comes.
+    The kind is the set of observed channels, their declared noise, and the time since the previous frame. A
+    frame with inputs, pixels or class likelihoods has no kind, and is kept until the next frame.
     """
 
     def __init__(self, terms: Sequence[PackedTerm], types: RecordTypes) -> None:
         self._terms, self.types = terms, types
         self._repeats = all(term.states("repeats") and term.repeats for term in terms)
-        # Most terms have nothing that is live; to ask each takes longer than to write what the others have.
+        # Most terms have no live fields; calling them all takes longer than writing the live fields.
         self._live = [term.live for term in terms if term.live.__qualname__ != "Term.live"]
         self._known: dict[tuple[object, ...], PackedTracks] = {}
         self._latest: tuple[tuple[object, ...], Any] = (), None
@@ -221,8 +221,8 @@ class FramePacker:
     def __call__(
         self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
-        """A frame of this kind, packed; what is `live` in it stands for any."""
-        # Times rarely lie a step apart to the last bit; the record gets its own dt where it counts.
+        """A packed frame of this kind; its `live` fields are arbitrary."""
+        # Time steps differ by rounding; the record gets its own dt where it matters.
         seconds = 0.0 if dt is None else round(dt, 14)
         simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
         if not (simple and self._repeats) or seen.inputs:
@@ -249,7 +249,7 @@ class FramePacker:
         return known
 
     def live(self, seen: Observation) -> list[tuple[str, float]]:
-        """Fields, with their values, that frames of a kind do not share."""
+        """Fields, with their values, that differ between frames of a kind."""
         return [field for live in self._live for field in live(seen)]
 
     def _packed(
@@ -260,7 +260,7 @@ class FramePacker:
 
 @lru_cache(4)
 def _track_of(seen: Observation) -> Track:
-    """An observation as a track: once for all terms that pack it by themselves."""
+    """An observation as a track: once for all terms that are packed separately."""
     given = {name: getattr(seen, name) for name in CHANNELS}
     position = given.pop("position") or (np.nan, np.nan)
     channels: dict[str, Any] = {name: np.array([value]) for name, value in given.items() if value is not None}

@@ -1,8 +1,9 @@
-"""Parameters of the model, with their units, and the variances that reported covariances contain besides.
+"""Parameters of the model, with their units, and the inflation of reported covariances.
 
 The defaults of motion, orientation and coupling were fitted to motion capture (30 Hz; 0.1 m of noise on
-positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md. The sway of hips, and
-accelerations and turns that last, change covariances alone; see `graphtrack.inference.chain.covariance`.
+positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md. Gait oscillation,
+persistent accelerations and persistent turns change covariances alone; see
+`graphtrack.inference.chain.covariance`.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ Robust = Literal["none", "huber", "cauchy"]
 
 
 Scale = Literal["log", "log odds"]
-"""How a parameter is moved when it is learned: by its logarithm or, a probability, by its log odds."""
+"""Scale on which a parameter is learned: its logarithm or, for a probability, its log odds."""
 
 
 def _number(
     default: float, low: float, high: float, unit: str = "", *, scale: Scale = "log", learned: bool = True
 ) -> Any:
-    """A field with its range, within which estimates are finite, its unit, and how `fit` may learn it."""
+    """A field with its range, within which estimates are finite, its unit, and its learning scale."""
     metadata = {"range": (low, high), "unit": unit, "scale": scale, "learned": learned}
     return field(default=default, metadata=metadata)
 
@@ -39,20 +40,20 @@ def _share(default: float, high: float = 1.0) -> Any:
 
 
 class _Group:
-    """Parameters that check themselves against their ranges."""
+    """Parameters that are checked against their ranges."""
 
     def __post_init__(self) -> None:
         check_numbers(self)
 
 
 def range_of(group: Any, name: str) -> tuple[float, float] | None:
-    """Lowest and highest value of a parameter of a group, in its unit; None for one that is no number."""
+    """Lowest and highest value of a parameter of a group, in its unit; None if it is not a number."""
     limits: tuple[float, float] | None = group.__dataclass_fields__[name].metadata.get("range")
     return limits
 
 
 def scale_of(group: Any, name: str) -> Scale | None:
-    """On which scale a parameter of a group is learned; None for one that is not."""
+    """Scale on which a parameter of a group is learned; None if it is not learned."""
     metadata = group.__dataclass_fields__[name].metadata
     scale: Scale | None = metadata["scale"] if metadata.get("learned") else None
     return scale
@@ -68,7 +69,7 @@ class MotionParameters(_Group):
     initial_speed_std : 1-σ s of each axis of the first velocity, m/s
     head_rate : rate λ at which the velocity turns to the direction of the head, 1/s; presets that have it
     sway_std : 1-σ of gait oscillation of the hips about the path, m on each axis; covariances only
-    sway_rate : steps a second, the rate of gait oscillation, 1/s
+    sway_rate : steps per second, the rate of gait oscillation, 1/s
     lasting_std : 1-σ of persistent accelerations, which estimates lag behind, m/s² on each axis;
         covariances only
     lasting_time : duration of a persistent acceleration, s
@@ -78,7 +79,7 @@ class MotionParameters(_Group):
     initial_speed_std: float = _number(1.5, 1e-3, 1e3, "m/s")
     head_rate: float = _number(1.3, 0.0, 100.0, "1/s")
     sway_std: float = _number(0.0105, 0.0, 1.0, "m")
-    # It is the velocity that shows it, of which no recording has the truth itself.
+    # It acts on the velocity, which no recording has the truth of.
     sway_rate: float = _number(2.0, 0.0, 100.0, "1/s", learned=False)
     lasting_std: float = _number(0.0, 0.0, 100.0, "m/s²", learned=False)
     lasting_time: float = _number(1.0, 1e-3, 1e3, "s", learned=False)
@@ -124,11 +125,11 @@ class CouplingParameters(_Group):
     motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
     speed_threshold: float = _number(0.13, 0.0, 100.0, "m/s")
     head_body_kappa: float = _number(4.5, 0.0, 1e6)
-    # At one frame rate only κ over this time counts: it is not learned beside κ.
+    # At one frame rate only the ratio of κ to this time is identifiable: it is not learned with κ.
     correlation_time: float = _number(0.38, 0.0, 1e3, "s", learned=False)
 
     def weights(self, dt: FloatArray | float | None) -> FloatArray:
-        """Return a coupling's weight at frames ``dt`` seconds after the ones before (0, None: the first)."""
+        """Return a coupling's weight at frames ``dt`` seconds after the previous (0, None: the first)."""
         dt = np.asarray(0.0 if dt is None else dt, dtype=float)
         short = (dt > 0.0) & (dt < self.correlation_time)
         return np.divide(dt, self.correlation_time, out=np.ones_like(dt), where=short)
@@ -190,12 +191,12 @@ class GaitParameters(_Group):
     glance_time: float = _number(2.0, 0.05, 1e3, "s")
     glance_kappa: float = _number(0.92, 0.0, 100.0)
     glance_strength: float = _number(1.0, 0.0, 1e3)
-    # It changes what is reported of uncertainty, and no estimate.
+    # It changes covariances only.
     glance_std: float = _number(0.6, 0.0, math.pi, "rad", learned=False)
-    # Of classifiers: how people move says nothing of them.
+    # Parameters of classifiers, which motion data do not determine.
     head_class_bias: float = _number(0.43, 0.0, 1.0, learned=False)
     head_class_bias_kappa: float = _number(1.0, 0.0, 100.0, learned=False)
-    # It changes what is stated and nothing that is estimated.
+    # It changes covariances only.
     head_common: float = _number(0.27, 0.0, 1.0, learned=False)
 
 
@@ -239,7 +240,7 @@ class LikelihoodParameters(_Group):
             raise InputError(f"image_frame = {self.image_frame!r}", "true or false")
 
     def position_stds(self, given: FloatArray | float | None, n: int) -> FloatArray:
-        """1-σ (n,) in metres of positions; ``given``: what the data say, NaN or None where they do not."""
+        """1-σ (n,) in metres of positions; ``given``: the declared values, NaN or None where missing."""
         if given is None:
             return np.full(n, self.position_std, dtype=float)
         stated = np.full(n, given, dtype=float)
@@ -254,7 +255,7 @@ class LikelihoodParameters(_Group):
 
 @dataclass(frozen=True)
 class PlaceParameters(_Group):
-    """A place that people are drawn to, or kept from, in the presets that have it.
+    """A place that attracts or repels people, in the presets that have it.
 
     Attributes
     ----------
@@ -271,7 +272,7 @@ class PlaceParameters(_Group):
 
 @dataclass(frozen=True)
 class SocialParameters(_Group):
-    """Members of a conversation face its o-space and hold still, in the presets that have groups.
+    """Members of a conversation face its o-space and seldom turn, in the presets that have groups.
 
     Learned from SALSA's rows up to t = 1000 s; see docs/behaviour.md.
 
@@ -279,9 +280,9 @@ class SocialParameters(_Group):
     ----------
     body_kappa, head_kappa : concentration of bodies and of heads about the bearing of the o-space
     outliers : share ε of members who face elsewhere
-    correlation_time : time over which deviations from the bearing persist, s: it counts when it is new, and
-        dt/correlation_time times later on
-    body_hold, head_hold : cost λ of a turn, 1/rad: members turn seldom, and then by much
+    correlation_time : time over which deviations from the bearing persist, s: a new bearing counts fully, and
+        later frames dt/correlation_time times
+    body_hold, head_hold : cost λ of a turn, 1/rad: turns are rare and large
     """
 
     body_kappa: float = _number(5.1, 0.0, 1e4)
@@ -334,7 +335,7 @@ class Parameters:
 
 
 def steady(parameters: Parameters) -> Parameters:
-    """The same for people who move as the terms say: no sway, nothing that lasts but the couplings' modes."""
+    """The same without covariance inflation: no gait oscillation, no persistent accelerations or turns."""
     return replace(
         parameters,
         motion=replace(parameters.motion, sway_std=0.0, lasting_std=0.0),
@@ -350,7 +351,7 @@ def steady(parameters: Parameters) -> Parameters:
 
 
 def swaying(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
-    """Covariances (..., 4 or more, …) of hips, from those of the path that they sway about; in place.
+    """Covariances (..., 4 or more, …) of hips from those of the mean path; in place.
 
     The sine of ``sway_rate`` has the variances ``sway_std``² and (2π·``sway_rate``·``sway_std``)².
     """
@@ -367,5 +368,5 @@ def sway_variances(motion: MotionParameters) -> tuple[float, float, float, float
 
 
 def kept_shares(orientation: OrientationParameters) -> tuple[float, float]:
-    """Shares of the variances of body and head that remain where not all diffusion is white."""
+    """Shares of the variances of body and head that remain where a part of the diffusion is persistent."""
     return 0.5 * (1.0 + orientation.body_white_share), 0.5 * (1.0 + orientation.head_white_share)

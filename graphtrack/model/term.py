@@ -20,21 +20,21 @@ Variable = Literal["body", "head"]
 
 
 class Term(ABC):
-    """One term of the model: its density, and how engines add it up, side by side.
+    """One term of the model: its density, and its kernels and factors.
 
-    A subclass is a whole new term; see the README for one in full. It states `cost`, and then either
-    `kernels` with what they are given (`fields`, `shared`, `pack`), for all engines, or `factors`, for those
-    of GTSAM alone; both where GTSAM has a native factor.
+    A subclass is a whole new term; see the README for an example. It defines `cost`, and then either
+    `kernels` with their data (`fields`, `shared`, `pack`), for all engines, or `factors`, for those of GTSAM
+    alone; both where GTSAM has a native factor.
 
     Attributes
     ----------
     parameters : all parameters of the model
-    uses : the orientations that the term acts on; a model estimates those that some term acts on
-    fields, shared : what the kernels are given of each frame, and of all alike; `pack` fills it in
-    kernels : the compiled functions that add the term up
-    reads : the parameters that it reads, as ``group.key``; None: it does not say, so that none is learned
-    repeats : whether frames in which the same was seen, as long after the frame before, are packed alike but
-        for what is `live`; then one of them is remembered online
+    uses : the orientations that the term acts on; a model estimates these
+    fields, shared : fields of each frame, and fields shared by all frames; `pack` fills them in
+    kernels : the compiled functions of the term
+    reads : the parameters that it reads, as ``group.key``; None: undeclared, so that none is learned
+    repeats : True if frames with equal observations and time steps have equal packings except for `live`;
+        packings are then cached online
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset()
@@ -49,41 +49,41 @@ class Term(ABC):
 
     @abstractmethod
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Negative log density of a whole track; vectorised over frames. The sum of the kernels' costs."""
+        """Negative log density of a whole track, vectorised over frames: the sum of the kernels' costs."""
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """The factors that arrive with a step: on its variables and those of ``step.previous``.
+        """The factors of a step: on its variables and those of ``step.previous``.
 
-        Unless a term has its own, they are derived from its kernels.
+        By default they are derived from the kernels.
         """
         return derived_factors(self, step)
 
     def pack(self, packed: PackedTracks) -> None:
-        """Fill in the records' `fields`, and what is `shared`. Records begin as zeros."""
+        """Fill in the records' `fields`, and `shared`. Records are zero before."""
         raise NotImplementedError(f"{type(self).__name__} has no compiled kernel")
 
     def live(self, seen: Observation) -> Iterable[tuple[str, float]]:
-        """Fields of a frame, with their values, that vary with the position and the angles seen there.
+        """Fields of a frame, with their values, that vary with the observed position and angles.
 
-        All others may depend on which of them were seen, but not on what they are.
+        All others may depend on the set of observed channels, but not on their values.
         """
         return ()
 
     def is_linear(self, packed: PackedTracks) -> bool:
-        """Return True if the linear solution covers all that the term packed."""
+        """Return True if the linear solution covers everything that the term packed."""
         return False
 
     def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log ∫ exp(−cost) over what the term is a density of: what `cost` leaves out, for whole tracks.
+        """log ∫ exp(−cost) over the term's variable: the normaliser that `cost` leaves out, for whole tracks.
 
-        It depends on the parameters and on what the track has, not on the states. Parameters can be learned
-        without a truth from terms that state it.
+        It depends on the parameters and on the track's observations, not on the states. Parameters can be
+        learned without a truth from terms that define it.
         """
-        raise NotImplementedError(f"{type(self).__name__} states no normaliser")
+        raise NotImplementedError(f"{type(self).__name__} has no normaliser")
 
     @cached_property
     def packer(self) -> FramePacker:
-        """Packs single frames: for this term alone, unless a model has one for all of its terms."""
+        """Packer of single frames: for this term alone, unless a model has a joint packer for its terms."""
         return FramePacker((self,), RecordTypes.of((self,)))
 
     def states(self, name: str) -> bool:

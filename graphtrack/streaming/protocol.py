@@ -125,7 +125,7 @@ def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
         else:
             numbers[key] = cells[name]
         if key in numbers and key in arrays:
-            raise InputError(f"a key {name.removesuffix('_0')} beside {name}", "one of the two", column=name)
+            raise InputError(f"a key {name.removesuffix('_0')} next to {name}", "one of the two", column=name)
     return {**numbers, **arrays}
 
 

@@ -73,7 +73,7 @@ def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
     Returns
     -------
     TrackSet
-        Tracks whose frames are numbered anew; `at_times` takes the rows at the multiples from estimates.
+        Tracks with new frame numbers; `at_times` takes the rows at the multiples from estimates.
     """
     if not (is_number(hz) and math.isfinite(hz) and hz > 0.0):
         shown = f"{hz:g}" if is_number(hz) else repr(hz)

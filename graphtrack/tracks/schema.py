@@ -103,13 +103,13 @@ NAMES = (*INTEGERS, *BY_NAME, "label")
 """Every column of the native table but inputs, in the order of writing."""
 
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
-"""Columns that a tracker on pixels writes beside those of a track; nothing is read from them."""
+"""Columns that a tracker on pixels writes in addition to those of a track; nothing is read from them."""
 
 TILT_COLUMN = "head_tilt_deg"
 """A column of the same kind, of trackers of heads: degrees above the horizontal."""
 
 ANSWER_COLUMNS = ("status", "reason", "error", "line")
-"""Columns of `graphtrack track -` beside an estimate, or in its place; nothing of a track either."""
+"""Columns of `graphtrack track -` next to an estimate, or in its place; nothing of a track either."""
 
 _OF_TABLE = frozenset(NAMES)
 _KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, *ANSWER_COLUMNS))

@@ -116,7 +116,7 @@ def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dic
 
 
 def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dict[str, NDArray[Any]]:
-    """Columns about people, and beside their ids as ``label`` the identities that were text in what was read.
+    """Columns about people; identities that were text in what was read are their ``label``, next to the ids.
 
     Of targets, where there are any, those that are people have theirs as ``target_label``.
     """
@@ -147,7 +147,7 @@ def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[st
 
 
 def _places(found: dict[str, Any], as_read: AsRead) -> None:
-    """Put coordinates of the earth in the place of metres, or beside them where they are degrees."""
+    """Put coordinates of the earth in the place of metres, or in addition where they are degrees."""
     plane = as_read.plane
     if plane is None:
         return
@@ -574,10 +574,10 @@ def check_names(names: Collection[str], fps: float | None, fail: Callable[..., I
         missing = next((name for name in group if name not in names), None)
         if missing is not None:
             have = next(name for name in group if name in names)
-            raise fail("no such column", f"a column {missing} beside {have}", column=missing)
+            raise fail("no such column", f"a column {missing} next to {have}", column=missing)
         alone = group[0].removesuffix("_0")
         if alone != group[0] and alone in names:
-            raise fail(f"a column {alone} beside {group[0]}", "one of the two", column=alone)
+            raise fail(f"a column {alone} next to {group[0]}", "one of the two", column=alone)
     if "x" not in names and "u" not in names:
         raise fail("no position", "columns x, y (metres) or u, v (pixels) with a homography")
     if "t" not in names and fps is None:

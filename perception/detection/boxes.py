@@ -89,7 +89,7 @@ def read_boxes(
     rows = boxes_of_file(path, None, ReadOptions())
     if rows is None:
         formats = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
-        raise InputError("a format of which no boxes are read", f"one of {formats}", path=path)
+        raise InputError("a format without boxes", f"one of {formats}", path=path)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     if not rows.has_identity:
         rows = replace(with_scores(rows), track_id=np.arange(1, len(rows) + 1))

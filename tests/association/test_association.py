@@ -182,7 +182,7 @@ def test_a_detection_that_is_given_twice_counts_once(tmp_path: Path) -> None:
     once = gt.read(rows_of_text(tmp_path / "once.csv", THREE))
     twice = gt.read(rows_of_text(tmp_path / "twice.csv", THREE + THREE[:9]))
     assert len(twice) == len(once) == 3
-    assert twice.summary.refused == {"at the place of another of the same frame": 9}
+    assert twice.summary.refused == {"repeated in the same frame": 9}
 
 
 @pytest.mark.parametrize(

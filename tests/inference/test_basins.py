@@ -93,7 +93,7 @@ def proposed(track: Track, states: np.ndarray) -> np.ndarray | None:
     """The start that `unwind` proposes for some states, or None."""
     problem, memory = problem_of(pack([track], Model("joint"))), workspace(len(track))
     memory.length[0] = len(track)
-    return memory.again.copy() if unwind(problem, 0, len(track), states, memory) else None
+    return memory.again.copy() if unwind(problem, 0, len(track), states, 0.0, memory) else None
 
 
 @pytest.mark.parametrize("place", [4, 5])

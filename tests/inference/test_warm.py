@@ -80,7 +80,7 @@ def test_models_and_ways_make_ready_what_they_call(rehearsed) -> None:
         ((full, "gtsam"), {"in_lanes": lanes}, ("graph modes",)),
     ):
         make_solver_ready(*given, **options)
-        assert sorted(rehearsed[-1]) == sorted(("the solver of whole tracks", *names))
+        assert sorted(rehearsed[-1]) == sorted(("the offline solver", *names))
     for camera, model, options in (
         (None, linear, {"complete": True}),
         (None, Model("position", ROBUST), {}),
@@ -118,7 +118,7 @@ def test_whoever_calls_compiled_code_makes_it_ready_first(rehearsed) -> None:
         count = len(rehearsed)
         run()
         assert len(rehearsed) == count + 1
-    assert [rehearsed[k][0] for k in (0, 2)] == ["the solver of whole tracks", "the online solver"]
+    assert [rehearsed[k][0] for k in (0, 2)] == ["the offline solver", "the online solver"]
     with pytest.raises(InputError):
         OnlineSmoother("joint", lag=-1.0)
     assert len(rehearsed) == 6

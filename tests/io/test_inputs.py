@@ -74,11 +74,11 @@ def test_what_is_no_input_is_told(inputs: dict[str, object], said: str) -> None:
 
 
 BAD = {
-    "a gap": ("input_goal_0,input_goal_2", "1,2", "a column input_goal_1 beside input_goal_0"),
-    "no beginning": ("input_goal_1", "1", "a column input_goal_0 beside input_goal_1"),
-    "two sizes": ("input_goal,input_goal_0", "1,2", "a column input_goal beside input_goal_0"),
+    "a gap": ("input_goal_0,input_goal_2", "1,2", "a column input_goal_1 next to input_goal_0"),
+    "no beginning": ("input_goal_1", "1", "a column input_goal_0 next to input_goal_1"),
+    "two sizes": ("input_goal,input_goal_0", "1,2", "a column input_goal next to input_goal_0"),
     "half a row": ("input_goal_0,input_goal_1", "1,", "an empty cell"),
-    "too long": ("input_goal_999999", "1", "a column input_goal_0 beside"),
+    "too long": ("input_goal_999999", "1", "a column input_goal_0 next to"),
     "infinite": ("input_goal", "1e999", "1e999"),
     "text": ("input_goal", "north", "'north'"),
 }
@@ -117,7 +117,7 @@ def test_a_stream_has_inputs() -> None:
     )
     assert checked(seen).inputs == {"goal": (1.0, 2.0), "density": 3.0}
     assert observation_of(cells(appearance_1=2, appearance_0=1), 10.0).inputs == {"appearance": (1.0, 2.0)}
-    with pytest.raises(InputError, match="a key appearance beside appearance_0"):
+    with pytest.raises(InputError, match="a key appearance next to appearance_0"):
         observation_of(cells(appearance=2.0, appearance_0=1.0), 10.0)
     with pytest.raises(InputError, match="an empty cell") as raised:
         cells(input_goal_1=2.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import subprocess
 import sys
@@ -58,6 +59,21 @@ def test_a_numba_that_does_not_compile_is_an_error(monkeypatch) -> None:
     monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
     with pytest.raises(InputError, match="NUMBA_DISABLE_JIT"):
         compiled(lambda x: x)
+
+
+@pytest.mark.parametrize("threads", ["0", "-2"])
+def test_settings_that_numba_refuses_are_one_error(threads: str, tmp_path: Path) -> None:
+    table = tmp_path / "tracks.csv"
+    table.write_text("track_id,frame,t,x,y\n1,0,0.0,0.0,0.0\n1,1,0.1,0.1,0.0\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "graphtrack", "smooth", table, "-o", tmp_path / "out.csv"],
+        env={**os.environ, "NUMBA_NUM_THREADS": threads},
+        capture_output=True,
+        text=True,
+    )
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 2
+    assert line.startswith("error: ") and f"NUMBA_NUM_THREADS={threads}" in line
 
 
 PROMPT = """

@@ -201,7 +201,7 @@ def test_what_is_not_a_data_set(table, tmp_path):
     table.to_parquet(tmp_path / "whole.parquet", index=False)
     (tmp_path / "cut.parquet").write_bytes((tmp_path / "whole.parquet").read_bytes()[:-100])
     refused(tmp_path / "cut.parquet", "damaged Parquet")
-    for missing, words in (("t", "a column t"), ("y", "a column y beside x"), ("frame", "a column frame")):
+    for missing, words in (("t", "a column t"), ("y", "a column y next to x"), ("frame", "a column frame")):
         table.drop(columns=missing).to_parquet(tmp_path / "less.parquet", index=False)
         refused(tmp_path / "less.parquet", words)
     pixels = table.rename(columns={"x": "u", "y": "v"})

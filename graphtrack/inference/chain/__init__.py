@@ -1,1 +1,1 @@
-"""The compiled engine for the chain that one person is."""
+"""The compiled engine for the chain of one person's states."""

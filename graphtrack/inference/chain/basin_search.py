@@ -1,8 +1,8 @@
-"""Basin search: orientations on a grid by dynamic programming, as another start of Newton's descent.
+"""Basin search: orientations on a grid by dynamic programming, as another start of Newton's method.
 
-With the motion fixed, `greatest_gain` bounds what there is to gain and `best_course` finds it, by the costs
-of single orientations, of turns, and of the head's deviation from the body. `unwind` proposes to turn less
-than 180° where a body followed the path of somebody who stands all around.
+With the motion fixed, `greatest_gain` bounds the possible gain and `best_course` finds it, from the costs of
+single orientations, of turns, and of the head's deviation from the body. `unwind` proposes turns of less than
+180° where the body of a standing person followed the path all around.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ WORTHWHILE = 4.0
 """Least `greatest_gain` for which a grid is searched: turning there and back costs more than that."""
 
 COARSE, FINE = (12, 0.2), (24, 0.05)
-"""Directions of the grids, and rad² by which orientations diffuse over frames that count as one. The coarse
-grid tells whether the fine one, which takes ten times as long, is needed."""
+"""Directions of the grids, and rad² of diffusion of frames that are grouped. The coarse grid decides if the
+fine one, which takes ten times as long, is needed."""
 
 AT_START, AT_END = math.cos(math.radians(90.0)), math.cos(math.radians(60.0))
-"""Cosines of the turns within which a course on a grid leads to the same basin as the states: those where a
-descent begins, and those where it ended."""
+"""Cosines of the turns within which a course on a grid leads to the same basin as the states: at the start of
+a descent, and at its end."""
 
 
 @compiled
 def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
-    """The most that a stretch of frames gains by quarter turns of body, head or both, turning free."""
+    """Upper bound of the gain of a stretch of frames by quarter turns of body, head or both."""
     scratch, turns = workspace.scratch, workspace.trigonometry
     body, head, gain = scratch[0, 0], scratch[0, 1], scratch[1]
     greatest, curved = 0.0 * workspace.length[0], as_variable(False)
@@ -50,7 +50,7 @@ def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, work
         body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
         gradient, hessian = scratch[0, 2], scratch[2]
         set_quarter_turns(problem, track, k, states[k], turns[k], curved, gradient, hessian, body, head)
-        # The cosine of head minus body once the head, or the body, has turned by a quarter more.
+        # The cosine of head minus body after a quarter turn of the head, or of the body.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
         kappa = problem.records[problem.offsets[track] + k].head_body_kappa
@@ -119,7 +119,7 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
 
 @inner_allocating
 def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Single) -> None:
-    """Add what the prior says of body and head in a first frame, (bins, bins), at most `SURE`."""
+    """Add the prior of body and head in a first frame, (bins, bins), at most `SURE`."""
     slope = -prior[N, BODY:]
     for i in range(2):
         for j in range(BODY):
@@ -142,7 +142,7 @@ def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Sin
 
 @inner
 def least_of(cost: Single) -> tuple[int, int]:
-    """The first place (b, h) of the least number of a matrix."""
+    """The first index (b, h) of the minimum of a matrix."""
     b = h = 0
     for i in range(len(cost)):
         for j in range(len(cost)):
@@ -181,7 +181,7 @@ def add_grid_costs(
 def best_course(
     problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
 ) -> None:
-    """The cheapest course (n, 2) of body and head on a grid, given the motion, by Viterbi's algorithm."""
+    """The cheapest course (n, 2) of body and head on a grid, given the motion, by the Viterbi algorithm."""
     n, a = len(states), problem.offsets[track]
     records = problem.records[a : a + n]
     node = np.empty(n, np.int64)
@@ -200,7 +200,7 @@ def best_course(
             body_turn[g] += 1.0 / frame.body_turn_kappa
         if frame.head_turn_kappa > 0.0:
             head_turn[g] += 1.0 / frame.head_turn_kappa
-    # value[g, b, h]: what the cheapest course costs that is at (b, h) in group g, beyond the cheapest of all.
+    # value[g, b, h]: cost of the cheapest course through (b, h) in group g, relative to the cheapest of all.
     value = np.empty((count, bins, bins), np.float32)
     body_hop, head_hop = np.empty(bins, np.float32), np.empty(bins, np.float32)
     for g in range(count):
@@ -221,7 +221,7 @@ def best_course(
         for i in range(bins):
             for j in range(bins):
                 now[i, j] -= least
-    # Back along the course: which turn led here is found again, which is less work than to note them all.
+    # Back along the course: the turns are recomputed, which is less work than storing them.
     b, h = least_of(value[count - 1])
     k = n - 1
     for g in range(count - 1, -1, -1):
@@ -281,7 +281,7 @@ def find_other_basins(
     Parameters
     ----------
     problem, tracks : whole, and the number in it of the track, or of that in each lane
-    own, track : as the kernels see them: the same, or lanes
+    own, track : views for the kernels: the same, or lanes
     n, states : (n, 6)
     near : cosine of the turn within which a course leads to the same basin
     """
@@ -311,23 +311,42 @@ def find_other_basins(
 def find_other_basin(
     problem: Problem, track: int, states: FloatArray, near: float, workspace: Workspace
 ) -> bool:
-    """The same of one track."""
+    """`search_basins` of a single track."""
     tracks = np.empty(1, np.int64)
     tracks[0] = track
     workspace.length[0] = len(states)
     return find_other_basins(problem, tracks, problem, track, len(states), states, near, workspace)
 
 
-SLOW = 0.3  # m/s below which somebody may stand: half of the slowest walk
+SLOW = 0.3  # m/s below which a person may stand: half of the slowest walk
 
-BRIEF = 0.5  # Seconds for which the estimated speed of somebody who stands may be above that
+BRIEF = 0.5  # Seconds for which the estimated speed of a standing person may exceed `SLOW`
+
+_GOES_ON = 0.1  # Of the mean turn in a slow stretch, above which the frames around it turn on
 
 _TURN = 2.0 * math.pi
 
 
+@inner
+def turn_to(
+    problem: Problem, track: int, k: int, states: FloatArray, place: int, lane: int
+) -> tuple[float, float]:
+    """The turn of an orientation from frame k − 1 to frame k of a lane, and the variance of diffusion."""
+    frame = problem.records[problem.offsets[track] + k]
+    kappa = lane_of(frame.body_turn_kappa if place == BODY else frame.head_turn_kappa, lane)
+    turn = lane_of(states[k, place], lane) - lane_of(states[k - 1, place], lane)
+    return turn - _TURN * math.floor(turn / _TURN + 0.5), 1.0 / kappa if kappa > 0.0 else _TURN
+
+
 @compiled
-def unwind(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
-    """Put into ``workspace.again`` states with slow turns of over 180° reversed; whether there are any."""
+def unwind(
+    problem: Problem, track: int, n: int, states: FloatArray, dearer: float, workspace: Workspace
+) -> Any:
+    """Put into ``workspace.again`` states with slow turns of over 180° reversed; True if there are any.
+
+    ``dearer``: if positive, each turn is followed to its ends, at any speed, and smaller turns are reversed
+    too, where that increases the cost of diffusion by at most ``dearer``.
+    """
     length, again = workspace.length[0], workspace.again
     found, copied = length < 0.0, False
     for lane in range(lane_count(length)):
@@ -338,8 +357,7 @@ def unwind(problem: Problem, track: int, n: int, states: FloatArray, workspace: 
                 vx, vy, step = lane_of(states[k, VX], lane), lane_of(states[k, VY], lane), 0.0
                 if k > 0:
                     since += lane_of(problem.records[problem.offsets[track] + k].dt, lane)
-                    step = lane_of(states[k, place], lane) - lane_of(states[k - 1, place], lane)
-                    step -= _TURN * math.floor(step / _TURN + 0.5)
+                    step = turn_to(problem, track, k, states, place, lane)[0]
                     turned += step
                 if vx * vx + vy * vy < SLOW * SLOW:
                     if begin < 0:
@@ -348,16 +366,34 @@ def unwind(problem: Problem, track: int, n: int, states: FloatArray, workspace: 
                 if begin < 0 or (since <= BRIEF and k < frames - 1):
                     continue
                 # The stretch is over: it lasted up to the frame after the last slow one.
-                if abs(at_slow) > math.pi:
+                variance = 0.0
+                if dearer > 0.0 and slow > begin:
+                    least = _GOES_ON * at_slow / (slow - begin)
+                    for m in range(begin + 1, slow + 1):
+                        variance += turn_to(problem, track, m, states, place, lane)[1]
+                    while begin > 0:
+                        step, diffuses = turn_to(problem, track, begin, states, place, lane)
+                        if not step * least > least * least:
+                            break
+                        begin, at_slow, variance = begin - 1, at_slow + step, variance + diffuses
+                    while slow < frames - 1:
+                        step, diffuses = turn_to(problem, track, slow + 1, states, place, lane)
+                        if not step * least > least * least:
+                            break
+                        slow, at_slow, variance = slow + 1, at_slow + step, variance + diffuses
+                # A turn costs half of its square over the variance.
+                if _TURN * (math.pi - abs(at_slow)) < dearer * variance:
                     if not copied:
                         copy_rows(0, n, states, again)
                         copied = True
                     this = only_lane(found, lane)
                     found |= this
                     first = lane_of(states[begin, place], lane)
-                    shorter = at_slow - _TURN * math.floor(at_slow / _TURN + 0.5)
+                    other = at_slow - _TURN * math.floor(at_slow / _TURN + 0.5)
+                    if other == at_slow:
+                        other -= math.copysign(_TURN, at_slow)
                     angles = masked(again, this)
                     for m in range(begin + 1, slow):
-                        angles[m, place] = first + shorter * ((m - begin) / (slow - begin))
+                        angles[m, place] = first + other * ((m - begin) / (slow - begin))
                 begin = -1
     return found

@@ -1,4 +1,4 @@
-"""The compiled chain engine on whole tracks: initialise, solve, find covariances and calibrate them.
+"""The compiled chain engine offline: initialisation, solution, covariances and their calibration.
 
 A `Group` is one track, whose arrays hold floats, or one in each lane, whose arrays are `lanes`:
 `solve_tracks` takes tracks one at a time, `solve_lanes` `LANES` at once, with the same code.
@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins, unwind
-from graphtrack.inference.chain.covariance import Calibration, calibrate_tracks, find_covariances
+from graphtrack.inference.chain.covariance import (
+    Calibration,
+    admit_rivals,
+    calibrate_tracks,
+    find_covariances,
+)
 from graphtrack.inference.chain.initialisation import (
     Seen,
     empty_result,
@@ -29,6 +34,7 @@ from graphtrack.inference.chain.newton import (
     COST,
     FIRST_COST,
     NOT_FINITE,
+    RIVAL_COST,
     STATUS,
     STEPS,
     Result,
@@ -49,6 +55,7 @@ from graphtrack.kernels.lanes import (
     lane_records,
     lane_rows,
     masked,
+    negate,
     only_lane,
 )
 from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, N, Problem, X, Y, number_rows
@@ -70,17 +77,17 @@ from graphtrack.tracks.track import Track
 class Options(NamedTuple):
     """Options of the solver."""
 
-    max_iterations: int  # of each descent
+    max_iterations: int  # most steps of each descent
     tolerance: float  # of the cost, of the last descent
-    on_the_way: float  # the same of those before, which tell of modes alone
-    passes: int  # times that coupling modes, and then the states, are found
-    search: bool  # whether other basins are searched
+    on_the_way: float  # the same of earlier descents, which only determine the modes
+    passes: int  # alternations of coupling modes and states
+    search: bool  # True for basin search
 
 
 class Group(NamedTuple):
     """One track, or one in each lane."""
 
-    problem: Problem  # as the kernels see it: the whole, or the lanes'
+    problem: Problem  # the whole problem, or the lanes'
     track: int  # its number there
     tracks: NDArray[np.int64]  # its number, or the lanes', in the whole problem; −1: none
     states: FloatArray  # (n, 6)
@@ -92,9 +99,21 @@ class Group(NamedTuple):
 # -- one group -----------------------------------------------------------------------------------------------
 
 
+NEAR = math.log(100.0)
+"""Greatest excess cost of another basin to be a rival: the estimate is 100 times as likely."""
+
+
+TIE = 1e-8  # Relative decrease of the cost for another basin; smaller differences are rounding
+
+
 @inner
-def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
-    """Minimise the costs of a group, with ``search`` from another basin where that promises to cost less."""
+def settle(
+    whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool, last: bool
+) -> None:
+    """Minimise the costs of a group, with ``search`` from another basin with a lower predicted cost.
+
+    ``last``: also from reversed turns of about 180°, and from rivals that were found with other couplings.
+    """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, ended, again = group.workspace, group.workspace.ended, group.workspace.again
     nothing = 0.0 * workspace.length[0]
@@ -102,21 +121,30 @@ def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance:
     if search:
         elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_START, workspace)
     if any_of(elsewhere):
-        # Contradictions make a poor start, from which the descent is long.
+        # Contradictory observations make a poor start and a long descent.
         begun = cost_of(problem, track, n, states, workspace)
         copy_rows(0, n, again, states)
     minimise(problem, track, n, states, max_iterations, tolerance, workspace)
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
+    # Couplings found with the states of one basin make it the cheapest: another must be far cheaper.
+    gain = NEAR if last and group.modes is not None else 0.0
+    rivals = ended[RIVAL_COST] < math.inf
+    if last and any_of(rivals):
+        copy_rows(0, n, workspace.rival, again)
+        ended[RIVAL_COST] = nothing + math.inf
+        challenge(group, n, rivals, gain, max_iterations, tolerance)
     if search:
         elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace)
-        challenge(group, n, elsewhere, max_iterations, tolerance)
-    wound = unwind(problem, track, n, states, workspace)
-    challenge(group, n, wound, max_iterations, tolerance)
+        challenge(group, n, elsewhere, 0.0, max_iterations, tolerance)
+    wound = unwind(problem, track, n, states, 4.0 * NEAR if last else 0.0, workspace)
+    challenge(group, n, wound, gain, max_iterations, tolerance)
 
 
 @inner
-def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, tolerance: float) -> None:
-    """Minimise from ``workspace.again`` where it lies ``elsewhere``, and stay there if that costs less."""
+def challenge(
+    group: Group, n: int, elsewhere: Any, gain: float, max_iterations: int, tolerance: float
+) -> None:
+    """Minimise from ``workspace.again`` where it lies ``elsewhere``; stay there if it costs ``gain`` less."""
     states, workspace = group.states, group.workspace
     ended, again, start = workspace.ended, workspace.again, workspace.start
     elsewhere &= ended[STATUS] < float(NOT_FINITE)
@@ -125,8 +153,10 @@ def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, toleran
             start[1, i] = start[0, i]
         first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
         minimise(group.problem, group.track, n, again, max_iterations, tolerance, workspace)
-        better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
-        keep_better(n, better, again, states, states)
+        lower = ended[COST] < cost - gain - TIE * (1.0 + abs(cost))
+        better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & lower
+        swap(n, better, again, states)
+        keep_rival(n, elsewhere, choose(better, cost, ended[COST]), again, states, workspace)
         for i in range(N):
             start[0, i] = choose(better, start[0, i], start[1, i])
         ended[FIRST_COST], ended[COST] = first_cost, choose(better, ended[COST], cost)
@@ -135,11 +165,48 @@ def challenge(group: Group, n: int, elsewhere: Any, max_iterations: int, toleran
 
 
 @inner
-def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states: FloatArray) -> None:
-    """States (n, 6) become the one where that is ``better``, else the other."""
+def swap(n: int, swapped: Any, one: FloatArray, other: FloatArray) -> None:
+    """Swap the states (n, 6) where ``swapped``."""
     for k in range(n):
         for i in range(N):
-            states[k, i] = choose(better, one[k, i], other[k, i])
+            here = one[k, i]
+            one[k, i] = choose(swapped, other[k, i], here)
+            other[k, i] = choose(swapped, here, other[k, i])
+
+
+@inner
+def keep_rival(
+    n: int, compared: Any, cost: Any, loser: FloatArray, states: FloatArray, workspace: Workspace
+) -> None:
+    """Keep rejected states (n, 6) that lie in another basin and cost less than the previous rival."""
+    ended, turned = workspace.ended, workspace.length[0] < 0.0
+    for k in range(n):
+        inside = workspace.length[0] > float(k)
+        for i in (BODY, HEAD):
+            turned |= inside & (math.cos(loser[k, i] - states[k, i]) < AT_END)
+    kept = compared & turned & (cost < ended[RIVAL_COST])
+    if any_of(kept):
+        for k in range(n):
+            for i in range(N):
+                workspace.rival[k, i] = choose(kept, loser[k, i], workspace.rival[k, i])
+        ended[RIVAL_COST] = choose(kept, cost, ended[RIVAL_COST])
+
+
+@inner
+def note_rivals(whole: Problem, group: Group, apart: FloatArray) -> None:
+    """Write into ``apart`` (N, 2) the turn to a rival, times the root of its probability."""
+    states, rival, ended = group.states, group.workspace.rival, group.workspace.ended
+    dearer = ended[RIVAL_COST] - ended[COST]
+    for lane in range(lane_count(dearer)):
+        if group.tracks[lane] < 0 or not lane_of(dearer, lane) < NEAR:
+            continue
+        begin = whole.offsets[group.tracks[lane]]
+        share = math.sqrt(1.0 / (1.0 + math.exp(lane_of(dearer, lane))))
+        for k in range(int(lane_of(group.workspace.length[0], lane))):
+            for i in range(2):
+                turn = lane_of(rival[k, BODY + i], lane) - lane_of(states[k, BODY + i], lane)
+                turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+                apart[begin + k, i] = share * turn
 
 
 @merged
@@ -150,9 +217,10 @@ def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    settle(whole, group, n, max_iterations, tolerance, as_variable(True))
+    settle(whole, group, n, max_iterations, tolerance, as_variable(True), as_variable(False))
     better = ended[COST] < cost
-    keep_better(n, better, states, before, states)
+    swap(n, negate(better), before, states)
+    keep_rival(n, cost < math.inf, choose(better, cost, ended[COST]), before, states, workspace)
     for i in range(N):
         start[0, i] = choose(better, start[0, i], first[i])
     ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
@@ -170,7 +238,7 @@ def put_back(
     before: FloatArray,
     states: FloatArray,
 ) -> None:
-    """Have the angles that are ``guessed`` (N, 2) as they were before the descent; no rows: none are."""
+    """Restore the angles that are ``guessed`` (N, 2) to those before the descent; no rows: none."""
     for lane in range(lane_count(length)):
         if tracks[lane] < 0 or len(guessed) == 0:
             continue
@@ -183,7 +251,7 @@ def put_back(
 
 @inner
 def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
-    """Write how the descents of a group ended into the result."""
+    """Write the outcome of a group's descents into the result."""
     for lane in range(lane_count(ended[COST])):
         if tracks[lane] >= 0:
             result.first_cost[tracks[lane]] = lane_of(ended[FIRST_COST], lane)
@@ -209,27 +277,32 @@ def solve_group(
     Parameters
     ----------
     gait : parameters of the coupling modes; None without
-    guessed : (N, 2) angles that nothing holds without couplings: they stay as they are until there are
-    classified : whether class likelihoods of the head are known
-    searched : whether basins are searched with couplings, too, as class likelihoods ask for
+    guessed : (N, 2) angles that only couplings hold: they are constant until there are couplings
+    classified : True if class likelihoods of the head are known
+    searched : search basins with couplings, too, as class likelihoods require
     """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, most, search = group.workspace, options.max_iterations, options.search
+    ended = workspace.ended
     length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
     copy_rows(0, n, states, workspace.before)
-    settle(whole, group, n, most, tolerance, search)
+    ended[RIVAL_COST] = 0.0 * length + math.inf
+    settle(whole, group, n, most, tolerance, search, as_variable(gait is None))
     if gait is not None:
-        # That was without couplings: from there both the modes and the states are found.
+        # The first descent has no couplings; then modes and states alternate.
         put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
         search = as_variable(False)
         for left in range(options.passes - 1, -1, -1):
             last = left == 0
             tolerance = options.tolerance if last else options.on_the_way
             renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
-            settle(whole, group, n, most, tolerance, search)
+            # Costs of rivals are invalid with other couplings.
+            ended[RIVAL_COST] = choose(ended[RIVAL_COST] < math.inf, 1e300, math.inf)
+            settle(whole, group, n, most, tolerance, search, last)
             if searched:
                 improve(whole, group, n, most, tolerance)
-    note(tracks, workspace.ended, result)
+    note(tracks, ended, result)
+    note_rivals(whole, group, result.apart)
     find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
     if gait is not None:
         add_glance_variance(n, group.modes.held, gait, group.covariance)
@@ -300,7 +373,7 @@ def _for_lanes(memory: Any) -> Any:
 
 @inner_allocating
 def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
-    """The arrays as the kernels see them; whoever calls keeps the arrays."""
+    """Views of the arrays for the kernels; the caller keeps the arrays alive."""
     own = Problem(
         lane_records(arrays.frames, problem.records),
         problem.shared,
@@ -329,6 +402,7 @@ def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
         memory.kept,
         lane_array(memory.again),
         lane_array(memory.before),
+        lane_array(memory.rival),
     )
     states, covariance = lane_array(arrays.states), lane_array(arrays.covariance)
     return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays.modes))
@@ -336,7 +410,7 @@ def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
 
 @inner_allocating
 def lane_modes(memory: Any) -> Any:
-    """The memory of the coupling modes as the kernels see it; None without modes."""
+    """View of the memory of the coupling modes for the kernels; None without modes."""
     if memory is None:
         return None
     return ModeMemory(
@@ -363,7 +437,7 @@ def gather(
     begin: int,
     arrays: LaneArrays,
 ) -> int:
-    """Put the tracks from a place in an order on into the lanes; returns how many frames the longest has."""
+    """Put tracks, from an index in an order on, into the lanes; return the frames of the longest."""
     longest = 0
     for lane in range(LANES):
         track = order[begin + lane] if begin + lane < len(order) else -1
@@ -418,18 +492,17 @@ def solve_lanes(
 
 
 PASSES = 2
-"""Times that the coupling modes, and the states with them, are found; a third changes nothing that the errors
-on motion capture would show."""
+"""Alternations of coupling modes and states; a third does not reduce the errors on motion capture."""
 
 ON_THE_WAY = 1e-6
-"""Of the cost: where descents before the last end, which tell of modes alone; their last step is taken all
-the same. That is 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, from where ending at 10⁻¹² leads."""
+"""Relative cost tolerance of all descents but the last, which only determine the modes; their last step is
+still taken. The result is within 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, of that at 10⁻¹²."""
 
 LARGE = 200_000
-"""Person-frames from which work is large: solved in lanes, which takes as long to compile as all else of an
-engine, and a third of the time."""
+"""Person-frames from which work is solved in lanes, which takes as long to compile as the rest of an engine,
+and a third of the time."""
 
-LONGEST = 5_000  # Frames of a track that is solved in lanes; those of the longest take 15 kB each
+LONGEST = 5_000  # Frames of a track that is solved in lanes; a frame takes 15 kB
 
 NONE_GUESSED = np.zeros((0, 2), bool)
 
@@ -474,17 +547,17 @@ def solve_packed(
     Parameters
     ----------
     packed : from `initialisation.pack` or `pack_to_solve`, with the same model, which is a chain
-    max_iterations : Newton steps a track
-    tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
-    restart : search a grid of orientations for a better basin where there may be one
-    in_lanes : several tracks at a time, of those that `fit_lanes` has found
+    max_iterations : most Newton steps per track
+    tolerance : of the predicted decrease of the cost, relative to 1 + the cost
+    restart : basin search on a grid of orientations where there may be a better basin
+    in_lanes : solve several tracks at a time, of those that `fit_lanes` selects
     calibration : of the covariances; None: they are the inverse curvature
 
     Returns
     -------
     Result
-        States in the world's frame, angles not wrapped; NaN for what the model does not have. Costs are those
-        given the couplings' weights; covariances contain what is not known of the modes.
+        States in the world's frame, angles not wrapped; NaN for variables outside the model. Costs are those
+        given the couplings' weights; covariances include the uncertainty of the modes.
     """
     result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
     if model.is_linear(packed):
@@ -498,6 +571,7 @@ def solve_packed(
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     if calibration is not None:
         calibrate_tracks(result.covariance, result.states, packed.offsets, packed.t, calibration)
+    admit_rivals(result.covariance, result.apart)
     return result
 
 
@@ -529,7 +603,7 @@ def solve_terms(
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
-    """Body and head (N, 2) of tracks in which they were never seen, in frames that tell nothing else."""
+    """Body and head (N, 2) of tracks without any observation of them, in frames without other information."""
     found = np.zeros((packed.offsets[-1], 2), bool)
     known = np.zeros(len(found), bool)
     if any(track.inputs for track in packed.tracks):
@@ -542,7 +616,7 @@ def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
 
 
 def _says_more(track: Track) -> BoolArray:
-    """(n,) frames in which an input is known."""
+    """(n,) True in frames with a known input."""
     known = np.zeros(len(track), bool)
     for values in track.inputs.values():
         known |= np.isfinite(values.reshape(len(track), -1)).any(axis=1)
@@ -553,7 +627,7 @@ def _says_more(track: Track) -> BoolArray:
 def finish(
     origin: FloatArray, offsets: NDArray[np.int64], has_body: bool, has_head: bool, result: Result
 ) -> None:
-    """States back in the world's frame, and NaN for what the model does not have or was not found."""
+    """States in the world's frame, and NaN for variables outside the model or not determined."""
     for track in range(len(offsets) - 1):
         failed = result.status[track] == NOT_FINITE
         for k in range(offsets[track], offsets[track + 1]):

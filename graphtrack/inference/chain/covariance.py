@@ -1,9 +1,9 @@
 """Covariances of the states: the inverse Hessian, the spread of the coupling modes, and calibration.
 
 By the law of total variance the modes add u·uᵀ with u = H⁻¹·γ, where γ is the standard deviation of their
-pulls in each frame (`coupling_modes.couple`) and along a track one unknown. Calibrated angles have the root
-mean square of a von Mises density of concentration 1/P, and all states what estimates do not follow: the
-oscillation of the hips, and accelerations and turns that last (`graphtrack.model.parameters`).
+pulls in each frame (`coupling_modes.couple`), fully correlated along a track. Calibrated angles have the root
+mean square of a von Mises density of concentration 1/P. All states are inflated for gait oscillation and for
+persistent accelerations and turns, which estimates lag behind (`graphtrack.model.parameters`).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def pull_apart(
 def sweep_pulls(
     n: int, states: FloatArray, coupling: int, spread: FloatArray, threshold: float, workspace: Workspace
 ) -> None:
-    """The sweep forward of H·u = γ through a factorisation."""
+    """The forward sweep of H·u = γ through a factorisation."""
     inverse, link, solution = workspace.inverse, workspace.link, workspace.solution
     right = workspace.scratch[0, 0]
     for k in range(n):
@@ -77,12 +77,12 @@ def add_spread(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """Add to covariances (n, 6, 6) what the modes of both couplings leave open, by a factorisation."""
+    """Add the uncertainty of the modes of both couplings to covariances (n, 6, 6), by a factorisation."""
     threshold = problem.shared[0].speed_threshold
     for coupling in range(2):
         sweep_pulls(n, states, coupling, spread, threshold, workspace)
         for k in range(n - 1, -1, -1):
-            take_step(k, k < n - 1, workspace)  # −u, of which the outer product is the same
+            take_step(k, k < n - 1, workspace)  # −u, with the same outer product
             widen(covariance[k], workspace.step[k])
 
 
@@ -103,8 +103,8 @@ def spread_track(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """Add to the covariances (n, 6, 6) of the only track what the modes leave open; ``spread`` is (n, 2)."""
-    # The only track, as a number that is no constant: functions are compiled once more for each of those.
+    """Add the uncertainty of the modes to covariances (n, 6, 6) of the only track; ``spread`` is (n, 2)."""
+    # The only track, as a variable: functions are compiled again for each constant.
     if factorise(problem, len(problem.offsets) - 2, n, states, workspace):
         add_spread(problem, n, states, spread, workspace, covariance)
 
@@ -118,7 +118,7 @@ def spread_newest(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """Add the same to the newest frame's (6, 6), by the factorisation of `solve_window`."""
+    """Add the uncertainty of the modes to the newest frame's (6, 6), by `solve_window`."""
     threshold = problem.shared[0].speed_threshold
     for coupling in range(2):
         sweep_pulls(n, states, coupling, spread, threshold, workspace)
@@ -144,7 +144,7 @@ def find_covariances(
         if modes is not None:
             add_spread(problem, n, states, modes.spread, workspace, covariance)
     if any_of(negate(exact)):
-        # A saddle, or not converged: the curvature that is never negative.
+        # A saddle, or not converged: the positive semidefinite curvature.
         sweep_forward(problem, track, n, states, not full, workspace)
         others = masked(covariance, negate(exact))
         marginals(n, workspace, others)
@@ -152,7 +152,7 @@ def find_covariances(
             add_spread(problem, n, states, modes.spread, workspace, others)
 
 
-SHRINK_WIDEST = 1e3  # Inverse curvature in rad² beyond which an angle may be anything
+SHRINK_WIDEST = 1e3  # Inverse curvature in rad² beyond which an angle is uniform
 
 
 def _von_mises_shrink(variance: FloatArray) -> FloatArray:
@@ -165,7 +165,7 @@ def _von_mises_shrink(variance: FloatArray) -> FloatArray:
 
 
 _SHARES = np.linspace(0.0, SHRINK_WIDEST / (1.0 + SHRINK_WIDEST), 400)
-"""P/(1 + P) of the table of what √P is multiplied with."""
+"""P/(1 + P) of the table of the factor of √P."""
 _SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
 _LAST = len(_SHRINK) - 1
 _PER_SHARE = 1.0 / float(_SHARES[1])
@@ -174,7 +174,7 @@ _CHUNK = 64  # Frames whose lags are computed at a time, in vector instructions
 
 
 class Lasting(NamedTuple):
-    """A rate that lasts, which estimates lag behind: an Ornstein–Uhlenbeck process."""
+    """A persistent rate, which estimates lag behind: an Ornstein–Uhlenbeck process."""
 
     diffusion: float
     rate: float  # standard deviation
@@ -212,12 +212,11 @@ def calibration_of(parameters: Parameters) -> Calibration:
 
 @compiled
 def lag_variances(seconds: float, lasting: Lasting, end: float) -> tuple[float, float]:
-    """Variance of the lag behind a rate that lasts: the part from the past alone, and all of it.
+    """Variance of the lag behind a persistent rate: with the past alone, and with past and future.
 
     An estimate of variance P averages τ = P/D ``seconds`` of the past, or 2·τ of past and future, with
-    weights that fall off exponentially. A rate with the standard deviation σ that lasts for T leaves
-    σ²·τ²·T/(τ + T), or ½·σ²·τ³·T/(τ + T)² where past and future balance. ``end``: seconds to the nearer end
-    of the track.
+    exponential weights. A rate with the standard deviation σ and the duration T leaves σ²·τ²·T/(τ + T), or
+    ½·σ²·τ³·T/(τ + T)² where past and future balance. ``end``: seconds to the nearer end of the track.
     """
     lasts, square, around = lasting.lasts, lasting.rate * lasting.rate, 2.0 * seconds
     share = around / (around + lasts)
@@ -228,13 +227,13 @@ def lag_variances(seconds: float, lasting: Lasting, end: float) -> tuple[float, 
 
 @compiled
 def known(value: float) -> float:
-    """0 for NaN: what a model does not have turns nothing."""
+    """0 for NaN: variables outside the model have no lag."""
     return choose(abs(value) < math.inf, value, 0.0)
 
 
 @compiled
 def seconds_behind(across: float, body: float, head: float, calibration: Calibration) -> float:
-    """Radians by which a newest angle is behind for each rad/s, as body, head and velocity turn as a whole.
+    """Lag in radians of a newest angle per rad/s, when body, head and velocity turn together.
 
     ``across``: covariance of the angle with the velocity across, times the speed; ``body``, ``head``: with
     both angles; NaN where the model has no such state. Each process pulls with 1/D (or 1/q) for each rad/s.
@@ -255,7 +254,7 @@ def add_lags(
     calibration: Calibration,
     lags: FloatArray,
 ) -> None:
-    """Put into ``lags`` (5,) what lags add to frame k: pp, pv, vv of each axis, body, head.
+    """Put into ``lags`` (5,) the variances of the lags in frame k: pp, pv, vv of each axis, body, head.
 
     The position lags with the velocity by P_pv/P_vv, as in a Kalman filter that has forgotten its start.
     """
@@ -276,7 +275,7 @@ def add_lags(
 
 @inner
 def shrink_of(variance: float) -> float:
-    """The factor of the root of an angle's inverse curvature."""
+    """The factor of the standard deviation of an angle's inverse curvature."""
     place = variance / (1.0 + variance) * _PER_SHARE
     # NaN stays NaN.
     found = _SHRINK[_LAST] + 0.0 * variance
@@ -288,7 +287,7 @@ def shrink_of(variance: float) -> float:
 
 @inner
 def limited(variance: float) -> float:
-    """No angle is less certain than one that may be any; NaN stays NaN."""
+    """Bound the variance of an angle by that of the uniform density; NaN stays NaN."""
     return UNIFORM_STD**2 if variance > UNIFORM_STD**2 else variance
 
 
@@ -321,7 +320,7 @@ def calibrate(
 ) -> None:
     """Calibrate covariances (n, 6, 6), the inverse curvature at states (n, 6), in place.
 
-    ``ends`` (n,): seconds from each frame to the nearer end of its track, 0 of the newest online.
+    ``ends`` (n,): seconds from each frame to the nearer end of its track, 0 for the newest online.
     """
     lags = np.empty((_CHUNK, 5))
     for begin in range(0, len(covariances), _CHUNK):
@@ -340,10 +339,32 @@ def calibrate_tracks(
     t: FloatArray,
     calibration: Calibration,
 ) -> None:
-    """The same of tracks from ``offsets`` (m + 1,) on, at the times ``t`` (n,)."""
+    """Calibrate the covariances of tracks from ``offsets`` (m + 1,) on, at the times ``t`` (n,)."""
     ends = np.empty(len(t))
     for track in range(len(offsets) - 1):
         first, last = offsets[track], offsets[track + 1] - 1
         for k in range(first, last + 1):
             ends[k] = min(t[k] - t[first], t[last] - t[k])
     calibrate(covariances, states, ends, calibration)
+
+
+@compiled
+def admit_rivals(covariances: FloatArray, apart: FloatArray) -> None:
+    """Add to covariances (n, 6, 6), in place, the spread to another basin of similar likelihood.
+
+    ``apart`` (n, 2): turns of body and head to it, times the root of its probability; their squares are the
+    mean squares about the estimates.
+    """
+    for k in range(len(covariances)):
+        if apart[k, 0] == 0.0 and apart[k, 1] == 0.0:
+            continue
+        covariance = covariances[k]
+        for i in range(2):
+            for j in range(2):
+                covariance[BODY + i, BODY + j] += apart[k, i] * apart[k, j]
+        for place in (BODY, HEAD):
+            variance = covariance[place, place]
+            if variance > UNIFORM_STD**2:
+                for i in range(N):
+                    covariance[place, i] *= UNIFORM_STD / math.sqrt(variance)
+                    covariance[i, place] *= UNIFORM_STD / math.sqrt(variance)

@@ -39,7 +39,7 @@ from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
 
 class Places(NamedTuple):
-    """Places in a record of the numbers of the model's linear part."""
+    """Columns of the model's linear part in a record."""
 
     dt: int
     motion_information: int
@@ -50,11 +50,11 @@ class Places(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """The linear part of some tracks end to end, whatever else is in the records: N frames, m tracks."""
+    """The linear part of some tracks end to end, without other fields: N frames, m tracks."""
 
     rows: FloatArray  # (N, fields) the records
     places: Places
-    origin: FloatArray  # (m, 2) metres, what a track's positions are counted from
+    origin: FloatArray  # (m, 2) metres, origin of a track's positions
     offsets: NDArray[np.int64]  # (m + 1,)
 
 
@@ -66,7 +66,7 @@ def linear_part(packed: PackedTracks) -> Linear:
 
 @allocating
 def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
-    """Solve tracks of which the linear part is all that there is; states in the world, orientations NaN."""
+    """Solve tracks with linear terms only; states in the world, orientations NaN."""
     spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
     for track in range(len(linear.offsets) - 1):
         solve_linear_track(linear, track, spread, memory, result)
@@ -76,7 +76,7 @@ def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
 def solve_linear_track(
     linear: Linear, track: int, spread: FloatArray, memory: FloatArray, result: Result
 ) -> None:
-    """One of them; ``spread`` and ``memory`` as in `solve_linear`, of any track."""
+    """Solve one track; ``spread`` and ``memory`` as in `solve_linear`, of any track."""
     a, b = linear.offsets[track], linear.offsets[track + 1]
     states, origin = result.states[a:b], linear.origin[track]
     cost = solve_linear(linear, track, states, spread, memory)
@@ -102,7 +102,7 @@ def solve_linear_track(
 def solve_linear(
     linear: Linear, track: int, states: FloatArray, spread: FloatArray, memory: FloatArray
 ) -> float:
-    """Posterior of positions and velocities of one track; returns the cost there.
+    """Posterior of positions and velocities of one track; returns its cost.
 
     Fills in four columns of ``states`` (n, 6), and ``spread`` (n, 3): variance of the position, covariance,
     and variance of the velocity on each axis. ``memory`` is (n, 7). NaN where no position determines the
@@ -119,7 +119,7 @@ def solve_linear(
             half = 0.5 * frame[at.dt]
             bend = 12.0 * information / (frame[at.dt] * frame[at.dt] * frame[at.dt])
             turn = information / frame[at.dt]
-            # The frame before, complete with this transition, is eliminated.
+            # The previous frame, complete with this transition, is eliminated.
             hpp, hpv, hvv = pp + bend, pv + half * bend, vv + turn + half * half * bend
             determinant = hpp * hvv - hpv * hpv
             a, b, c = hvv / determinant, -hpv / determinant, hpp / determinant
@@ -183,25 +183,25 @@ def solve_linear(
 
 
 OPPOSITE = math.cos(math.pi - 1e-5)
-"""Cosine below which two angles are opposite: rounding is less, and what noise leaves is more."""
+"""Cosine below which two angles are opposite: more than rounding, less than noise."""
 
 _ASIDE = math.radians(30.0)
-"""By which opposite angles that stand in for those of two frames in a row begin nearer to each other."""
+"""Offset of opposite fallback angles of two consecutive frames towards each other."""
 
 
 class Seen(NamedTuple):
     """Observations from which initial orientations are computed."""
 
     t: FloatArray  # (N,) seconds since the first frame of the track
-    body: FloatArray  # (N, 2) vectors to where the body was seen to point, or NaN; no rows: no body
-    head: FloatArray  # (N, 2) the same of the head
-    moving: float  # m/s above which the direction of travel stands in
+    body: FloatArray  # (N, 2) vectors along the observed body, or NaN; no rows: no body
+    head: FloatArray  # (N, 2) the same for the head
+    moving: float  # m/s above which the direction of travel replaces a missing angle
     window: float  # seconds to either side over which vectors are averaged
 
 
 @inner
 def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: FloatArray) -> None:
-    """Direction of the mean of the vectors (n, 2) seen within ``window`` seconds; NaN where none was."""
+    """Mean direction of the vectors (n, 2) observed within ``window`` seconds; NaN without any."""
     n = len(t)
     low = high = count = 0
     x = y = 0.0
@@ -226,7 +226,7 @@ def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: Float
 
 @inner
 def headings(states: FloatArray, threshold: float, angle: FloatArray) -> int:
-    """Direction of travel where the speed is above the threshold, else NaN; returns how often it is."""
+    """Direction of travel where the speed is above the threshold, else NaN; returns their number."""
     count = 0
     for k in range(len(states)):
         vx, vy = states[k, VX], states[k, VY]
@@ -238,7 +238,7 @@ def headings(states: FloatArray, threshold: float, angle: FloatArray) -> int:
 
 @compiled
 def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
-    """Put the fallback where an angle is NaN, else the nearest in time of either, else 0.
+    """Replace NaN angles by the fallback, else by the nearest angle in time of either, else by 0.
 
     Between two fallbacks that are opposite, angles turn evenly and counter-clockwise.
     """
@@ -265,7 +265,7 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
 
 @allocating
 def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArray) -> None:
-    """Fill in the states (N, 6) of all tracks; ``angles`` (3, n) is memory, for the longest of them."""
+    """Fill in the states (N, 6) of all tracks; ``angles`` (3, n) is memory, for the longest track."""
     longest = angles.shape[1]
     spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
     for track in range(len(linear.offsets) - 1):
@@ -273,7 +273,7 @@ def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArra
         n, t, here = b - a, seen.t[a:b], states[a:b]
         solve_linear(linear, track, here, spread, memory)
         heading = angles[0, :n]
-        # Whoever stands has a path whose direction may go all around.
+        # The path of a standing person may point in any direction.
         if headings(here, max(seen.moving, SLOW), heading) == 0:
             headings(here, seen.moving, heading)
         for place, vectors, row in ((BODY, seen.body, 1), (HEAD, seen.head, 2)):
@@ -292,7 +292,7 @@ WINDOW = 0.5  # Seconds to either side over which observed angles are averaged f
 NO_PRIOR = np.zeros((0, 6))
 
 CREEPING = 0.1
-"""m/s up to which a direction of travel does not stand in for an orientation, whatever the threshold."""
+"""Least m/s at which a direction of travel replaces an orientation, whatever the threshold."""
 
 
 def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
@@ -301,8 +301,8 @@ def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = No
 
 
 def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
-    """The same; where the model is linear, with a fourth of the memory."""
-    terms = model.terms  # what holds first orientations has nothing to hold
+    """The same; for a linear model, with a fourth of the memory."""
+    terms = model.terms  # without the anchors of first orientations
     if camera is None and not (model.has_body or model.has_head):
         packed = PackedTracks.of(tracks, camera, terms, RecordTypes.of(terms))
         if model.is_linear(packed):
@@ -356,4 +356,4 @@ def empty_result(packed: PackedTracks) -> Result:
     n, m = len(packed.records), len(packed.tracks)
     steps, status = np.zeros((2, m), np.int64)
     states, covariance, modes = np.zeros((n, 6)), np.empty((n, 6, 6)), np.full((n, 3), np.nan)
-    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes)
+    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes, np.zeros((n, 2)))

@@ -1,7 +1,7 @@
 """Newton's method on tracks whose Hessian is block-tridiagonal, one at a time or one in each lane.
 
-One sweep forward adds the terms up frame by frame and eliminates each frame by block Cholesky, as a Kalman
-filter in information form; the sweep back gives the Newton step, or the covariances as the
+A forward sweep adds the terms up frame by frame and eliminates each frame by block Cholesky, as a Kalman
+filter in information form; a backward sweep gives the Newton step, or the covariances as the
 Rauch–Tung–Striebel smoother does.
 """
 
@@ -21,26 +21,27 @@ from graphtrack.model.generator import add_frame
 
 
 class Workspace(NamedTuple):
-    """Memory of a factorisation and a descent, for tracks of up to n frames: of one track, or of lanes."""
+    """Memory of a factorisation and a descent, for tracks of up to n frames: for one track, or for lanes."""
 
     inverse: FloatArray  # (n, 6, 6) inverse Cholesky factors
-    link: FloatArray  # (n, 6, 6) what ties each frame to the next, in the whitened state
+    link: FloatArray  # (n, 6, 6) coupling of each frame to the next, in the whitened state
     solution: FloatArray  # (n, 6)
     step: FloatArray  # (n, 6)
     candidate: FloatArray  # (n, 6)
     trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
     scratch: FloatArray  # (4, 6, 6) gradients of two frames, their Hessians, and the transition
-    start: FloatArray  # (2, 6) the state of the first frame where the descent began, and where another did
-    ended: FloatArray  # (5,) first cost, cost, number of steps, how it ended, whether factored exactly
+    start: FloatArray  # (2, 6) initial state of the first frame, of the descent and of another one
+    ended: FloatArray  # (6,) first cost, cost, steps, status, exact factorisation, cost of a rival
     length: FloatArray  # (1,) number of frames, beyond which a lane has no terms
-    message: FloatArray  # (n, 7, 6) Hessian and gradient of each frame, those before eliminated; or (0, 7, 6)
+    message: FloatArray  # (n, 7, 6) Hessian and gradient, earlier frames eliminated; or (0, 7, 6)
     factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
-    kept: NDArray[np.int64]  # (2,) the first frames, so many, are as they were factored; whether any may be
+    kept: NDArray[np.int64]  # (2,) number of first frames whose factorisation is kept; 1 if any may be
     again: FloatArray  # (n, 6) states in another basin
-    before: FloatArray  # (n, 6) states to go back to
+    before: FloatArray  # (n, 6) states to restore
+    rival: FloatArray  # (n, 6) the states of the best basin that lost a comparison
 
 
-FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)  # Places in `Workspace.ended`
+FIRST_COST, COST, STEPS, STATUS, EXACT, RIVAL_COST = range(6)  # Indices of `Workspace.ended`
 
 
 @allocating
@@ -55,11 +56,12 @@ def workspace(n: int) -> Workspace:
         np.empty((n, 4)),
         np.empty((4, N, N)),
         np.empty((2, N)),
-        np.empty(5),
+        np.empty(6),
         np.full(1, float(n)),
         np.empty((0, N + 1, N)),
         np.empty((0, N)),
         np.zeros(2, np.int64),
+        np.empty((n, N)),
         np.empty((n, N)),
         np.empty((n, N)),
     )
@@ -70,8 +72,8 @@ _SMALLEST_PIVOT = 1e-13  # relative to the diagonal
 
 @compiled
 def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> Any:
-    """Write the lower inverse Cholesky factor of a symmetric matrix; whether it is positive definite."""
-    # Written out, so that it stays in registers: loops that run to a changing end take twice as long.
+    """Write the lower inverse Cholesky factor of a symmetric matrix; True if it is positive definite."""
+    # Unrolled, so that it stays in registers: loops of variable length take twice as long.
     pivot = matrix[0, 0]
     sound0 = pivot > _SMALLEST_PIVOT * abs(matrix[0, 0])
     m00 = 1.0 / math.sqrt(pivot)
@@ -155,9 +157,9 @@ def eliminate(
     link: FloatArray,
     solution: FloatArray,
 ) -> Any:
-    """Eliminate a frame: its Schur complement goes to the next one; keeps what the sweep back needs."""
+    """Eliminate a frame: add its Schur complement to the next frame; keep the data of the backward sweep."""
     definite = invert_cholesky(hessian, inverse)
-    # Six sums side by side are one vector operation; as an inner loop they are not (three times the time).
+    # Six parallel sums are vectorised; an inner loop is not, and takes three times as long.
     for i in range(N):
         a = b = c = d = e = f = total = 0.0
         for k in range(i + 1):
@@ -233,13 +235,13 @@ def copy_rows(first: int, last: int, source: FloatArray, target: FloatArray) -> 
 
 @inner
 def first_open(workspace: Workspace) -> int:
-    """The first frame that may move: the last of those that are kept, or the first of all."""
+    """The first frame that may move: the last kept frame, or the first of all."""
     return max(workspace.kept[0] - 1, 0)
 
 
 @inner
 def sweep_back(n: int, workspace: Workspace) -> Any:
-    """The Newton step (n, 6) of the frames not kept; returns the decrease that it promises."""
+    """The Newton step (n, 6) of the frames not kept; returns the predicted decrease."""
     solution, decrement = workspace.solution, 0.0
     for k in range(n - 1, first_open(workspace) - 1, -1):
         for i in range(N):
@@ -250,7 +252,7 @@ def sweep_back(n: int, workspace: Workspace) -> Any:
 
 @compiled
 def take_step(k: int, linked: bool, workspace: Workspace) -> None:
-    """A frame's step from its part of the solution and the step of the frame after it, if ``linked``."""
+    """A frame's step from its part of the solution and the next frame's step, if ``linked``."""
     inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
     if linked:
         for i in range(N):
@@ -332,7 +334,7 @@ def marginal(
 
 
 class Result(NamedTuple):
-    """The result; ``states`` holds the initial states beforehand."""
+    """Result; ``states`` holds the initial states beforehand."""
 
     states: FloatArray  # (N, 6); angles are not wrapped
     covariance: FloatArray  # (N, 6, 6)
@@ -343,14 +345,15 @@ class Result(NamedTuple):
     modes: (
         FloatArray  # (N, 3) probability of an aligned body, its offset from the motion, and that of a glance
     )
+    apart: FloatArray  # (N, 2) spread of body and head to another basin, radians
 
 
-CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2  # How a descent ended
+CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2  # Status of a descent
 
 
 @inner
 def as_variable(flag: bool) -> bool:
-    """The flag, but not as a constant: functions are compiled once more for each constant they are given."""
+    """The flag, as a variable: functions are compiled again for each constant."""
     negated = not flag
     return not negated
 
@@ -380,7 +383,7 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
 def add_message(
     k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
 ) -> Any:
-    """Add the cost of a frame and all before it, relative to where they were factored, with derivatives."""
+    """Add the cost of a frame and all earlier ones, relative to their factorisation, with derivatives."""
     message, cost = workspace.message[k], 0.0
     for i in range(N):
         slope = message[N, i]
@@ -399,7 +402,7 @@ def add_message(
 def sweep_forward(
     problem: Problem, track: int, n: int, states: FloatArray, exact: bool, workspace: Workspace
 ) -> tuple[Any, Any]:
-    """Factor the Hessian at the states; returns their cost and whether it is positive definite."""
+    """Factor the Hessian at the states; returns their cost and True if it is positive definite."""
     inverse, link, solution, scratch = (
         workspace.inverse,
         workspace.link,
@@ -438,7 +441,7 @@ def sweep_forward(
             cost += add_prior(problem.prior, states[0], gradient, hessian)
         over = length <= float(k)
         if any_of(over):
-            # Tracks of other lanes go on: what has no terms is eliminated as the identity.
+            # Other lanes have longer tracks: frames without terms are eliminated as the identity.
             block = masked(hessian, over)
             for i in range(N):
                 block[i, i] = 1.0
@@ -473,7 +476,7 @@ _HUGE = 1e300
 
 @inner
 def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to: FloatArray) -> None:
-    """Go as much of the steps as ``scale`` says; with 0 nowhere."""
+    """Apply the fraction ``scale`` of the steps; none for 0."""
     for k in range(first, n):
         for i in range(N):
             to[k, i] = choose(scale > 0.0, states[k, i] + scale * step[k, i], states[k, i])
@@ -489,9 +492,9 @@ def minimise(
     tolerance: float,
     workspace: Workspace,
 ) -> None:
-    """Newton's method with step halving from ``states`` (n, 6), in place; ``workspace.ended`` says how.
+    """Newton's method with step halving from ``states`` (n, 6), in place; its status is ``workspace.ended``.
 
-    Kept frames stay, but for the last of them. Each lane has its own step length.
+    Kept frames do not move, except the last. Each lane has its own step length.
     """
     step, candidate, ended = workspace.step, workspace.candidate, workspace.ended
     first, full = first_open(workspace), as_variable(True)
@@ -509,7 +512,7 @@ def minimise(
         decrement, exact = sweep_back(n, workspace), definite
         unsound = running & negate(definite)
         if any_of(unsound):
-            # These take the step of the curvature that is never negative.
+            # These take the step of the positive semidefinite curvature.
             copy_rows(first, n, step, candidate)
             _, sound = sweep_forward(problem, track, n, states, not full, workspace)
             decrement = choose(unsound, choose(sound, sweep_back(n, workspace), math.nan), decrement)
@@ -537,7 +540,7 @@ def minimise(
             if not any_of(worse):
                 break
             scale = choose(worse, 0.5 * scale, scale)
-            # What the step promises is less than the rounding of the cost.
+            # The predicted decrease is less than the rounding of the cost.
             stuck = worse & (scale <= _SMALLEST_SCALE)
             stuck_somewhere |= stuck
             running &= negate(stuck)
@@ -551,7 +554,7 @@ def minimise(
 
 @merged
 def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
-    """The cost of states from which a descent might begin."""
+    """The cost of candidate initial states."""
     for i in range(N):
         workspace.start[0, i] = states[0, i]
     return sweep_forward(problem, track, n, states, as_variable(True), workspace)[0]
@@ -559,7 +562,7 @@ def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace:
 
 @merged
 def factorise(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> bool:
-    """Factor the Hessian of one track, exact or else Gauss–Newton's; whether one was definite."""
+    """Factor the Hessian of one track, exact or else Gauss–Newton's; True if one was definite."""
     full = as_variable(True)
     workspace.length[0] = n
     copy_rows(0, 1, states, workspace.start)

@@ -1,4 +1,4 @@
-"""The fixed lag on the compiled chain: what `FixedLag` does with GTSAM, in a fraction of the time."""
+"""The fixed-lag smoother on the compiled chain: as `FixedLag` with GTSAM, in a fraction of the time."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ from graphtrack.model.generator import program_of
 from graphtrack.model.terms.gait import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
-"""What the next observation reads of the last solution; a row for each frame."""
+"""Arrays of the last solution that the next observation reads; a row for each frame."""
 _OF_FRAMES = ("body_heights", "head_heights", "states", *_FACTORISATION)
 _OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
-"""The arrays of a slot that move with a window: those with a row for each frame, beside its records, and
+"""The arrays of a slot that move with a window: those with a row for each frame, its records left out, and
 others."""
 
 _LEAST_FRAMES = 64
@@ -52,16 +52,15 @@ _KNOWN = (math.nan, math.nan)
 class ChainWindow:
     """A fixed-lag smoother of one person by compiled Newton steps.
 
-    The frames of the window stand in arrays that kernels read in place, alongside those of others. What
-    leaves the window is eliminated with its exact curvature. Whatever a method raises, all stays as it was.
+    The frames of the window are rows of arrays that kernels read in place, alongside other windows. Frames
+    that leave the window are marginalised with their exact curvature. A method that raises changes nothing.
 
     Parameters
     ----------
     model : a chain (see `chain.batch.is_chain`)
-    lag : seconds that the window reaches back from its newest step
-    tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
-        cost, relative to 1 + the cost
-    max_iterations : or after so many
+    lag : length of the window in seconds, back from its newest step
+    tolerance : of the predicted decrease of the cost by the next Newton step, relative to 1 + the cost
+    max_iterations : most Newton steps for an observation
 
     Attributes
     ----------
@@ -76,7 +75,7 @@ class ChainWindow:
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
-        # Whether what was seen may speak for several directions: then other basins are searched.
+        # True if an observation can have several modes: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
         self.modes = (math.nan, math.nan, math.nan)
         self._warm = False
@@ -88,8 +87,8 @@ class ChainWindow:
         return self._steps
 
     def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head of a step of the window; NaN for what the model does not have."""
-        # The newest step is asked for at every observation.
+        """x, y, vx, vy, body, head of a step of the window; NaN for variables outside the model."""
+        # The newest step is read at every observation.
         back = 1
         if step is not self._steps[-1]:
             back = next(k for k, known in enumerate(reversed(self._steps), 1) if known.index == step.index)
@@ -101,7 +100,7 @@ class ChainWindow:
         return self._slot.modes_before.copy() if self._model.has_modes else None
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
-        """Add a step whose variables start at ``state``; what is known about it then."""
+        """Add a step whose variables start at ``state``; return its estimate."""
         begins = not self._steps
         if begins:
             self._origin[:] = state[:2]
@@ -113,7 +112,7 @@ class ChainWindow:
         return newest
 
     def rework(self, window: Window) -> Newest:
-        """Take over a window that was changed; what is known about its newest step then."""
+        """Replace the window by a changed one; return the estimate of its newest step."""
         before = self.window()
         try:
             self.restore(window)
@@ -123,7 +122,7 @@ class ChainWindow:
             raise
 
     def restore(self, window: Window) -> None:
-        """Take over a window as it stands."""
+        """Replace the window without solving it."""
         origin = window.values[window.steps[0].index][:2] if window.steps else (0.0, 0.0)
         self._take(window, np.array(origin))
 
@@ -153,7 +152,7 @@ class ChainWindow:
         return kept
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
-        """Go on where `window` and `arrays` were taken; KeyError or ValueError if these do not fit."""
+        """Continue from `window` and `arrays`; KeyError or ValueError if these do not fit."""
         n = len(window.steps)
         self._take(window, arrays["origin"])
         self._states[:n] = arrays["states"].reshape(n, N)
@@ -165,7 +164,7 @@ class ChainWindow:
                 rows = getattr(self._slot, name)
                 rows[:n] = arrays[name].reshape(n, *rows.shape[1:])
         if "coupled" in arrays:
-            # The next frame goes on from the couplings that the newest one was solved with.
+            # The next frame starts from the couplings of the newest solution.
             for name, value in zip(COUPLED, arrays["coupled"], strict=True):
                 self._slot.records[name][n - 1] = value
 
@@ -191,14 +190,14 @@ class ChainWindow:
         self._offsets[1] = len(window.steps)
         self._steps = [step.alone() for step in window.steps]
         for k in range(1, len(window.steps)):
-            # Angles go on from the step before, whatever turn they were written in.
+            # Angles are unwrapped to follow the previous step.
             turn = self._states[k, 4:] - self._states[k - 1, 4:]
             self._states[k, 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         if window.prior is not None and window.steps:
             turn = self._states[0, 4:] - self._prior[N + 1, 4:]
             self._states[: len(window.steps), 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         if window.steps and self._model.has_modes:
-            # The couplings that these states imply.
+            # The couplings given these states.
             _advanced([self], NOTHING, self._steps[-1:], solves=False)
 
     def window(self) -> Window:
@@ -215,7 +214,7 @@ class ChainWindow:
     # -- arrays --------------------------------------------------------------------------------------------
 
     def _take_slot(self, size: int) -> None:
-        """Have a slot with room for so many frames, in which nothing is known."""
+        """Take a cleared slot with room for a number of frames."""
         self._slot: Slot | SimpleNamespace = pool_of(self._program).slot(size)
         self._states, self._offsets = self._slot.states, self._slot.offsets
         self._prior, self._origin = self._slot.prior, self._slot.origin[0]
@@ -231,7 +230,7 @@ class ChainWindow:
         self._warm = False
 
     def _make_room(self) -> None:
-        """Move the window to the front of its arrays, or into larger ones."""
+        """Move the window to the front of its arrays, or into larger arrays."""
         begin, end = self._offsets.tolist()
         old, rows, n, warm = self._slot, self._of_frames, end - begin, self._warm
         size = _size_for(n)
@@ -263,7 +262,7 @@ class ChainWindow:
         self._put(self._offsets[1], step, bool(self._steps))
 
     def _put(self, row: int, step: Step, linked: bool) -> None:
-        """Write a step into a row of the arrays; ``linked`` if there is one before it in the window."""
+        """Write a step into a row of the arrays; ``linked`` if it has a previous step in the window."""
         packed = self._frames.put(row, step)
         if not linked:
             for name in self._program.links:
@@ -273,19 +272,19 @@ class ChainWindow:
     # -- solving -------------------------------------------------------------------------------------------
 
     def _solved(self, adds: int, step: Step) -> Newest:
-        """Solve the window, with a step more or as it stands; what is known then."""
+        """Solve the window, with a further step or unchanged; return the newest estimate."""
         (found,) = _solved_together([self], adds, [step])
         if isinstance(found, Exception):
             raise found
         return found
 
     def _leaving(self, newest: Step) -> int:
-        """Return the number of steps that leave the window when a new one comes."""
+        """Return the number of steps that leave the window with a new one."""
         return leaving(self._steps, self._lag, newest)
 
 
 def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> list[Newest | Exception]:
-    """Add a step, not the first, to each of some windows; returns the newest states or the errors."""
+    """Add a step, not the first, to each of some windows; return the newest states or the errors."""
     found: list[Newest | Exception | None] = [None] * len(windows)
     groups: dict[tuple[int, int], list[int]] = {}
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
@@ -299,13 +298,13 @@ def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> li
         some = _solved_together([windows[k] for k in places], PREDICTED, [steps[k] for k in places])
         for k, one in zip(places, some, strict=True):
             found[k] = one
-    return found  # type: ignore[return-value]  # none is left out
+    return found  # type: ignore[return-value]  # all are filled
 
 
 def _solved_together(
     windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step]
 ) -> list[Newest | Exception]:
-    """Solve windows of one block and with the same rules; what is added stands in their next rows."""
+    """Solve windows of one block and with the same rules; new frames are in their next rows."""
     advanced = _advanced(windows, adds, steps)
     found: list[Newest | Exception] = []
     fine, modes = advanced.fine.tolist(), advanced.modes.tolist()
@@ -342,7 +341,7 @@ def _advanced(
 
 
 def _guess(step: Step, model: Model) -> Angles:
-    """Return initial angles that the model does not have; NaN for those that it has."""
+    """Return initial angles for variables outside the model; NaN for those inside."""
     if model.has_body and model.has_head:
         return _KNOWN
     seen = step.observation
@@ -352,7 +351,7 @@ def _guess(step: Step, model: Model) -> Angles:
 
 
 def _size_for(frames: int) -> int:
-    """Rows for a window of so many frames, so that it has to be moved to their front only now and then."""
+    """Rows for a window of a number of frames, so that it is rarely moved to their front."""
     size = _LEAST_FRAMES
     while 8 * frames > 7 * size:
         size *= 2
@@ -367,6 +366,6 @@ def gait_of_model(model: Model) -> Gait:
 
 @lru_cache(64)
 def _rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
-    """The same for the same, so that windows that have it can be taken together."""
+    """The same object for equal parameters, so that windows that share it can be solved together."""
     calibration = calibration_of(model.parameters)
     return Rules(model.has_body, model.has_head, max_iterations, tolerance, calibration)

@@ -1,7 +1,7 @@
 """Arrays of online windows, which the chain's kernels read in place.
 
-The windows of many people lie alongside each other in blocks, so that one compiled call takes an observation
-of each; `FrameRows` writes steps into them one at a time.
+The windows of many people are in common blocks, so that one compiled call takes an observation of each;
+`FrameRows` writes steps into them one at a time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from graphtrack.model.packing import FramePacker, PackedTracks
 from graphtrack.model.terms.gait import ROW
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
-SLOTS = 32  # Windows of a block
+SLOTS = 32  # Windows per block
 
 
 class Windows(NamedTuple):
@@ -46,7 +46,7 @@ class Windows(NamedTuple):
     message: FloatArray  # (S, n, 7, 6)
     factored: FloatArray  # (S, n, 6)
     modes_before: FloatArray  # (S, 2, ROW) both couplings' modes in the frame before the window
-    classified: NDArray[np.bool_]  # (S, 1) whether class likelihoods of the head have been seen
+    classified: NDArray[np.bool_]  # (S, 1) True once class likelihoods of the head were observed
 
     @classmethod
     def empty(cls, program: FrameProgram, size: int) -> Windows:
@@ -74,7 +74,7 @@ class Windows(NamedTuple):
 
 
 def window_problem(windows: Windows, slot: int) -> Problem:
-    """One window as the kernels see it."""
+    """View of one window for the kernels."""
     return Problem(
         windows.records[slot],
         windows.shared[slot],
@@ -93,7 +93,7 @@ problem_in = allocating(window_problem)
 
 @allocating
 def memory_in(windows: Windows, slot: int, begin: int, memory: Workspace) -> Workspace:
-    """The memory of one window from row ``begin`` on: its factorisation, and what lasts for a call."""
+    """The memory of one window from row ``begin`` on: its factorisation, and temporary memory."""
     return Workspace(
         windows.inverse[slot, begin:],
         windows.link[slot, begin:],
@@ -110,6 +110,7 @@ def memory_in(windows: Windows, slot: int, begin: int, memory: Workspace) -> Wor
         memory.kept,
         memory.again,
         memory.before,
+        memory.rival,
     )
 
 
@@ -128,10 +129,10 @@ class Pool:
 
     def __init__(self, program: FrameProgram) -> None:
         self._program, self._mutex = program, threading.RLock()
-        self.blocks: dict[int, tuple[Windows, list[int]]] = {}  # with the numbers of their free slots
+        self.blocks: dict[int, tuple[Windows, list[int]]] = {}  # with the indices of their free slots
 
     def slot(self, size: int) -> Slot:
-        """A slot with room for so many frames, free again once it is garbage. Its arrays are not cleared."""
+        """A slot with room for a number of frames, freed as garbage. Arrays are not cleared."""
         with self._mutex:
             for windows, free in self.blocks.values():
                 if free and windows.states.shape[1] == size:
@@ -164,7 +165,7 @@ class FrameRows:
     ----------
     problem : the arrays, once they are made
     rows : its records as rows of numbers: writing to their fields is slow
-    place : field of a record → its place in such a row
+    place : field of a record → its index in such a row
     """
 
     problem: Problem
@@ -175,7 +176,7 @@ class FrameRows:
         self.place = {name: place_in_row(name, self._type) for name in self._type.names or ()}
 
     def make(self, n: int, origin: FloatArray, offsets: np.ndarray, prior: FloatArray) -> None:
-        """Make arrays for n frames; the others are those of `Problem`."""
+        """Make arrays for n frames; the other arguments are those of `Problem`."""
         self.take(
             Problem(
                 np.zeros(n, self._type),
@@ -191,13 +192,13 @@ class FrameRows:
         )
 
     def take(self, problem: Problem) -> None:
-        """Use arrays that there are."""
+        """Use existing arrays."""
         self.problem = problem
         self.rows = number_rows(problem.records)
         problem.shared[:] = self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
 
     def put(self, row: int, step: Step) -> PackedTracks:
-        """Write a step into a row; what was packed."""
+        """Write a step into a row; return the packed frame."""
         seen, record, problem = step.observation, self.rows[row], self.problem
         packed = self._packer(seen, step.dt, step.starts, step.camera)
         record[:] = packed.numbers
@@ -215,5 +216,5 @@ class FrameRows:
 
 @lru_cache(16)
 def _packer_of(model: Model) -> FramePacker:
-    """One for all people who are tracked with a model: what one has seen, the others know."""
+    """One object for all people tracked with a model, so that packed frames are shared."""
     return FramePacker(model.compiled_terms, program_of(model).types)

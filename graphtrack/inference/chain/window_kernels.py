@@ -1,6 +1,6 @@
-"""The sliding windows of the online chain engine: one call takes an observation of each of many people.
+"""The sliding windows of the online chain engine: one call adds an observation of each of many people.
 
-Windows do not depend on each other: results are the same whoever is taken together.
+Windows are independent: results do not depend on which windows are solved together.
 """
 
 from __future__ import annotations
@@ -59,17 +59,17 @@ from graphtrack.model.terms.gait import Gait
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.model.terms.position import CAUCHY
 
-_FAR = 0.5  # Radians beyond which a first guess is not better than that nothing turns
+_FAR = 0.5  # Radians beyond which a first guess is no better than constant angles
 _MOVED, _TURNED = 1e-2, 2e-3
-"""Metres or m/s, and radians, up to which a frame that has moved is not factored anew."""
-_STILL = 1e-9  # All of these, up to which the frames before one that has moved do not follow it
+"""Metres or m/s, and radians, up to which a moved frame is not factored again."""
+_STILL = 1e-9  # All of these, up to which earlier frames do not follow a moved frame
 
 _RUN, _LONGEST_RUN = 3, 10
-"""Newest positions in a row that are taken for gross errors: so many, and another place is looked for. With
-more it has been."""
+"""Consecutive newest positions that are treated as gross errors: with as many, another position is searched;
+with more, it has been."""
 
 _LEAP = 1.5
-"""By how much the other place has to cost less, in k²: people do not leap. It is four positions at k."""
+"""Least decrease of the cost of the other position, in k²: people do not leap. It is four positions at k."""
 
 
 @inner_allocating
@@ -84,10 +84,10 @@ def solve_window(
     memory: Workspace,
     covariance: FloatArray,
 ) -> bool:
-    """Newton steps on the states (n, 6) of a window, in place; returns whether all went well.
+    """Newton steps on the states (n, 6) of a window, in place; returns True on success.
 
-    ``warm``: the memory holds the factorisation of all frames but the newest. ``search``: for another basin
-    too. ``keeps``: settled frames are not factored again, and follow those after them. ``covariance`` (6, 6)
+    ``warm``: the memory holds the factorisation of all frames but the newest. ``search``: search basins too.
+    ``keeps``: settled frames are not factored again, and follow those after them. ``covariance`` (6, 6)
     becomes that of the newest frame.
     """
     track, exactly, ended = the_only(problem), as_variable(True), memory.ended
@@ -104,7 +104,7 @@ def solve_window(
     if ended[STATUS] != NOT_FINITE and kept > 0:
         follow(states, kept - 1, before, memory)
         if settled(states[:kept], memory.factored, 2.0) < kept:
-            # They had to go farther than predicted.
+            # They moved farther than predicted.
             kept = 0
             minimise(problem, track, n, states, max_iterations, tolerance, memory)
     if ended[STATUS] == NOT_FINITE:
@@ -112,14 +112,14 @@ def solve_window(
     cost, exact = ended[COST], ended[EXACT] > 0.0
     again = np.empty((last + 1, N))
     if is_astray(problem, track, states):
-        # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
+        # The loss is not convex: a track of false positions may need a search for another position.
         if kept > 0:
             kept = 0
             cost = cost_of(problem, track, n, states, memory)
         assign(again, states)
         find_by_squares(problem, track, again, max_iterations, tolerance, memory)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
-        prior = problem.prior  # stays as it is
+        prior = problem.prior  # unchanged
         cost, exact = move_if_less(
             problem, states, again, cost, leap, prior, max_iterations, tolerance, memory
         )
@@ -132,7 +132,7 @@ def solve_window(
         cost, exact = move_if_less(
             problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
         )
-    if unwind(problem, track, n, states, memory):
+    if unwind(problem, track, n, states, 0.0, memory):
         assign(again, memory.again[:n])
         if kept > 0:
             cost = cost_of(problem, track, n, states, memory)
@@ -164,7 +164,7 @@ def move_if_less(
     tolerance: float,
     memory: Workspace,
 ) -> tuple[float, bool]:
-    """Minimise from ``again`` and go there if that gains more than ``gain``; the cost, and exactness."""
+    """Minimise from ``again`` and keep that if it gains more than ``gain``; the cost, and exactness."""
     track, n, ended = the_only(problem), len(states), memory.ended
     minimise(problem, track, n, again, max_iterations, tolerance, memory)
     if ended[STATUS] != NOT_FINITE and ended[COST] < cost - gain:
@@ -212,7 +212,7 @@ def find_by_squares(
 
 @inner
 def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
-    """Return how many of the first frames are where they were factored, within some tolerances."""
+    """Return the number of first frames within some tolerances of their factorisation point."""
     for k in range(len(states)):
         for i in range(N):
             if not abs(states[k, i] - factored[k, i]) <= (_TURNED if i >= BODY else _MOVED) * times:
@@ -222,7 +222,7 @@ def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
 
 @inner
 def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace) -> None:
-    """Move the frames before one, which are kept, as that one has moved from ``before``."""
+    """Move the frames before a kept frame as that has moved from ``before``."""
     solution, step = memory.solution, memory.step
     for i in range(N):
         step[last, i] = states[last, i] - before[i]
@@ -240,7 +240,7 @@ def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace)
 
 @inner
 def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None:
-    """Turn the prior with a first frame that went from ``states`` to another basin in ``again``."""
+    """Rotate the prior with a first frame that moved from ``states`` to another basin in ``again``."""
     for place in (BODY, HEAD):
         reference = states[0, place]
         for k in range(len(again)):
@@ -253,7 +253,7 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
 
 @inner
 def the_only(problem: Problem) -> int:
-    """The number of the window's track, 0, but not as a constant, for which all would be compiled again."""
+    """The index of the window's track, 0, as a variable: a constant would compile all functions again."""
     return len(problem.offsets) - 2
 
 
@@ -307,7 +307,7 @@ def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> N
 
 @inner
 def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) -> None:
-    """Eliminate the oldest frame, the first of ``states`` (2, 6), for good; the rest becomes the prior."""
+    """Marginalise the oldest frame, the first of ``states`` (2, 6); the result becomes the prior."""
     begin = problem.offsets[0]
     prior, after = problem.prior, problem.records[begin + 1]
     for exact in (True, False):
@@ -319,14 +319,14 @@ def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) 
         prior[N + 1, i] = states[1, i]
         for j in range(i + 1):
             prior[i, j] = prior[j, i] = matrix[i, j]
-    # Its links to the frame before are part of the prior now.
+    # Its links to the previous frame are part of the prior now.
     cut(after)
     problem.offsets[0] = begin + 1
 
 
 @compiled
 def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
-    """Schur complement and gradient on the second of two frames, in the scratch; whether definite."""
+    """Schur complement and gradient on the second of two frames, in the scratch; True if definite."""
     scratch, inverse, turns = workspace.scratch, workspace.inverse[0], workspace.trigonometry
     gradient, gradient_after, hessian, hessian_after = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2]
     # A first frame of 0 would be a constant, as in `the_only`.
@@ -354,7 +354,7 @@ def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Works
         )
     add_prior(problem.prior, states[0], gradient, hessian)
     for place in (BODY, HEAD):
-        # An orientation that the model does not have, or that nothing carries on.
+        # An orientation outside the model, or without a link to the next frame.
         if hessian_after[place, place] == 0.0:
             hessian_after[place, place] = 1e-12
     link, solution = workspace.link[0], workspace.solution[0]
@@ -366,17 +366,17 @@ def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Works
 TASK = np.dtype(
     [
         ("slot", np.int64),
-        ("adds", np.int64),  # how the frame after its newest begins
-        ("solves", np.int64),  # whether it is solved, or only its couplings are set
-        ("warm", np.int64),  # whether the factorisation of the last solution is there
-        ("searches", np.int64),  # whether other basins are searched
-        ("leave", np.int64),  # how many frames leave it then
+        ("adds", np.int64),  # start of the frame after its newest
+        ("solves", np.int64),  # 1: it is solved; 0: only its couplings are set
+        ("warm", np.int64),  # 1: the factorisation of the last solution is valid
+        ("searches", np.int64),  # 1: other basins are searched
+        ("leave", np.int64),  # number of frames that leave it then
     ]
 )
-"""What is to be done with a window."""
+"""A task for a window."""
 
 NOTHING, AS_SET, PREDICTED = range(3)
-"""What is added: nothing; a frame whose state stands in its row; or one that goes on from the last."""
+"""Added frame: none; one with its state in its row; or one predicted from the last frame."""
 
 
 class Rules(NamedTuple):
@@ -392,15 +392,15 @@ class Rules(NamedTuple):
 class Advanced(NamedTuple):
     """Results of P windows."""
 
-    fine: NDArray[np.bool_]  # (P,) whether all went well; else the window is as it was
+    fine: NDArray[np.bool_]  # (P,) True on success; else the window is unchanged
     state: FloatArray  # (P, 6) of the newest frame, in the world
-    covariance: FloatArray  # (P, 6, 6) calibrated, with what the coupling modes leave open
+    covariance: FloatArray  # (P, 6, 6) calibrated, with the uncertainty of the coupling modes
     modes: FloatArray  # (P, 3) as in `Result`
 
 
 @inner
 def predict_state(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
-    """Initial values of a new frame: constant velocity, angles as they were, or as in ``guess`` (2,)."""
+    """Initial values of a new frame: constant velocity, angles constant, or as in ``guess`` (2,)."""
     before, state = states[row - 1], states[row]
     state[X], state[Y] = before[X] + dt * before[VX], before[Y] + dt * before[VY]
     state[VX], state[VY] = before[VX], before[VY]
@@ -436,7 +436,7 @@ def report(
 
 @inner
 def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
-    """Nothing is known of what a model does not have."""
+    """Set variables outside the model to NaN."""
     state[place] = math.nan
     for i in range(N):
         covariance[i, place] = covariance[place, i] = math.nan
@@ -446,19 +446,19 @@ def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
 def advance(
     windows: Windows, tasks: np.ndarray, guesses: FloatArray, rules: Rules, gait: Any, advanced: Advanced
 ) -> None:
-    """Take one observation more, or what was changed, into each of some windows of a block.
+    """Add one observation, or a change, to each of some windows of a block.
 
     Parameters
     ----------
     tasks : (P,) of `TASK`; the new frames' records stand in the rows after their windows' last
     guesses : (P, 2) as in `predict_state`
-    rules : of all of them
+    rules : of all windows
     gait : parameters of the coupling modes; None without
     advanced : filled in
     """
     size = windows.states.shape[1]
     memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
-    # Coupling modes renew the couplings of all frames: none are kept as they were factored.
+    # Coupling modes change the couplings of all frames: no factorisation is kept.
     keeps, lags, modes = as_variable(gait is None), np.empty(5), mode_memory(0 if gait is None else size)
     for p in range(len(tasks)):
         task, slot = tasks[p], tasks[p].slot
@@ -502,7 +502,7 @@ def advance(
 
 @merged
 def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
-    """Keep the states in ``before`` and add the frame after the newest; returns how many there were."""
+    """Save the states in ``before`` and add the frame after the newest; returns the previous number."""
     begin, end = problem.offsets[0], problem.offsets[1]
     assign(before[: end - begin], states[begin:end])
     if adds != NOTHING:
@@ -514,7 +514,7 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
 
 @compiled
 def carry_over(before: Any, after: Any, rate_seen: float) -> None:
-    """Couplings of a new frame, and the steering to it, as they were of the one before."""
+    """Couplings of a new frame, and the steering to it, equal to the previous frame's."""
     share = after.body_aligned_kappa / before.body_aligned_kappa if before.body_aligned_kappa > 0.0 else 0.0
     after.motion_body_kappa = share * before.motion_body_kappa
     after.motion_body_cos, after.motion_body_sin = before.motion_body_cos, before.motion_body_sin
@@ -538,10 +538,10 @@ def infer_couplings(
     gait: Gait,
     modes: ModeMemory,
 ) -> bool:
-    """Renew the couplings of a window from its states; whether any of its frames has been classified."""
+    """Recompute the couplings of a window from its states; True if a frame has class likelihoods."""
     slot, n, end = task.slot, len(states), problem.offsets[1]
     if task.warm != 0 and task.adds != NOTHING and n > 1:
-        # Modes are judged by states: first those that the new observation asks for.
+        # Modes depend on the states: first the states are updated with the new observation.
         carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
         predict_newest(problem, states, own)
         task.warm = 0

@@ -1,4 +1,4 @@
-"""The GTSAM engine: maximum a posteriori over whole tracks on a factor graph, for any list of terms."""
+"""The GTSAM engine: offline maximum a posteriori on a factor graph, for any list of terms."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorG
 
 
 def window_graph(window: Window, model: Model, couplings: Couplings | None) -> gtsam.NonlinearFactorGraph:
-    """The factors on the variables of a window's steps; what links them to others is left out."""
+    """The factors on the variables of a window's steps only, without links to other steps."""
     inside = frozenset(keys_of(window.steps, model))
     factors = [factor for step in window.steps for factor in model.factors(step, couplings)]
     factors += beginning(window, model)
@@ -56,7 +56,7 @@ def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
 
 
 def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list[gtsam.NonlinearFactor]:
-    """Factors that hold a window's first step: of its prior, or of the angles of a very first step."""
+    """Factors on a window's first step: of its prior, or of the angles of a very first step."""
     if window.prior is not None:
         return [window.prior.factor()]
     if not window.steps or window.anchor is None or window.steps[0].dt is not None:
@@ -74,7 +74,7 @@ def descend(
     cost: float,
     shortest: float,
 ) -> tuple[gtsam.Values, float, float] | None:
-    """Halve a step until the values cost no more: values, cost, length; None below ``shortest``."""
+    """Halve a step until the cost does not increase: values, cost, length; None below ``shortest``."""
     length, scale = step.norm(), 1.0
     while True:
         candidate = values.retract(step if scale == 1.0 else step.scale(scale))
@@ -89,7 +89,7 @@ def descend(
 def optimize(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ordering: gtsam.Ordering, options: SolverOptions
 ) -> tuple[gtsam.Values, list[float], bool]:
-    """Gauss–Newton with step halving; returns values, the cost after each step, and whether it converged.
+    """Gauss–Newton with step halving; returns values, the cost after each step, and convergence.
 
     GTSAM's optimisers copy all values for each Python callback, which is quadratic in the track's length.
     """
@@ -114,14 +114,14 @@ def smooth_graph(
 ) -> Solution:
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
-    The grid of orientations is searched before and after the descent; with kernels of your own only where
-    what was seen may speak for several directions. Modes of couplings alternate with the graph's states.
-    Terms without a kernel take part in the graph alone.
+    The grid of orientations is searched before and after the descent; with user-defined kernels only where an
+    observation can have several modes. Coupling modes alternate with the graph's states. Terms without a
+    kernel are used in the graph only.
 
     Raises
     ------
     SolveError
-        If there is nothing to smooth, or the result is not finite or worse than the start.
+        If there are no positions, or the result is not finite or worse than the start.
     """
     options = SolverOptions() if options is None else options
     initial = initial_states(track, model)
@@ -129,23 +129,23 @@ def smooth_graph(
     view = _view(track, model, camera, steps)
     first = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
     window = Window(tuple(steps), {}, None, (float(initial.body[0]), float(initial.head[0])))
-    # With modes of the couplings the factors read these from the view; else they hold throughout.
+    # With coupling modes the factors read the couplings from the view; else these are constant.
     graph = window_graph(window, model, None if view is None else view.couplings)
     values = values_of(steps, first, model)
     descent = _Descent(graph, steps, model, options, view if options.restart else None)
     try:
         if view is not None and model.has_modes:
-            # Without couplings first: from there both the modes and the states are found.
+            # The first descent has no couplings; then modes and states alternate.
             view.decouple()
         begun = graph.error(values)
         values, costs, converged = descent.lower(descent.elsewhere(values, AT_START) or values)
         costs[0] = begun
         if view is not None and model.has_modes:
-            # Without couplings nothing holds an orientation that was never observed, and it drifts.
+            # Without couplings an orientation that was never observed is undetermined, and drifts.
             states = states_of(values, steps, model)
             states[:, 4:] = np.where(view.guessed(), first[:, 4:], states[:, 4:])
             values = values_of(steps, states, model)
-            # Class likelihoods have basins that only the couplings tell apart.
+            # Class likelihoods have basins that only the couplings distinguish.
             again = descent.lower if any(step.is_ambiguous for step in steps) else descent
             for _ in range(PASSES):
                 view.renew(states_of(values, steps, model))
@@ -170,7 +170,7 @@ def smooth_graph(
 
 
 def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequence[Step]) -> ChainView | None:
-    """The kernels' view of a track where it is worth an engine that is compiled for terms of one's own."""
+    """The kernels' view of a track, unless an engine would have to be compiled for user-defined terms."""
     known = model.compiled
     if has_own_kernels(model) and not model.has_modes:
         outliers = model.parameters.likelihood.outlier_probability > 0.0
@@ -202,27 +202,27 @@ class _Descent:
     def _better(
         self, found: tuple[gtsam.Values, list[float], bool], elsewhere: gtsam.Values
     ) -> tuple[gtsam.Values, list[float], bool]:
-        """Return the solution found, or the other one if it costs less."""
+        """Return the solution, or the other one if it costs less."""
         values, costs, converged = self._optimize(elsewhere)
         if not costs[-1] < found[1][-1]:
             return found
         return values, found[1] + costs[1:], converged
 
     def lower(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
-        """In the basin that begins here, or in another one that the chain's grid leads to and costs less."""
+        """The minimum of this basin, or of another one on the chain's grid that costs less."""
         found = self(values)
         elsewhere = self.elsewhere(found[0], AT_END)
         return found if elsewhere is None else self._better(found, elsewhere)
 
     def elsewhere(self, values: gtsam.Values, near: float) -> gtsam.Values | None:
-        """The values with the orientations of a better course on the grid; None where there is none."""
+        """The values with the orientations of a better course on the grid; None without one."""
         states = states_of(values, self.steps, self.model)
         other = None if self.view is None else self.view.other(states, near)
         return None if other is None else values_of(self.steps, other, self.model)
 
 
 def joint_covariance(marginals: gtsam.Marginals | gtsam.ISAM2, step: Step, model: Model) -> FloatArray:
-    """A step's joint covariance (6, 6) in the order of the state; NaN for what the model does not have."""
+    """A step's joint covariance (6, 6) in the order of the state; NaN for variables outside the model."""
     # By key: the order of the blocks in GTSAM's full matrix is not documented and differs between releases.
     places, covariance = variables(step, model), np.full((6, 6), np.nan)
     joint = marginals.jointMarginalCovariance([key for key, _ in places])

@@ -32,13 +32,13 @@ from graphtrack.tracks.track import Track
 
 
 class _View:
-    """Frames packed for the kernels. Terms of one's own without a kernel have no part in it.
+    """Frames packed for the kernels. User-defined terms without a kernel are ignored.
 
     Attributes
     ----------
-    couplings : index of a step → what its factors read the couplings from
+    couplings : index of a step → values that its factors read
     modes : (n, 3) as in `chain.newton.Result`; NaN until `renew`
-    before : (2, ROW) probabilities of both couplings' modes in the frame before
+    before : (2, ROW) probabilities of both couplings' modes in the previous frame
     """
 
     def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None = None) -> None:
@@ -48,13 +48,13 @@ class _View:
         self._problem: Problem
 
     def _start(self, problem: Problem, n: int) -> None:
-        """Take a problem of n frames, of whose modes nothing is known yet."""
+        """Take a problem of n frames with unknown modes."""
         self._problem = problem
         self.modes, self._spread, self._held = np.full((n, 3), np.nan), np.zeros((n, 2)), np.zeros((n, 4))
         self._filtered = np.empty((2, 0, ROW))
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:
-        """States (n, 6) in a basin that the grid prefers, with the same motion; None where there is none."""
+        """States (n, 6) in a better basin of the grid, with the same motion; None without one."""
         if not (self._model.has_body or self._model.has_head):
             return None
         here = self._here(states)
@@ -63,20 +63,20 @@ class _View:
         return self._there(memory) if found else self.unwound(states)
 
     def unwound(self, states: FloatArray) -> FloatArray | None:
-        """States (n, 6) with slow turns of more than 180° the other way round; None where there is none."""
+        """States (n, 6) with slow turns of more than 180° reversed; None without any."""
         here = self._here(states)
         memory = workspace(len(here))
         memory.length[0] = len(here)
-        return self._there(memory) if unwind(self._problem, 0, len(here), here, memory) else None
+        return self._there(memory) if unwind(self._problem, 0, len(here), here, 0.0, memory) else None
 
     def _there(self, memory: Workspace) -> FloatArray:
-        """The other states that the memory holds, in the world's frame."""
+        """The alternative states in the memory, in the world's frame."""
         again = memory.again
         again[:, :2] += self._problem.origin[0]
         return again
 
     def renew(self, states: FloatArray) -> None:
-        """Set the couplings by the modes that the states (n, 6) imply."""
+        """Set the couplings by the modes given the states (n, 6)."""
         gait = gait_of_model(self._model)
         here, n = self._here(states), len(states)
         memory = mode_memory(n)
@@ -90,7 +90,7 @@ class _View:
         self._note()
 
     def widen(self, states: FloatArray, covariance: FloatArray) -> None:
-        """Add to the covariances (n, 6, 6) of the states (n, 6) what the modes leave open, in place."""
+        """Add the uncertainty of the modes to covariances (n, 6, 6) at states (n, 6), in place."""
         memory = workspace(len(states))
         here = self._here(states)
         spread_track(self._problem, len(here), here, self._spread, memory, covariance)
@@ -100,7 +100,7 @@ class _View:
         raise NotImplementedError
 
     def _here(self, states: FloatArray) -> FloatArray:
-        """The states as the kernels have them: from the track's origin, and 0 for what there is not."""
+        """The states for the kernels: relative to the track's origin, and 0 outside the model."""
         here = np.nan_to_num(states)
         here[:, :2] -= self._problem.origin[0]
         return here
@@ -116,7 +116,7 @@ class ChainView(_View):
         self._note()
 
     def decouple(self) -> None:
-        """Switch off the couplings, and the head that steers."""
+        """Switch off the couplings, and the steering by the head."""
         for gate in self._program.switched:
             self._problem.records[gate] = 0.0
         self._note()
@@ -131,7 +131,7 @@ class ChainView(_View):
 
 
 class WindowView(_View):
-    """The steps of a window, which follows a smoother's; ``couplings`` are those of its factors, or None."""
+    """The steps of a smoother's window; ``couplings`` are those of its factors, or None."""
 
     def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None) -> None:
         super().__init__(model, couplings)
@@ -139,7 +139,7 @@ class WindowView(_View):
         self._steps: list[Step] = []
 
     def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
-        """Take these steps, with states (n, 6), and what is known about the first, from now on."""
+        """Replace the steps, with states (n, 6), and the data of the first."""
         n, known = len(steps), {step.index: row for row, step in enumerate(self._steps)}
         old = self._problem if known else None
         gone = known.get(steps[0].index, len(known))
@@ -162,21 +162,21 @@ class WindowView(_View):
             for name in ("records", "body_heights", "head_heights"):
                 getattr(problem, name)[row] = getattr(old, name)[there]
         for name in self._program.links:
-            # They are part of the prior, or reach out of the window.
+            # They are part of the prior, or link to steps outside the window.
             self._frames.rows[0, self._frames.place[name]] = 0.0
         self._steps = list(steps)
         self._start(problem, n)
 
     def _note(self) -> None:
         rows = couplings_of(self._problem.records[: len(self._steps)])
-        # What links the first step to the one before it is cut here, and may not be in the graph.
+        # Links of the first step to the previous one are cut here, and may not be in the graph.
         for step, row in zip(self._steps[1:], rows[1:], strict=True):
             self.couplings[step.index] = row
         self.couplings.setdefault(self._steps[0].index, rows[0])
 
 
 def _is_same(known: Step, step: Step) -> bool:
-    """Return True if a step was packed; the first of a window has lost its link to the one before."""
+    """Return True if a step was packed; the first of a window has lost its link to the previous one."""
     return (
         known.index == step.index
         and known.observation is step.observation

@@ -23,25 +23,25 @@ from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
 
 _LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
-_RECOUPLED = 0.01  # Share by which what the modes set has to change for a step's factors to be evaluated anew
-_REST = 0.5  # Seconds for which basins are not searched after a descent that led nowhere better
-_SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # Of the descent in another basin
+_RECOUPLED = 0.01  # Relative change of a coupling from which a step's factors are re-evaluated
+_REST = 0.5  # Seconds without basin search after a descent without improvement
+_SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # For the descent in another basin
 
 
 class Guided:
-    """A GTSAM smoother with the modes of the couplings, and other basins, from its own states.
+    """A GTSAM smoother with coupling modes and basin search, from its own states.
 
     With each observation the modes are inferred from the window's states by the chain engine's hidden Markov
-    chain, and the factors whose couplings have changed are evaluated again. Where what was seen may speak for
-    several directions, the orientations are searched on a grid, and the graph begins again from a course
-    whose descent costs less. Whatever a method raises, it leaves the smoother as it was.
+    chain, and the factors whose couplings have changed are re-evaluated. Where an observation can have
+    several modes, the orientations are searched on a grid, and the graph restarts from a course whose descent
+    costs less. A method that raises leaves the smoother unchanged.
 
     Parameters
     ----------
     graph : the smoother
     model : its terms
     lag : seconds of the smoother's window; infinite: all history
-    couplings : what the graph's factors read the couplings from; None for a model without modes
+    couplings : values that the graph's factors read; None for a model without modes
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Guided:
         return self.graph.state(step)
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
-        """Add a step whose variables start at ``state``; what is known about it then."""
+        """Add a step whose variables start at ``state``; return its estimate."""
         with self._kept():
             self._notice([step])
             if self._couplings is not None:
@@ -85,7 +85,7 @@ class Guided:
             return self._guided()
 
     def rework(self, window: Window) -> Newest:
-        """Take over a window that was changed; what is known about its newest step then."""
+        """Replace the window by a changed one; return the estimate of its newest step."""
         with self._kept():
             self._notice(window.steps)
             self._couple(window)
@@ -95,7 +95,7 @@ class Guided:
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
-        """Leave the smoother as it is at the beginning if anything inside raises."""
+        """Restore the smoother if anything inside raises."""
         before, couplings, graph = dict(vars(self)), dict(self._couplings or {}), self.graph.memory()
         modes = None if self._view is None else self._view.before
         try:
@@ -121,7 +121,7 @@ class Guided:
         self._infer(steps[first:], states, None if first else window.prior)
 
     def _infer(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
-        """Set the couplings of some steps, if there are any, by the modes that their states (n, 6) imply."""
+        """Set the couplings of some steps, if there are any, by the modes given their states (n, 6)."""
         assert self._view is not None
         self._view.follow(steps, states, prior)
         if self._couplings is not None:
@@ -130,7 +130,7 @@ class Guided:
             self.modes = aligned, offset, glance
 
     def _notice(self, steps: Sequence[Step]) -> None:
-        """Search from the first step on that may speak for several directions."""
+        """Search from the first step whose observation can have several modes."""
         if not self._searches and (self._outliers or any(step.is_ambiguous for step in steps)):
             self._searches = True
             self._view = self._view or self._look()
@@ -143,7 +143,7 @@ class Guided:
         return view
 
     def _recent(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """The steps that are looked at: with a lag all there are."""
+        """The recent steps: with a lag all of them."""
         return steps[leaving(steps, self._lag) :]
 
     def _prior(self, recent: Sequence[Step]) -> MarginalPrior | None:
@@ -154,7 +154,7 @@ class Guided:
         return np.array([self.state(step) for step in steps])
 
     def _guided(self) -> Newest:
-        """Return the newest step's estimate once couplings and basin are those of the states."""
+        """Return the newest step's estimate once couplings and basin agree with the states."""
         if self._view is None:
             return self.graph.settled()
         recent = self._recent(self.steps)
@@ -177,7 +177,7 @@ class Guided:
                 if self._searches and (found := self._moved(recent, states)) is not None:
                     newest, states = found
         except FAILURES:
-            # It is where the observation itself has led to.
+            # The observation itself has led to this basin.
             return self.graph.settled()
         if self._couplings is None:
             return newest
@@ -186,7 +186,7 @@ class Guided:
         return newest[0], newest[1] + covariance[-1]
 
     def _moved(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
-        """Begin again where the window costs less; the newest step then, and the states, or None."""
+        """Restart where the window costs less; return the newest step's estimate and the states, or None."""
         assert self._view is not None
         t = recent[-1].observation.t
         other = None if t < self._search_from else self._view.other(states, AT_END)
@@ -197,7 +197,7 @@ class Guided:
         turns = {recent[0].body_key: body, recent[0].head_key: head}
         prior = None if window.prior is None else window.prior.turned(turns, AT_END)
         here = replace(window, steps=tuple(recent))
-        # From here, too: one or two Gauss–Newton steps an observation may be far from their end.
+        # From here, too: one or two Gauss–Newton steps per observation may not have converged.
         values, costs = self._descent(here, states)
         values_there, costs_there = self._descent(replace(here, prior=prior), other)
         if costs_there[-1] < costs[-1]:
@@ -226,7 +226,7 @@ class Guided:
         return window if self._view is None else replace(window, modes=self._view.before)
 
     def restore(self, window: Window) -> None:
-        """Take over a window as it stands."""
+        """Replace the window without solving it."""
         self._take(window)
         self._couple(window)
         self.graph.restore(window)
@@ -239,7 +239,7 @@ class Guided:
         return own
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
-        """Go on where `window` and `arrays` were taken; KeyError or ValueError if these do not fit."""
+        """Continue from `window` and `arrays`; KeyError or ValueError if these do not fit."""
         self._take(window)
         if self._couplings is not None:
             rows = arrays["couplings"].reshape(len(window.steps), len(COUPLED)).tolist()
@@ -249,7 +249,7 @@ class Guided:
         self.graph.restore(window)
 
     def _take(self, window: Window) -> None:
-        """Begin with a window: nothing is known about its couplings, nor where to search."""
+        """Start with a window of unknown couplings and without search."""
         if self._couplings is not None:
             self._couplings.clear()
         self.modes, self._searches, self._search_from = (math.nan,) * 3, False, -math.inf

@@ -1,4 +1,4 @@
-"""The fixed lag: a sliding window in time order, and a Gaussian for what came before it."""
+"""The fixed-lag smoother: a sliding window in time order, and a Gaussian marginal of earlier steps."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings
 from graphtrack.packages import gtsam
 
-# Metres, m/s or radians. Only larger steps can overshoot; the others are spared two evaluations of the cost.
+# Metres, m/s or radians. Only larger steps can overshoot; smaller ones skip two evaluations of the cost.
 _LARGE_CHANGE = 0.5
 # Metres, m/s or radians: length of a step that is halved no further.
 _SHORTEST = 1e-6
 
 
 class FixedLag:
-    """A fixed-lag smoother of one person: each observation linearises and eliminates the window again.
+    """A fixed-lag smoother of one person: each observation re-linearises and eliminates the window.
 
-    The last conditionals of the Bayes net are the joint density of the newest step. What has left the window
-    stays as a Gaussian about the point where it was linearised.
+    The last conditionals of the Bayes net are the joint density of the newest step. Marginalised steps remain
+    as a Gaussian about their linearisation point.
 
     Parameters
     ----------
     model : the terms
-    lag : seconds that the window reaches back from its newest step
+    lag : length of the window in seconds, back from its newest step
     step_tolerance : the Gauss–Newton steps of an observation end when none of the variables changes by more
         than this (metres, m/s, radians)
-    max_iterations : or after so many
-    couplings : what the modes of the couplings set, of each step of the window
+    max_iterations : most steps for an observation
+    couplings : couplings of each step of the window, set by the modes
     """
 
     def __init__(
@@ -56,10 +56,10 @@ class FixedLag:
     ) -> None:
         self._model, self._lag, self._couplings = model, lag, couplings
         self._step_tolerance, self._max_iterations = step_tolerance, max_iterations
-        # All there is to know, and of the newest step once it is solved: replaced, never changed.
+        # The complete state, with the newest estimate once solved: replaced, never changed.
         self._window = Window((), {}, None, None)
         self._newest: Newest | None = None
-        # Of the window's steps, so that they need not be made again.
+        # A cache of the window's factors.
         self._factors: dict[Step, gtsam.NonlinearFactorGraph] = {}
 
     @property
@@ -79,8 +79,8 @@ class FixedLag:
         self._newest = self._solve(replace(before, steps=steps, values=values, anchor=anchor))
 
     def recouple(self, steps: Sequence[Step]) -> None:
-        """Evaluate the couplings of some steps anew."""
-        if steps:  # all are linearised anew
+        """Re-evaluate the couplings of some steps."""
+        if steps:  # all are re-linearised
             self._newest = None
 
     def settled(self) -> Newest:
@@ -90,15 +90,15 @@ class FixedLag:
         return self._newest
 
     def memory(self) -> Mapping[str, Any]:
-        """The smoother as it is, for `recall`."""
+        """The current state, for `recall`."""
         return dict(vars(self))
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Be as then."""
+        """Restore a remembered state."""
         vars(self).update(memory)
 
     def prior(self) -> MarginalPrior | None:
-        """The prior of the first step, from all that was marginalised."""
+        """The prior of the first step, from all marginalised steps."""
         return self._window.prior
 
     def window(self) -> Window:
@@ -106,7 +106,7 @@ class FixedLag:
         return self._window
 
     def restore(self, window: Window) -> None:
-        """Take over a window as it stands."""
+        """Replace the window without solving it."""
         self._window, self._newest = window, None
 
     def _solve(self, window: Window) -> Newest:
@@ -150,7 +150,7 @@ class FixedLag:
         return values, bayes_net
 
     def _slide(self, window: Window, values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> Window:
-        """The window once the steps that leave it are marginalised; their factors are added to ``graph``."""
+        """The window after marginalising the steps that leave it; their factors are added to ``graph``."""
         n = leaving(window.steps, self._lag)
         if not n:
             return window
@@ -158,7 +158,7 @@ class FixedLag:
         keys = keys_of(gone, self._model)
         for step in gone:
             graph.push_back(self._factors[step])
-        # Its links to the step before are part of the marginal now: the chain begins here.
+        # Its links to the previous step are part of the marginal now: the chain begins here.
         newer, past = self._factors[window.steps[n]], frozenset(keys)
         self._factors[first] = own = gtsam.NonlinearFactorGraph()
         for factor in map(newer.at, range(newer.size())):

@@ -30,40 +30,39 @@ from graphtrack.model.factors import Couplings
 from graphtrack.packages import gtsam
 
 ANCHOR_KAPPA = 1e-4
-"""Concentration at which first orientations are held. GTSAM's Bayes tree refuses a clique whose last pivot is
-less than 2⁻²⁴ of the one before, as between turning and a weaker anchor in the frames of a video."""
+"""Concentration at which first orientations are held. GTSAM's Bayes tree rejects a clique whose last pivot is
+less than 2⁻²⁴ of the previous one, as between turning and a weaker anchor at video frame rates."""
 
-_WILDFIRE = 1e-6  # Metres, m/s or radians, below which GTSAM does not go on substituting into the past
+_WILDFIRE = 1e-6  # Metres, m/s or radians, below which GTSAM stops back-substitution into the past
 _OF_CLASSES = 0.1
-"""Share of the threshold at which orientations are linearised again once class likelihoods have been seen:
-their peaks are sharper than what an observed angle says."""
-_WATCHED = 50  # Newest steps of which some has to be beyond the threshold for a further update
+"""Share of the threshold at which orientations are re-linearised once class likelihoods were observed: their
+peaks are sharper than those of observed angles."""
+_WATCHED = 50  # Newest steps that are tested against the threshold for a further update
 _REMEMBERED = 50
-"""The estimates of a full history are remembered again once it has grown by one in so many steps."""
+"""Steps after which the saved estimates of a full history are renewed."""
 
 
 class Isam2:
     """An iSAM2 smoother of one person.
 
     Each step adds `X(k)`, `V(k)`, `B(k)` and `H(k)` and the factors of its terms to one `gtsam.ISAM2`. With a
-    lag, the variables that leave the window are marginalised by `ISAM2.marginalizeLeaves`, for which they
-    have to be leaves: the window's variables are eliminated again, beginning with them. Without one, memory
-    grows.
+    lag, steps that leave the window are marginalised by `ISAM2.marginalizeLeaves`, which needs them to be
+    leaves: the window's variables are eliminated again, beginning with them. Without a lag, memory grows.
 
     Parameters
     ----------
     model : the terms
-    lag : seconds that the window reaches back from its newest step; infinite: all history
-    relinearize_threshold : change of a variable beyond which it is linearised again (metres, m/s, radians)
-    step_tolerance : the updates for an observation end when no variable is farther than this, or than the
-        threshold, from where it was linearised
-    max_iterations : or after so many
-    couplings : what the modes of the couplings set, of each step; see `recouple`
+    lag : length of the window in seconds, back from its newest step; infinite: all history
+    relinearize_threshold : change of a variable beyond which it is re-linearised (metres, m/s, radians)
+    step_tolerance : the updates for an observation end when all variables are within this, or within the
+        threshold, of their linearisation points
+    max_iterations : most updates for an observation
+    couplings : couplings of each step, set by the modes; see `recouple`
 
     Attributes
     ----------
     steps : the steps of the window, oldest first
-    isam : GTSAM's smoother; to look at, not to be changed
+    isam : GTSAM's smoother; read-only
     """
 
     def __init__(
@@ -81,17 +80,17 @@ class Isam2:
         self._classified = False
         self.steps: list[Step]
         self._anchor: Angles | None
-        # By index of a step: at which of iSAM2's factors those are that may read couplings.
+        # Index of a step → indices of iSAM2's factors that may read couplings.
         self._custom: dict[int, dict[int, gtsam.CustomFactor]]
         self._marginals: set[int]
-        # What a full history goes back to: estimates of all steps, and of those that came since.
+        # Saved estimates of a full history: of all steps, and of the later steps.
         self._estimates: gtsam.Values
         self._since: dict[int, tuple[float, ...]]
         self._waiting: Window | None = Window((), {}, None, None)
         self._build_waiting()
 
     def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head of a step; NaN for what the model does not have."""
+        """x, y, vx, vy, body, head of a step; NaN for variables outside the model."""
         if self._waiting is not None:
             return self._waiting.values[step.index]
         isam, nan = self.isam, math.nan
@@ -119,7 +118,7 @@ class Isam2:
         self._slide()
 
     def recouple(self, steps: Sequence[Step]) -> None:
-        """Evaluate the couplings of some steps anew, with one update if there are any."""
+        """Re-evaluate the couplings of some steps, with one update if there are any."""
         if not steps:
             return
         self._build_waiting()
@@ -130,16 +129,16 @@ class Isam2:
             self._custom[step.index] = dict(next(places) for _ in self._custom[step.index])
 
     def memory(self) -> Mapping[str, Any]:
-        """The smoother as it is, for `recall`."""
+        """The current state, for `recall`."""
         memory = {**vars(self), "steps": copy(self.steps)}
         if self._waiting is None and self._lag < math.inf:
-            # A copy takes a twentieth of an update; of a full history it would take more than the update.
+            # A copy takes a twentieth of an update; for a full history it would take more than the update.
             memory["isam"] = gtsam.ISAM2(self.isam)
             memory["_custom"] = copy(self._custom)
         return memory
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Be as then."""
+        """Restore a remembered state."""
         is_changed = self.isam is memory["isam"] and self._waiting is None
         vars(self).update(memory)
         self._held = self.isam.getLinearizationPoint()
@@ -153,7 +152,7 @@ class Isam2:
     # -- iSAM2 ---------------------------------------------------------------------------------------------
 
     def _note(self, step: Step, factors: Sequence[gtsam.NonlinearFactor], indices: Sequence[int]) -> None:
-        """Remember at which indices of iSAM2's factors those of a step are that may read couplings."""
+        """Store the indices of a step's factors in iSAM2 that may read couplings."""
         pairs = zip(indices, factors, strict=True)
         self._custom[step.index] = {
             index: factor for index, factor in pairs if isinstance(factor, gtsam.CustomFactor)
@@ -165,7 +164,7 @@ class Isam2:
         values: gtsam.Values | None = None,
         removed: Sequence[int] = (),
     ) -> list[int]:
-        """One update of iSAM2; the indices of the new factors."""
+        """Update iSAM2 once; return the indices of the new factors."""
         # The newest variables last: the root of the tree is where the next observation comes in.
         order, again, n = gtsam.KeyGroupMap(), gtsam.KeyList(), leaving(self.steps, self._lag)
         for key in variable_keys(self.steps[-1], self._model):
@@ -220,14 +219,14 @@ class Isam2:
             del self._custom[step.index]
         self._marginals = self._marginals - {*absorbed} | {*made}
         del self.steps[: len(gone)]
-        # Its links to the step before are part of the marginals now.
+        # Its links to the previous step are part of the marginals now.
         self.steps[0] = first = self.steps[0].alone()
         there = self.isam.getFactorsUnsafe()
         own = self._custom[first.index]
         self._custom[first.index] = {i: factor for i, factor in own.items() if there.exists(i)}
 
     def _build_waiting(self) -> None:
-        """Begin anew with a window that waits for it; if its factors raise, it goes on waiting."""
+        """Restart with a window; if its factors raise, it stays pending."""
         window = self._waiting
         if window is None:
             return
@@ -242,7 +241,7 @@ class Isam2:
         indices = iter(isam.update(graph, values).getNewFactorsIndices() if steps else ())
         self.isam, self._waiting, self.steps, self._anchor = isam, None, list(steps), window.anchor
         self._limits = thresholds[present(self._model)]
-        # As long as somebody holds GTSAM's values, it hands custom factors these and not a copy of all.
+        # A live reference to GTSAM's values lets custom factors read these without a copy of all.
         self._held = isam.getLinearizationPoint()
         self._estimates, self._since = values, {}
         first = {next(indices) for _ in held}
@@ -254,7 +253,7 @@ class Isam2:
     # -- saved states --------------------------------------------------------------------------------------
 
     def restore(self, window: Window) -> None:
-        """Take over a history as it stands."""
+        """Replace the history without solving it."""
         self._classified = any(step.is_ambiguous for step in window.steps)
         self.steps, self._anchor, self._waiting = list(window.steps), window.anchor, window
 
@@ -267,7 +266,7 @@ class Isam2:
         return Window(tuple(self.steps), values, self.prior(), self._anchor)
 
     def prior(self) -> MarginalPrior | None:
-        """The prior of the first step, from all that was marginalised, about its linearisation point."""
+        """The prior of the first step, from all marginalised steps, about its linearisation point."""
         if self._waiting is not None:
             return self._waiting.prior
         if not self._marginals:

@@ -1,1 +1,1 @@
-"""The terms of the model, a file each: its density, its kernels, and what is packed for them."""
+"""The terms of the model, one module each: density, kernels and packing."""

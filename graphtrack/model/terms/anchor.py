@@ -1,4 +1,4 @@
-"""Anchors of orientations that nothing else holds: a track's first, and those a model does not have."""
+"""Anchors of undetermined orientations: a track's first, and those that the model does not have."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from graphtrack.model.terms.pose import add_angle
 from graphtrack.tracks.track import Track
 
 ANCHOR_KAPPA = 1e-6
-"""Concentration at which a first orientation is held to its initial value: it says next to nothing, but an
-orientation that nothing else determines has a solution."""
+"""Concentration at which a first orientation is held to its initial value: negligible as information, but an
+orientation without observations has a solution."""
 
 
 @compiled
@@ -33,7 +33,7 @@ def add_anchor(
     gradient: FloatArray,
     hessian: FloatArray,
 ) -> float:
-    """κ·(1 − cos Δ) between an orientation and where the descent began."""
+    """κ·(1 − cos Δ) between an orientation and its initial value."""
     cos, sin = math.cos(start[place]), math.sin(start[place])
     return add_angle(state_cos, state_sin, place, cos, sin, anchor, 0.0, exact, gradient, hessian)
 
@@ -45,7 +45,7 @@ def _held(name: Variable) -> Kernel:
 
 
 class Anchor(Term):
-    """The engine's own term, in no model's list; an orientation that is not estimated stands still."""
+    """The engine's own term, in no model's list; an orientation that is not estimated stays constant."""
 
     repeats = True
     fields = (
@@ -59,11 +59,11 @@ class Anchor(Term):
         self._has = (has_body, has_head)
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """0: what it adds depends on where a descent began, and says next to nothing."""
+        """0: the anchor depends on the initial values, and is negligible."""
         return 0.0
 
     def pack(self, packed: PackedTracks) -> None:
-        """Hold the first orientations, and everywhere those that the model does not have."""
+        """Anchor the first orientations, and in all frames those that the model does not have."""
         first = np.where(packed.is_first, ANCHOR_KAPPA, 0.0)
         for field, has in zip(self.fields, self._has, strict=True):
             packed.records[field.name] = first if has else 1.0

@@ -49,7 +49,7 @@ def add_body_follows_motion(
     if not any_of(moves):
         return 0.0 * vx
     kappa, speed = choose(moves, motion_body_kappa, 0.0), choose(moves, speed, 1.0)
-    # A body turned back by the offset is what follows the motion.
+    # The body minus the offset follows the motion.
     cos = body_cos * motion_body_cos + body_sin * motion_body_sin
     sin = body_sin * motion_body_cos - body_cos * motion_body_sin
     ux, uy = vx / speed, vy / speed
@@ -99,7 +99,7 @@ def add_motion_quarter_turns(
     body_sin: float,
     cost: FloatArray,
 ) -> None:
-    """Cost of a direction of the body and those one, two and three quarters on, the coupling at 0."""
+    """Cost of a direction of the body and of its quarter turns, with the coupling at offset 0."""
     vx, vy = state[VX], state[VY]
     speed = math.sqrt(vx * vx + vy * vy)
     moves = (speed > speed_threshold) & (speed >= 1e-12)
@@ -133,14 +133,14 @@ class BodyFollowsMotion(Term):
     reads = ("coupling.motion_body_kappa", "coupling.speed_threshold", "coupling.correlation_time")
     fields = (
         Field("motion_body_kappa", "κ₁ with the frame's weight"),
-        Field("motion_body_cos", "of the angle from motion to body at which their coupling rests"),
+        Field("motion_body_cos", "of the offset of the coupling from motion to body"),
         Field("motion_body_sin", ""),
     )
     shared = (Field("speed_threshold", "τ in m/s"),)
     kernels = (ADD_BODY_FOLLOWS_MOTION,)
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ κ(v)·(1 − cos(θ − ang v)), weighted by the time since the frame before."""
+        """Σ κ(v)·(1 − cos(θ − ang v)), weighted by the time since the previous frame."""
         coupling = self.parameters.coupling
         excess = np.maximum(np.linalg.norm(states.velocity, axis=1) - coupling.speed_threshold, 0.0)
         kappa = coupling.motion_body_kappa * excess**2 * coupling.weights(track.dt)

@@ -1,4 +1,4 @@
-"""A member of a conversation faces its o-space, weakly, and some do not."""
+"""A member of a conversation faces its o-space, with weight and with outliers."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from graphtrack.model.term import Term, Variable
 from graphtrack.tracks.track import Track
 
 GROUP = "group"
-"""The input: the direction of the o-space, x and y of a vector as long as that counts in the frame, and the
-probability that there is a conversation."""
+"""The input: the direction of the o-space, x and y of a vector whose length is the weight of the frame, and
+the probability that there is a conversation."""
 
 Group = tuple[float, float, float]  # The value of `GROUP` in a frame
 
@@ -45,7 +45,7 @@ def add_faces_group(
     gradient: FloatArray,
     hessian: FloatArray,
 ) -> float:
-    """−w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of an angle; of its curvature the part that is never negative."""
+    """−w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of an angle; only the non-negative part of its curvature."""
     close = cos * group_cos + sin * group_sin
     across = sin * group_cos - cos * group_sin
     inside = (1.0 - group_outliers) * math.exp(-kappa * (1.0 - close))
@@ -88,7 +88,7 @@ class FacesGroup(Term):
     kernels = (_faces("body"), _faces("head"))
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ over frames, of body and head."""
+        """Σ over frames, for body and head."""
         social = self.parameters.social
         weight, bearing = _told(track.input(GROUP, 3))
         total = 0.0
@@ -108,7 +108,7 @@ class FacesGroup(Term):
 
 
 def _told(group: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) weight of the direction, 0 where there is none, and (n, 2) the direction."""
+    """(n,) weight of the direction, 0 without one, and (n, 2) the direction."""
     known = np.asarray(np.isfinite(group).all(axis=1))
     x, y, _ = np.where(known[:, None], group, 0.0).T
     return np.hypot(x, y), unit(np.arctan2(y, x))

@@ -1,8 +1,8 @@
-"""Modes of the couplings: where they do not hold, a drifting offset takes their place, or nothing.
+"""Modes of the couplings: aligned, or free with a drifting offset.
 
 A hidden Markov chain over modes and offsets, for each coupling. A frame's mode is *aligned* (the coupling
 rests near 0), *free* (at an offset that drifts around the circle) or, of heads, a *glance* (at an offset
-within the neck's reach, for a moment; then the mode is drawn anew). A row of probabilities has `BINS`
+within the neck's reach, for a moment; then the mode is redrawn). A row of probabilities has `BINS`
 offsets of the free mode on a grid, then `NEAR` small ones of the aligned mode, then the grid once more, for
 glances.
 """
@@ -106,7 +106,7 @@ def _modes(parameters: GaitParameters, side: str) -> Modes:
 
 
 def _glances(parameters: GaitParameters, side: str, cos: FloatArray) -> dict[str, Any]:
-    """The parameters of glances, which heads have."""
+    """The parameters of glances, which only heads have."""
     share = parameters.glance_share if side == "head" else 0.0
     within = np.where(cos > math.cos(NECK_REACH), np.exp(parameters.glance_kappa * (cos - 1.0)), 0.0)
     return {
@@ -118,7 +118,7 @@ def _glances(parameters: GaitParameters, side: str, cos: FloatArray) -> dict[str
 
 
 def _mistaken(modes: Modes, bias: float, kappa: float) -> Modes:
-    """The modes of an orientation that a classifier sees turned all along with probability ``bias``."""
+    """The modes of an orientation that a classifier sees turned persistently with probability ``bias``."""
     own = (1.0 - bias) * (1.0 - modes.aligned) * modes.anywhere
     turned = np.exp(kappa * (modes.cos[:BINS] - 1.0))
     apparent = own + bias * turned / turned.sum()
@@ -146,28 +146,27 @@ def class_information(heights: FloatArray) -> FloatArray:
 
 
 class GaitOffsets(Term):
-    """Hidden modes of the two couplings, which stand before it in the list of terms.
+    """Hidden modes of the two couplings; the term precedes both in the list of terms.
 
-    In each frame each coupling is *aligned* (at rest near 0, as in Chen et al. (2011)) or *free* (at rest at
-    an offset that drifts); a hidden Markov chain says that this seldom changes. The engine infers modes and
-    states in turn.
+    In each frame each coupling is *aligned* (about 0, as in Chen et al. (2011)) or *free* (about an offset
+    that drifts); a hidden Markov chain makes changes rare. The engine infers modes and states in turn.
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
     repeats = True
     reads = tuple(f"gait.{field.name}" for field in dataclasses.fields(GaitParameters))
     fields = (
-        Field("body_aligned_kappa", "κ₁ and κ₂ with the weight, where modes choose how much of them holds"),
+        Field("body_aligned_kappa", "κ₁ and κ₂ with the weight, before scaling by the modes"),
         Field("head_aligned_kappa", ""),
         Field("coupling_weight", "that weight"),
-        Field("body_information", "Fisher information of what was seen of the body, and of the head"),
+        Field("body_information", "Fisher information of the observations of the body, and of the head"),
         Field("head_information", ""),
     )
     shared = (Field("body_diffusion", "rad²/s"),)
     kernels = ()  # it acts through those of the couplings
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """None: the term acts through the couplings."""
+        """No factors: the term acts through the couplings."""
         return []
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
@@ -175,7 +174,7 @@ class GaitOffsets(Term):
         return 0.0
 
     def pack(self, packed: PackedTracks) -> None:
-        """The couplings when aligned, their weights, and how much each observation of body and head tells."""
+        """The couplings when aligned, their weights, and the information of observations of body and head."""
         records, coupling = packed.records, self.parameters.coupling
         packed.shared["body_diffusion"] = self.parameters.orientation.body_diffusion
         records["coupling_weight"] = coupling.weights(packed.dt)

@@ -34,7 +34,7 @@ def add_head_follows_body(
 ) -> float:
     """κ₂·(1 − cos(α − θ − δ)); ``head_body_cos`` and ``head_body_sin`` are those of the offset δ."""
     kappa = head_body_kappa
-    # A head turned back by the offset is what follows the body.
+    # The head minus the offset follows the body.
     turned_cos = head_cos * head_body_cos + head_sin * head_body_sin
     turned_sin = head_sin * head_body_cos - head_cos * head_body_sin
     cos = body_cos * turned_cos + body_sin * turned_sin
@@ -62,7 +62,7 @@ class HeadFollowsBody(Term):
     reads = ("coupling.head_body_kappa", "coupling.correlation_time")
     fields = (
         Field("head_body_kappa", "κ₂ with the frame's weight"),
-        Field("head_body_cos", "of the angle from body to head at which their coupling rests"),
+        Field("head_body_cos", "of the offset of the coupling from body to head"),
         Field("head_body_sin", ""),
     )
     kernels = (ADD_HEAD_FOLLOWS_BODY,)
@@ -74,7 +74,7 @@ class HeadFollowsBody(Term):
         return [von_mises_between(step.body_key, step.head_key, kappa)] if kappa > 0.0 else []
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ κ₂·(1 − cos(α − θ)), weighted by the time since the frame before."""
+        """Σ κ₂·(1 − cos(α − θ)), weighted by the time since the previous frame."""
         coupling = self.parameters.coupling
         kappa = coupling.head_body_kappa * coupling.weights(track.dt)
         return float(np.sum(kappa * (1.0 - np.cos(states.head - states.body))))

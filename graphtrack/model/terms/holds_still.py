@@ -1,4 +1,4 @@
-"""A member of a conversation turns seldom, and then by much."""
+"""A member of a conversation seldom turns: an ℓ₁-like cost of turns."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.faces_group import GROUP
 from graphtrack.tracks.track import Track
 
-SLOW = 0.05  # rad/s up to which a turn is a drift, which costs by its square
+SLOW = 0.05  # rad/s up to which a turn is a drift, of quadratic cost
 LEAST_TURN, GREATEST_TURN = 0.01, 0.05
-"""Radians within which a drift from a frame to the next is, however near or far that is."""
+"""Least radians of a drift from a frame to the next, at any frame rate."""
 
 
 @compiled
@@ -40,7 +40,7 @@ def add_holds(
     hessian: FloatArray,
     transition: FloatArray,
 ) -> float:
-    """w·λ·(√(δ² + 2·(1 − cos Δ)) − δ) between an angle and itself a frame before: about λ·|Δ|."""
+    """w·λ·(√(δ² + 2·(1 − cos Δ)) − δ) between an angle and its previous value: about λ·|Δ|."""
     close = cos_before * cos + sin_before * sin
     across = sin * cos_before - cos * sin_before
     size = math.sqrt(group_drift * group_drift + 2.0 * choose(close < 1.0, 1.0 - close, 0.0))
@@ -66,8 +66,8 @@ def _holds(name: Variable) -> Kernel:
 class HoldsStill(Term):
     """p·λ·(√(δ² + 2·(1 − cos Δ)) − δ) of the turns of body and head from frame to frame: about λ·|Δ|.
 
-    So whoever converses holds still, then turns at once, at any frame rate. p is the probability of a
-    conversation. Without the input `GROUP` there is none.
+    So people in conversation keep their orientation, then turn at once, at any frame rate. p is the
+    probability of a conversation. Without the input `GROUP` there is no cost.
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
@@ -98,7 +98,7 @@ class HoldsStill(Term):
 
 
 def _probability(group: FloatArray) -> FloatArray:
-    """(n,) of a conversation; 0 where nothing is known."""
+    """(n,) probability of a conversation; 0 where unknown."""
     return np.where(np.isfinite(group[:, 2]), group[:, 2], 0.0)
 
 

@@ -1,5 +1,4 @@
-"""Intentional motion, the head steers the velocity (Baxter et al. 2014 in continuous time, as a
-factor)."""
+"""Intentional motion: the head steers the velocity (Baxter et al. 2014, in continuous time, as a factor)."""
 
 from __future__ import annotations
 
@@ -24,23 +23,23 @@ from graphtrack.model.terms.motion import Motion
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
-SMALL_TURN = 1e-3  # λΔt below which the closed forms of a steered step cancel; there, their series
+SMALL_TURN = 1e-3  # λΔt below which the closed forms of a steered step cancel, and their series are used
 
 HEAD_RATE = "head_rate"
-"""The input: λ in 1/s of the step that leads to a frame, where it is not the parameters'."""
+"""The input: λ in 1/s of the step that leads to a frame, in place of the parameters'."""
 
 STANDSTILL = 0.01
-"""m/s: the speed that the head steers has no kink at 0; it is rounded off over about so much."""
+"""m/s: width of the smoothing of the steered speed about 0."""
 
 
 class SteeredStep(NamedTuple):
-    """A step of dv = −λ·(v − s·u)·dt + white noise, integrated exactly; each of the shape of Δt and λ.
+    """A step of dv = −λ·(v − s·u)·dt + white noise, integrated exactly; arrays of the shape of Δt and λ.
 
     Attributes
     ----------
-    keep : e^−λΔt, what the velocity keeps of itself
-    reach : seconds that the old velocity carries the position on; the aim s·u does for Δt − reach
-    place, cross, spread : covariance of position, of both, and of velocity for a noise of density 1
+    keep : e^−λΔt, the share of the velocity that is kept
+    reach : seconds that the old velocity carries the position; the aim s·u does for Δt − reach
+    place, cross, spread : covariance of position, of position and velocity, and of velocity at density 1
     """
 
     keep: FloatArray
@@ -51,7 +50,7 @@ class SteeredStep(NamedTuple):
 
 
 def steered_step(dt: FloatArray | float, rate: FloatArray | float) -> SteeredStep:
-    """Moments of a step of ``dt`` seconds that is steered at the ``rate`` λ in 1/s; λ = 0 is not steered."""
+    """Moments of a step of ``dt`` seconds that is steered at the ``rate`` λ in 1/s; λ = 0: not steered."""
     dt, rate = np.broadcast_arrays(np.asarray(dt, float), np.asarray(rate, float))
     x = rate * dt
     small = x < SMALL_TURN
@@ -78,7 +77,7 @@ def head_rates(given: FloatArray, rate: float) -> FloatArray:
 
 
 def smooth_speed(velocity: FloatArray) -> FloatArray:
-    """√(‖v‖² + ε²) − ε of velocities (…, 2) with ε = `STANDSTILL`: ‖v‖ without its kink at 0."""
+    """√(‖v‖² + ε²) − ε of velocities (…, 2) with ε = `STANDSTILL`: ‖v‖, smooth at 0."""
     square = np.sum(velocity**2, axis=-1)
     return np.asarray(square / (np.sqrt(square + STANDSTILL**2) + STANDSTILL))
 
@@ -120,7 +119,7 @@ def add_steered_motion(
     hessian: FloatArray,
     transition: FloatArray,
 ) -> float:
-    """A step whose velocity turns to where the head pointed.
+    """A step whose velocity turns to the direction of the head.
 
     With the residuals e of position and velocity and their information, the pull on the aim s·u(α) is
     −(far·Λe_p + gain·Λe_v); its second derivatives by v and α are what ``exact`` adds to Gauss–Newton.
@@ -153,7 +152,7 @@ def add_steered_motion(
     gradient_before[VX] -= reach * place_x + keep * spread_x + along * nx
     gradient_before[VY] -= reach * place_y + keep * spread_y + along * ny
     gradient_before[HEAD] -= speed * across
-    # Per axis, what the information says of the own velocity (own), of the aim (aimed) and of both.
+    # Per axis, the information on the own velocity (own), on the aim (aimed) and on both.
     to_place, to_spread = reach * place + keep * cross, reach * cross + keep * spread
     own = reach * to_place + keep * to_spread
     both = far * to_place + gain * to_spread
@@ -209,7 +208,7 @@ ADD_STEERED_MOTION = Kernel(
 
 
 class IntentionalMotion(Motion):
-    """White-noise acceleration about a velocity that turns towards where the head points.
+    """White-noise acceleration about a velocity that turns to the direction of the head.
 
     v_t = (1 − a)·v_{t−1} + a·‖v_{t−1}‖·u(α_{t−1}) + noise with a = 1 − e^−λΔt, and the position is its exact
     integral (Baxter et al. 2014, eq. 4–6 in continuous time). λ = 0 is `Motion`; otherwise the prior on the
@@ -227,12 +226,12 @@ class IntentionalMotion(Motion):
         Field("steer_place", "information on the position, on both, and on the velocity"),
         Field("steer_cross", ""),
         Field("steer_spread", ""),
-        Field("steer_rate", "λ in 1/s, where modes choose how much of it holds"),
+        Field("steer_rate", "λ in 1/s, before scaling by the modes"),
     )
     kernels = (*Motion.kernels, ADD_STEERED_MOTION)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """One of four variables from the steered kernel; the native one where λ = 0."""
+        """One factor of four variables from the steered kernel; the native one where λ = 0."""
         steered = self.parameters.motion.head_rate > 0.0
         return derived_factors(self, step) if steered else super().factors(step)
 
@@ -254,7 +253,7 @@ class IntentionalMotion(Motion):
         return 0.5 * float(squares.sum() + start)
 
     def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """½·log det 2πQ(Δt, λ) of each step, and the same of the first velocity."""
+        """½·log det 2πQ(Δt, λ) of each step, and of the first velocity."""
         motion = self.parameters.motion
         rate = head_rates(track.input(HEAD_RATE), motion.head_rate)[1:]
         moments = steered_step(np.diff(track.t), rate)
@@ -263,7 +262,7 @@ class IntentionalMotion(Motion):
         return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
 
     def is_linear(self, packed: PackedTracks) -> bool:
-        """Never: the speed that the head steers is not."""
+        """False: the steered speed is not linear."""
         return False
 
     def pack(self, packed: PackedTracks) -> None:

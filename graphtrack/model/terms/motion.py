@@ -94,7 +94,7 @@ ADD_FIRST_VELOCITY = Kernel(add_first_velocity, gate="velocity_information", var
 
 
 class Motion(Term):
-    """White-noise acceleration between frames, and a broad prior on the velocity where the track begins."""
+    """White-noise acceleration between frames, and a broad prior on the first velocity of a track."""
 
     repeats = True
     reads: ClassVar[tuple[str, ...]] = (
@@ -107,7 +107,7 @@ class Motion(Term):
     )
     fields: ClassVar[tuple[Field, ...]] = (
         Field("motion_information", "1/q in s³/m²; 0 at the first frame"),
-        Field("velocity_information", "of the prior on the velocity, where it stands"),
+        Field("velocity_information", "of the prior on the velocity, where it applies"),
     )
     kernels: ClassVar[tuple[Kernel, ...]] = (ADD_MOTION, ADD_FIRST_VELOCITY)
 
@@ -142,13 +142,13 @@ class Motion(Term):
         return 0.5 * float(squares.sum() + (first**2).sum() / motion.initial_speed_std**2)
 
     def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """½·log det 2πQ(Δt) of each step, and the same of the first velocity."""
+        """½·log det 2πQ(Δt) of each step, and of the first velocity."""
         motion, dt = self.parameters.motion, np.diff(track.t)
         steps = np.log((2.0 * np.pi * motion.acceleration_density * dt**2) ** 2 / 12.0)
         return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
 
     def is_linear(self, packed: PackedTracks) -> bool:
-        """Always."""
+        """True: the term is linear."""
         return True
 
     def pack(self, packed: PackedTracks) -> None:

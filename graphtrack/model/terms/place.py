@@ -1,4 +1,4 @@
-"""A place that people are drawn to, or kept from."""
+"""A place that attracts or repels people."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def add_place(
     gradient: FloatArray,
     hessian: FloatArray,
 ) -> float:
-    """w·(1 − e^−u) of a place that draws, w·e^−u of one that repels, with u = ½(distance/radius)²."""
+    """w·(1 − e^−u) of an attracting place, w·e^−u of a repelling one, with u = ½(distance/radius)²."""
     scale = 1.0 / (place_radius * place_radius)
     dx, dy = state[X] - (place_x - origin_x), state[Y] - (place_y - origin_y)
     near = math.exp(-0.5 * scale * (dx * dx + dy * dy))
     pull = place_sign * place_weight * near * scale
     gradient[X] += pull * dx
     gradient[Y] += pull * dy
-    # Of Gauss–Newton's kind: that of the rows √pull·d, or of √(2·w·e^−u), which has one row.
+    # Gauss–Newton, from the rows √pull·d, or of √(2·w·e^−u), which has one row.
     round_part = pull if exact or place_sign > 0.0 else 0.0
     long_part = -pull * scale if exact else (0.0 if place_sign > 0.0 else -0.5 * pull * scale)
     hessian[X, X] += round_part + long_part * dx * dx
@@ -47,7 +47,7 @@ def add_place(
 
 
 class PlacePrior(Term):
-    """People are more likely near a place than elsewhere, or less (`PlaceParameters`), beside all else."""
+    """A place near which people are more, or less, likely than elsewhere (`PlaceParameters`)."""
 
     repeats = True
     reads = ("place.x", "place.y", "place.radius", "place.strength", "coupling.correlation_time")
@@ -56,7 +56,7 @@ class PlacePrior(Term):
         Field("place_x", "the place in the world, metres"),
         Field("place_y", ""),
         Field("place_radius", "metres"),
-        Field("place_sign", "1: people are drawn to it, −1: kept from it"),
+        Field("place_sign", "1: it attracts people, −1: it repels them"),
     )
     kernels = (Kernel(add_place, gate="place_weight", variables=("position",)),)
 

@@ -1,7 +1,7 @@
 """The orientation likelihoods of body and head, from angles or from class likelihoods.
 
 As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observed angle is the mixture of one class; with
-ε = 0 it is a von Mises, which is native.
+ε = 0 it is a von Mises, with a native factor.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from graphtrack.tracks.track import Track
 
 @compiled
 def doubted(outliers: Any, kappa: Any, doubt: Any) -> Any:
-    """The outliers' density, with that of classes that say nothing with the probability ``doubt``."""
+    """The outliers' density, where classes are uninformative with the probability ``doubt``."""
     if not any_of(doubt > 0.0):
         return outliers
     return outliers + doubt * (1.0 - outliers) * math.exp(log_i0e(kappa))
@@ -57,7 +57,7 @@ def add_classes(
 
     ``heights`` (k + 1) are the densities of the classes at their centres and of the outliers, divided by
     their sum; ``directions`` (k, 2) the centres' cosines and sines. ``doubt`` is the probability that the
-    classes say nothing.
+    classes are uninformative.
     """
     n_classes = len(directions)
     density = doubted(heights[n_classes], kappa, doubt)
@@ -92,7 +92,7 @@ def add_class_quarter_turns(
     doubt: float,
     cost: FloatArray,
 ) -> None:
-    """Cost of class likelihoods at a direction and one, two and three quarters on, by symmetry."""
+    """Cost of class likelihoods at a direction and at its quarter turns, by symmetry."""
     n = len(directions)
     quarter = n // 4
     here = onward = opposite = back = doubted(heights[n], kappa, doubt)
@@ -116,8 +116,8 @@ def peaked_cost(close: float, kappa: float) -> float:
 
 @compiled
 def softened_cost(close: float, kappa: float, uniform: float) -> float:
-    """The same with outliers."""
-    # As the factor has it: never negative, since the resultant is at most κ.
+    """Return the cost of an observed angle with outliers, at a deviation whose cosine is ``close``."""
+    # As in the factor: never negative, since the resultant is at most κ.
     return 2.0 * kappa - log((exp(-kappa * (1.0 - close)) + uniform) / (1.0 + uniform))
 
 
@@ -142,7 +142,7 @@ def add_angle(
     gradient: FloatArray,
     hessian: FloatArray,
 ) -> float:
-    """An observed angle: κ·(1 − cos Δ), softened where outliers have a probability.
+    """An observed angle: κ·(1 − cos Δ), with a floor where outliers have a probability.
 
     ``uniform`` is the outliers' density over the density at the peak of the von Mises, 0 without outliers.
     """
@@ -210,7 +210,7 @@ def _fields(name: Variable) -> tuple[Field, ...]:
         Field(f"{name}_kappa", ""),
         Field(f"{name}_uniform", "the outliers' density over that at the peak of the von Mises"),
         Field(f"{name}_class_kappa", "concentration of the classes; 0: no class likelihoods"),
-        Field(f"{name}_doubt", "probability that they say nothing, by the modes of the couplings"),
+        Field(f"{name}_doubt", "probability that the observation is uninformative, by the coupling modes"),
     )
 
 
@@ -223,11 +223,11 @@ class _PoseLikelihood(Term):
     name: ClassVar[Variable]
 
     def _kappas(self, given: FloatArray | float | None, n: int) -> FloatArray:
-        """Concentrations (n,) of observed angles, where given or not."""
+        """Concentrations (n,) of observed angles, declared or default."""
         return self.parameters.likelihood.kappas(self.name, given, n)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """A native von Mises where that is exact, else from the kernels."""
+        """A native von Mises factor where that is exact, else a factor from the kernels."""
         seen = step.observation
         angle, kappa = getattr(seen, self.name), getattr(seen, f"{self.name}_kappa")
         by_class = getattr(seen, f"{self.name}_likelihood") is not None
@@ -274,7 +274,7 @@ class _PoseLikelihood(Term):
         return ((f"seen_{self.name}_cos", math.cos(angle)), (f"seen_{self.name}_sin", math.sin(angle)))
 
     def observed_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log ∫ exp(−cost) of each observation: for mixtures, minus the constant that the cost has."""
+        """log ∫ exp(−cost) of each observation: for mixtures, minus the constant in the cost."""
         likelihood, n = self.parameters.likelihood, len(track)
         angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
         by_class = np.zeros(n, bool) if classes is None else np.isfinite(classes).all(axis=1)
@@ -292,7 +292,7 @@ class _PoseLikelihood(Term):
         return total
 
     def pack(self, packed: PackedTracks) -> None:
-        """Observed angles, or classes where they are known."""
+        """Pack observed angles, or class likelihoods where there are some."""
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
         heights = self._heights(packed)
         seen = packed.directions(name)
@@ -317,7 +317,7 @@ class _PoseLikelihood(Term):
             return None
         uniform = self.parameters.likelihood.class_outlier_probability
         total = classes.sum(axis=1, keepdims=True)
-        # As multiples of 1/2π. Scores that are all zero say nothing; a row that was not seen stays NaN.
+        # As multiples of 1/2π. Scores that are all zero are uninformative; an unobserved row stays NaN.
         share = np.divide((1.0 - uniform) * classes, total, out=0.0 * classes, where=total > 0.0)
         outliers = np.where(total > 0.0, uniform, 1.0)
         heights = np.hstack([share / special.i0e(class_kappa(classes.shape[1])), outliers])
@@ -337,7 +337,7 @@ class BodyLikelihood(_PoseLikelihood):
 
 
 class HeadLikelihood(_PoseLikelihood):
-    """Likelihood of the head's pan (Chen et al. 2011, eq. 13, smooth; tilt is summed out before)."""
+    """Likelihood of the head's pan (Chen et al. 2011, eq. 13, smooth; tilt is marginalised before)."""
 
     name: ClassVar[Variable] = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})

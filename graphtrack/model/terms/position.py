@@ -35,7 +35,7 @@ def robust_loss(distance: FloatArray, likelihood: LikelihoodParameters) -> Float
 
 
 def robust_noise(noise: gtsam.noiseModel.Base, likelihood: LikelihoodParameters) -> gtsam.noiseModel.Base:
-    """The noise model, made robust as the parameters say."""
+    """The noise model, with the robust loss of the parameters."""
     estimators = gtsam.noiseModel.mEstimator
     if likelihood.robust == "huber":
         return gtsam.noiseModel.Robust.Create(estimators.Huber.Create(likelihood.robust_threshold), noise)
@@ -61,7 +61,7 @@ def _mass(likelihood: LikelihoodParameters) -> float:
 
 @compiled
 def robust_weight(square: float, robust: float, robust_threshold: float) -> tuple[float, float, float]:
-    """Cost ρ of a residual whose squared length is ``square``, and ρ' and ρ'' by that square, doubled.
+    """Cost ρ of a residual whose squared length is ``square``, and twice its derivatives ρ' and ρ'' by that.
 
     The doubling makes ρ' the weight of iteratively reweighted least squares: 1 without a robust loss.
     """
@@ -140,7 +140,7 @@ def add_pixel(
     hxx, hyx, hyy = ux * ux + vx * vx, uy * ux + vy * vx, uy * uy + vy * vy
     bend = 0.0
     if exact:
-        # The second derivatives of a projection follow from the first ones.
+        # The second derivatives of a projection follow from the first.
         hxx -= 2.0 * cx * gx
         hyx -= cx * gy + cy * gx
         hyy -= 2.0 * cy * gy
@@ -175,7 +175,7 @@ class PositionLikelihood(Term):
         Field("position_information", "1/σ²; 0: no position was observed"),
         Field("u", "observed pixel without the lens"),
         Field("v", ""),
-        Field("pixel_information", "1/σ² in pixels⁻²; 0: judged in metres, if at all"),
+        Field("pixel_information", "1/σ² in pixels⁻²; 0: no likelihood in pixels"),
     )
     shared = (
         Field("robust", "0 none, 1 Huber, 2 Cauchy"),
@@ -220,7 +220,7 @@ class PositionLikelihood(Term):
         return float(np.log(2.0 * np.pi * std[seen] ** 2).sum() + seen.sum() * np.log(_mass(likelihood)))
 
     def is_linear(self, packed: PackedTracks) -> bool:
-        """Without a robust loss, and judged in metres."""
+        """True without a robust loss and in metres."""
         return not packed.shared["robust"][0] and not packed.records["pixel_information"].any()
 
     def live(self, seen: Observation) -> Iterable[tuple[str, float]]:

@@ -34,7 +34,7 @@ def add_turn(
     hessian: FloatArray,
     transition: FloatArray,
 ) -> float:
-    """κ·(1 − cos Δ) between an angle and itself a frame before."""
+    """κ·(1 − cos Δ) between an angle and its previous value."""
     close = cos_before * cos + sin_before * sin
     pull = turn_kappa * (sin * cos_before - cos * sin_before)
     curvature = turn_kappa * close if exact else turn_kappa
@@ -67,7 +67,7 @@ class _OrientationDynamics(Term):
         return float(getattr(self.parameters.orientation, f"{self.name}_diffusion"))
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """One native factor from the step before."""
+        """One native factor from the previous step."""
         if step.previous is None or step.dt is None:
             return []
         key = f"{self.name}_key"
@@ -80,7 +80,7 @@ class _OrientationDynamics(Term):
         return float(np.sum((1.0 - np.cos(turn)) / (self._diffusion * np.diff(track.t))))
 
     def turns_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log 2π·I₀(κ)·e^−κ of each turn, and log 2π of the first orientation, which may be any."""
+        """log 2π·I₀(κ)·e^−κ of each turn, and log 2π of the first orientation, which is uniform."""
         kappa = 1.0 / (self._diffusion * np.diff(track.t))
         return float(np.log(2.0 * np.pi * special.i0e(kappa)).sum() + np.log(2.0 * np.pi))
 

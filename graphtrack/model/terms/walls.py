@@ -109,6 +109,6 @@ class StaysInside(Term):
 
 
 def _walls_of(walls: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Normals (n, `WALLS`, 2), offsets and whether there is a wall (n, `WALLS`)."""
+    """Normals (n, `WALLS`, 2), offsets and presence of walls (n, `WALLS`)."""
     walls = np.nan_to_num(walls).reshape(-1, WALLS, 3)
     return walls[..., :2], walls[..., 2], np.any(walls[..., :2] != 0.0, axis=2)
