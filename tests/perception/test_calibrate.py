@@ -149,7 +149,7 @@ def test_turning_the_image_around_turns_the_roll_around() -> None:
 @pytest.mark.parametrize(
     ("camera", "options", "words"),
     [
-        (Camera((0.0, 0.0, 4.0), 1.0, -0.4, 1100.0, SIZE), {"people": 4}, "people: the view does not tell"),
+        (Camera((0.0, 0.0, 4.0), 1.0, -0.4, 1100.0, SIZE), {"people": 4}, "people: too few to calibrate"),
         (
             Camera((0.0, 0.0, 2.0), 1.0, -0.05, 1100.0, SIZE),
             {"nearest": 19.5, "farthest": 20.5, "noise": 0.01},
@@ -203,7 +203,7 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path: Path) -> N
     frames, boxes = written(tmp_path, crowd(camera, np.random.default_rng(6), people=3))
     done = run("calibrate", frames, "--boxes", boxes, "-o", tmp_path / "camera.ci")
     assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1 and "does not tell" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1 and "too few to calibrate" in done.stderr
     assert not (tmp_path / "camera.ci").exists()
 
 
