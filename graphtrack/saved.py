@@ -1,4 +1,4 @@
-"""Values of saved states: arrays and records as JSON-able data, and back to the last bit."""
+"""Serialisation of states: arrays and records as JSON-able data, restored to the last bit."""
 
 from __future__ import annotations
 
@@ -21,60 +21,60 @@ DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, Graphtra
 def damaged(
     error: Exception, expected: str = "what a smoother saved", path: str | Path | None = None
 ) -> InputError:
-    """The error for a state that raised an exception, such as one of `DAMAGES`."""
+    """Return the error for a state that raised an exception, such as one of `DAMAGES`."""
     return InputError(f"a damaged state ({error!r})", expected, path=path)
 
 
 def real(value: Any) -> float:
-    """A finite number of a saved state; TypeError if the value is something else."""
+    """Return a finite number of a saved state; TypeError for other values."""
     if type(value) not in (int, float) or not math.isfinite(value):
         raise TypeError(f"{str(value)[:40]!r} in place of a finite number")
     return float(value)
 
 
 def whole(value: Any) -> int:
-    """A whole number of a saved state; TypeError if the value is something else."""
+    """Return a whole number of a saved state; TypeError for other values."""
     if type(value) is not int:
         raise TypeError(f"{str(value)[:40]!r} in place of a whole number")
     return value
 
 
 def count(value: Any) -> int:
-    """A whole number from 0 on of a saved state; TypeError or ValueError if the value is something else."""
+    """Return a whole number from 0 on of a saved state; TypeError or ValueError for other values."""
     if whole(value) < 0:
         raise ValueError(f"{value} in place of a count")
     return int(value)
 
 
 def to_text(values: FloatArray) -> str:
-    """An array of numbers as Base64 of their bytes; its shape is not in it."""
+    """Return an array of numbers as Base64 of their bytes, without its shape."""
     return base64.b64encode(values.astype("<f8").tobytes()).decode()
 
 
 def from_text(text: str) -> FloatArray:
-    """The inverse of `to_text`, flat."""
+    """Invert `to_text`; the array is flat."""
     return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").astype(float)
 
 
 def packed(values: NDArray[Any]) -> list[Any]:
-    """An array as JSON-able data: its shape, its kind and its numbers."""
+    """Return an array as JSON-able data: its shape, its kind and its numbers."""
     kind = values.dtype.kind
     numbers = np.ascontiguousarray(values, complex).view(float) if kind == "c" else values
     return [list(values.shape), kind, to_text(numbers)]
 
 
 def unpacked(saved: list[Any]) -> NDArray[Any]:
-    """The inverse of `packed`."""
+    """Invert `packed`."""
     shape, kind, text = saved
     numbers: NDArray[Any] = from_text(text)
     if kind == "c":
         return numbers.view(complex).reshape(shape)
-    # Whole numbers as large as these are doubles of their own.
+    # Whole numbers up to this size are exact doubles.
     return numbers.reshape(shape).astype(np.int64 if kind == "i" else float)
 
 
 def pack_tree(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Arrays in dictionaries, which hold no lists, as JSON-able data."""
+    """Return nested dictionaries of arrays, without lists, as JSON-able data."""
     found = {}
     for name, value in values.items():
         if isinstance(value, np.ndarray):
@@ -84,7 +84,7 @@ def pack_tree(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def unpack_tree(saved: Mapping[str, Any]) -> dict[str, Any]:
-    """The inverse of `pack_tree`."""
+    """Invert `pack_tree`."""
     found = {}
     for name, value in saved.items():
         if isinstance(value, list):
@@ -94,12 +94,12 @@ def unpack_tree(saved: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def pack_records(records: NDArray[np.void]) -> dict[str, list[Any]]:
-    """Records as JSON-able data, field by field."""
+    """Return records as JSON-able data, field by field."""
     return {name: packed(np.ascontiguousarray(records[name])) for name in records.dtype.names or ()}
 
 
 def unpack_records(saved: Mapping[str, list[Any]], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    """The inverse of `pack_records`."""
+    """Invert `pack_records`."""
     fields = {name: unpacked(values) for name, values in saved.items()}
     records = np.zeros(len(next(iter(fields.values()))), kind)
     for name, values in fields.items():

@@ -1,7 +1,7 @@
-"""Smoothing and tracking of recordings, from what is given to estimates.
+"""Smoothing and tracking of recordings, from files or tracks to estimates.
 
-In this order: read files, find identities, insert missing frames, check the declared noise, find groups
-(with a model that has them), and solve with an engine.
+Steps: read files, associate identities, insert missing frames, check the declared noise, find groups (with a
+model that has them), and solve with an engine.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def solve(
     trust: Trust = "declared",
     walkable: AreaLike | None = None,
 ) -> list[Solution | Failure]:
-    """Smooth every track; one that fails does not keep the others from coming out.
+    """Smooth every track; a track that fails does not stop the rest.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def solve(
         the interpreter's lock, by default one
     options : tolerances of the solver
     progress : called with the numbers of person-frames that are done
-    trust : "declared": observations are as noisy as they, or the model, say; "check": warn where the data
-        contradict that; "learn": correct it there, warn, and go on
+    trust : "declared": use the noise declared by the observations or the model; "check": warn where the data
+        contradict it; "learn": correct it there, warn, and go on
     walkable : area in which people walk, in metres: a file of GeoJSON or well-known text, or a polygon of
         Shapely or PedPy
 
@@ -102,9 +102,9 @@ def solve_tracks(
     n_frames: int | None = None,
     walkable: WalkableArea | None = None,
 ) -> list[Solution | Failure]:
-    """Smooth tracks with the engine that `engine_of` has chosen; groups are found where the model has them.
+    """Smooth tracks with the engine of `engine_of`; groups are found where the model has them.
 
-    ``n_frames``: person-frames of all the work that the tracks are a part of, if there are others.
+    ``n_frames``: person-frames of the whole job, if the tracks are a part of it.
     """
     if walkable is not None:
         plain = partial(solve_tracks, engine=engine, jobs=jobs, options=options)
@@ -129,7 +129,7 @@ def solve_tracks(
 
 
 def lacks_groups(tracks: TrackSet) -> bool:
-    """Return whether groups have to be found: of several people none has the input ``group``."""
+    """Return whether groups have to be found: several people, none with the input ``group``."""
     return len(tracks) > 1 and not any(GROUP in track.inputs for track in tracks)
 
 
@@ -176,19 +176,19 @@ def smooth(
     Parameters
     ----------
     tracks, model, engine, jobs, options, progress, trust, walkable : as in `solve`
-    fill : estimate the frames between a track's rows that its table leaves out, too; see `gaps.filled`
-    resample : estimates at so many frames a second (Hz) in place of the tracks' own; see `gaps.with_times_at`
+    fill : also estimate frames between a track's rows that its table leaves out; see `gaps.filled`
+    resample : frames a second (Hz) of estimates in place of the tracks' times; see `gaps.with_times_at`
     **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
 
     Returns
     -------
     TrackSet or Track
-        The estimates, one track for each of the input; of a single `Track` that is a `Track`.
+        The estimates, one track for each of the input; a `Track` for a single `Track`.
 
     Raises
     ------
     SolveError
-        For the first track that cannot be smoothed; use `solve` to get the others all the same.
+        For the first track that cannot be smoothed; `solve` returns the rest in that case.
     """
     model = Model.named(model)
     given = tracks_of(tracks, scene=model.scene, **reading)
@@ -257,14 +257,14 @@ def track_online(
     walkable: AreaLike | None = None,
     **reading: Unpack[OnlineReading],
 ) -> TrackSet | Track:
-    """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
+    """Return online estimates of recorded tracks: at each frame from data up to it, NaN before a position.
 
-    With the model "social" the tracks of a scene are tracked in step, and their groups are found on the way,
-    where no track has the input ``group``.
+    With the model "social" the tracks of a scene are tracked in step, and their groups are estimated, where
+    no track has the input ``group``.
 
     Parameters
     ----------
-    tracks : a `Track`, of which a `Track` comes out, or what `solve` takes, of which a `TrackSet` does
+    tracks : a `Track`, which returns a `Track`, or input of `solve`, which returns a `TrackSet`
     model, engine, lag : as in `OnlineSmoother`
     camera : camera of the scene; by default that of the `TrackSet`
     progress : called with the numbers of person-frames that are done
@@ -314,7 +314,7 @@ def _by_itself(track: Track, model: Model, options: OnlineOptions, progress: Pro
 
 
 def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Progress) -> TrackSet:
-    """Everybody frame by frame, each told of the conversations of the frames before."""
+    """Track all people frame by frame, each with the conversations of earlier frames as input."""
     conversations = Conversations(model)
     people = [OnlineSmoother(model, **options) for _ in scene]
     found: list[list[Estimate]] = [[] for _ in scene]
@@ -335,18 +335,18 @@ def warm_up(
     behaviour: bool = False,
     large: bool = False,
 ) -> None:
-    """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
+    """Compile, or load from disk, the kernels for smoothing and tracking with a model and an engine.
 
     Without it the first call waits: half a second for loading or, once on a machine, about
-    half a minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
-    Python shows where logging is not set up.
+    half a minute for compiling. The log ("graphtrack") then has a warning before and after, which Python
+    shows where logging is not set up.
 
     Parameters
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
-    behaviour : whether what groups, attention and forecasts call is wanted, too
-    large : whether what solves many tracks in lanes is wanted, too, where the model has it: work of
-        `engine.LARGE` person-frames and more calls that
+    behaviour : include kernels of groups, attention and forecasts
+    large : include kernels that solve many tracks in lanes, where the model has them; they are used from
+        `engine.LARGE` person-frames
     """
     if behaviour:
         from graphtrack.interaction.attention import make_behaviour_ready
@@ -355,29 +355,29 @@ def warm_up(
     make_all_ready(Model.named(model), engine, large=large)
 
 
-_UNASKED = 1500  # frames that are kept for forecasts until one is asked for
+_UNASKED = 1500  # frames that are kept until the first forecast
 
 _KNOWN_HEAD = 0.6
-"""Standard deviation of a head's direction, rad, above which it says nothing of where somebody goes."""
+"""Standard deviation of a head's direction, rad, above which forecasts ignore it."""
 
 
 class OnlineTracker(DetectionTracker):
-    """Track everybody in a scene online, from detections that do not say of whom they are.
+    """Track all people of a scene online, from detections without identities.
 
-    Identities are given at once; while later detections can tell better, they are revised, and the estimates
-    with them. New people are reported once they are more probable than false detections. With a model that
-    has groups, these are found on the way.
+    Identities are assigned at once; within a revision window later detections may revise them, and the
+    estimates with them. New people are reported once they are more probable than false detections. With a
+    model that has groups, these are estimated too.
 
     Parameters
     ----------
     model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
-    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
-        names. The others are as the model has them, else learned from what is seen
+    scene : known parameters of birth, death, detection and clutter: `SceneParameters`, or some by name. The
+        rest are those of the model, else learned from the detections
     walkable : as in `solve`
 
     Attributes
     ----------
-    revised : what the last update took back of what was said before
+    revised : earlier results that the last update changed
 
     Examples
     --------
@@ -418,9 +418,9 @@ class OnlineTracker(DetectionTracker):
     def update(
         self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
     ) -> list[PersonEstimate]:
-        """Take in a frame's detections, as `DetectionTracker.update`; forecasts know of them from then on."""
+        """Add a frame's detections, as `DetectionTracker.update`; forecasts use them from then on."""
         people = super().update(t, detections)
-        # Positions as they were observed: a forecast estimates their noise by itself.
+        # Observed positions: a forecast estimates their noise itself.
         self._present = [one.track_id for one in people]
         seen = [(one, self.newest[one.detection]) for one in people if one.observed]
         position = np.array([observation.position for _, observation in seen], float).reshape(-1, 2)
@@ -441,10 +441,10 @@ class OnlineTracker(DetectionTracker):
         samples: int = 0,
         random: np.random.Generator | None = None,
     ) -> Forecast:
-        """Predict positions of everybody in the last update who has been seen twice.
+        """Predict positions of all people in the last update with at least two observations.
 
-        The first call looks back at the last frames, 1,500 at most; from then on each update is taken in.
-        `state` keeps what forecasts know from that call on.
+        The first call processes the last 1,500 frames at most; from then on each update is added. From that
+        call on `state` includes the forecasts' data.
 
         Parameters
         ----------
@@ -454,7 +454,7 @@ class OnlineTracker(DetectionTracker):
         Raises
         ------
         InputError
-            For times that make no sense, and before the first update.
+            For invalid times, and before the first update.
         """
         ahead = times_ahead(horizon, step)
         if not self.updates:
@@ -468,7 +468,7 @@ class OnlineTracker(DetectionTracker):
         return self._forecaster.forecast(ahead, people, samples=samples, random=random)
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        """Return the complete state as JSON-able data; see `from_state`."""
         found = super().state()
         if self._conversations is not None:
             found[CONVERSATIONS] = self._conversations.state()
@@ -480,7 +480,7 @@ class OnlineTracker(DetectionTracker):
     def from_state(
         cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
     ) -> Self:
-        """A tracker that goes on where `state` was taken; as `DetectionTracker.from_state`."""
+        """Restore a tracker from `state`; as `DetectionTracker.from_state`."""
         tracker = super().from_state(state, model, **options)
         try:
             if tracker._conversations is not None:

@@ -1,1 +1,1 @@
-"""Rows in, answers out: what `graphtrack track -` and the service share."""
+"""Online processing of rows, shared by `graphtrack track -` and the service."""

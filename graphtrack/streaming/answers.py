@@ -1,4 +1,4 @@
-"""Answers to NDJSON rows: estimates for rows with identities, the people of each frame for detections.
+"""Answers to NDJSON rows: estimates for rows with identities, tracked people for frames of detections.
 
 Groups, attention and forecasts of a frame are added when the frame has ended.
 """
@@ -30,17 +30,17 @@ from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.protocol import UnknownKeys, error_row, estimate_row, observation_of, text_of
 
 BEHAVIOUR = "behaviour"
-"""Name of groups and attention among the members of a stream whose states are kept."""
+"""Key of groups and attention among the saved members of a stream."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """Groups and attention that answers hold besides estimates.
+    """Selection of groups and attention to add to the estimates in answers.
 
     Attributes
     ----------
-    groups, attention : whether they tell these
-    places : what people may look at besides each other
+    groups, attention : whether to report them
+    places : possible targets of gaze in addition to people
     """
 
     groups: bool = False
@@ -48,7 +48,7 @@ class Asked:
     places: tuple[Place, ...] = ()
 
     def settings(self) -> dict[str, Any]:
-        """Settings that the answers depend on, as JSON-able data; nothing where nothing is asked."""
+        """Return settings that the answers depend on, as JSON-able data; empty without a selection."""
         found: dict[str, Any] = {}
         if self.groups:
             found["groups"] = True
@@ -58,7 +58,7 @@ class Asked:
 
 
 class SceneBehaviour:
-    """Groups and attention of a scene, as columns of the people of each frame."""
+    """Estimator of groups and attention of a scene, as columns of the people of each frame."""
 
     def __init__(self, asked: Asked) -> None:
         self._asked = asked
@@ -67,11 +67,11 @@ class SceneBehaviour:
 
     @property
     def t(self) -> float:
-        """Seconds, of the last frame with somebody in it; −∞ before the first."""
+        """Time of the last frame with people, seconds; −∞ before the first."""
         return self._groups.t
 
     def columns(self, people: People) -> dict[int, dict[str, Any]]:
-        """Columns of each person of a frame, by track id, ascending."""
+        """Return the columns of each person of a frame, by track id, ascending."""
         found = self._groups.take(people)
         rows: dict[int, dict[str, Any]] = {one: {} for one in found.track_id.tolist()}
         if self._asked.groups:
@@ -90,7 +90,7 @@ class SceneBehaviour:
 
     @classmethod
     def restore(cls, state: Mapping[str, Any], asked: Asked) -> SceneBehaviour:
-        """A scene that goes on where `state` was taken, given that the same was asked."""
+        """Restore a scene from `state`, for the same selection."""
         scene = cls(asked)
         scene._groups = OnlineGroups.from_state(state["groups"])
         if scene._attention is not None:
@@ -99,7 +99,7 @@ class SceneBehaviour:
 
 
 def _told_of_groups(found: Groups) -> list[dict[str, Any]]:
-    """A dictionary for each row: the columns of the table, null where a cell is empty."""
+    """Return a dictionary for each row: the columns of the table, null where a cell is empty."""
     columns = {name: values.tolist() for name, values in found.columns().items()}
     names = ("group", "kind", "probability", "centre_x", "centre_y")
     return [
@@ -113,10 +113,10 @@ def _null(value: Any) -> Any:
 
 
 class FrameBehaviour:
-    """Groups and attention for rows with identities: they are told when a frame has ended.
+    """Groups and attention for rows with identities, reported when a frame has ended.
 
-    A frame ends with the next time. A late row changes no frame that has ended, and people of the one that
-    has not as far as it changes their estimates.
+    A frame ends with the next time. A row out of sequence changes no frame that has ended; it changes people
+    of the current frame through their estimates.
     """
 
     def __init__(self, scene: SceneBehaviour) -> None:
@@ -125,7 +125,7 @@ class FrameBehaviour:
         self._people: dict[int, Numbers] = {}
 
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
-        """Take a row in; return the rows of the frame before, if that has ended."""
+        """Add a row; return the rows of the previous frame, if that has ended."""
         if estimate.status == "waiting":
             return []
         rows: list[dict[str, Any]] = []
@@ -137,7 +137,7 @@ class FrameBehaviour:
         return rows
 
     def finish(self) -> list[dict[str, Any]]:
-        """Rows of the frame that has ended, one for each person; later rows of it do not count."""
+        """Return the rows of the ended frame, one for each person; later rows of it are ignored."""
         if not self._people:
             return []
         told = self._scene.columns(people_at(self._t, self._frame, self._people))
@@ -153,7 +153,7 @@ class FrameBehaviour:
 
     @classmethod
     def restore(cls, state: Mapping[str, Any], asked: Asked) -> FrameBehaviour:
-        """Frames that go on where `state` was taken, given that the same was asked."""
+        """Restore frames from `state`, for the same selection."""
         found = cls(SceneBehaviour.restore(state[BEHAVIOUR], asked))
         found._t = -math.inf if state["t"] is None else real(state["t"])
         found._frame = whole(state["frame"])
@@ -162,7 +162,7 @@ class FrameBehaviour:
 
 
 def merged(*parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows about the same people of a frame as one for each."""
+    """Merge rows of the same people of a frame to one for each."""
     given = [rows for rows in parts if rows]
     if len(given) < 2:
         return given[0] if given else []
@@ -173,14 +173,14 @@ def merged(*parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 FORECASTS = "forecasts"
-"""Name of forecasts among the members of a stream whose states are kept."""
+"""Key of forecasts among the saved members of a stream."""
 
 STEP = 0.4
-"""Seconds between the times ahead that are told, where the horizon is no shorter."""
+"""Default interval of forecasts, seconds, for horizons that are not shorter."""
 
 
 def told(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
-    """Forecasts of each person: a dictionary for each time ahead."""
+    """Return the forecasts of each person: a dictionary for each time ahead."""
     variance = forecast.covariance
     columns = {
         "x": forecast.position[..., 0],
@@ -202,7 +202,7 @@ def told(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
 
 
 class FrameForecasts:
-    """Forecasts for rows with identities: they are told when a frame has ended, with the next time.
+    """Forecasts for rows with identities, reported when a frame has ended, with the next time.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class FrameForecasts:
 
     @classmethod
     def from_state(cls, ahead: FloatArray, state: Mapping[str, Any]) -> FrameForecasts:
-        """Forecasts that go on where `state` was taken, for the same times (A,)."""
+        """Restore forecasts from `state`, for the same times (A,)."""
         values = unpack_tree(state)
         found = cls(ahead)
         found._forecaster = Forecaster.from_state(values["forecaster"])
@@ -238,7 +238,7 @@ class FrameForecasts:
         return found
 
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
-        """Take a row in; return forecasts of the frame before, if that has ended. Late rows are ignored."""
+        """Add a row; return forecasts of the previous frame, if ended. Rows out of sequence are ignored."""
         t = observation.t
         if estimate.status == "waiting" or t < self._t or t <= self._forecaster.t:
             return []
@@ -252,7 +252,7 @@ class FrameForecasts:
         return rows
 
     def finish(self) -> list[dict[str, Any]]:
-        """The forecasts of the frame that has ended, a row for each person; later rows of it do not count."""
+        """Return the forecasts of the ended frame, a row for each person; later rows of it are ignored."""
         if not self._seen:
             return []
         ids, values = list(self._seen), np.array(list(self._seen.values()))
@@ -271,8 +271,8 @@ class StreamBounds:
 
     Attributes
     ----------
-    people : at once; a row of one more is an error
-    forget_after : seconds without a row after which a person is forgotten, to be new when they come back
+    people : most people at a time; a row of one more is an error
+    forget_after : seconds without a row after which a person is dropped, and new when they return
     """
 
     people: int | None = None
@@ -281,7 +281,7 @@ class StreamBounds:
 
 @dataclass
 class _Waiting:
-    """A row that waits for others of its frame, and where its answers go."""
+    """A row that waits for more rows of its frame, and the list for its answers."""
 
     smoother: OnlineSmoother
     observation: Observation
@@ -295,17 +295,17 @@ class TrackAnswers:
     ----------
     make : a new smoother
     fps : frames a second, for rows without a time
-    note : is told of each unknown key, once
-    forecasts : of people, where they are asked for
-    behaviour : of the people of each frame, where it is asked for
-    bounds : how many people there may be
-    conversations : what smoothers of a model with groups are told of each other
+    note : called once with each unknown key
+    forecasts : of people; None: not requested
+    behaviour : groups and attention of the people of each frame; None: not requested
+    bounds : limits of the number of people
+    conversations : the exchange of smoothers of a model with groups
 
     Attributes
     ----------
     members : track id → smoother, and the forecasts, the behaviour and the conversations
     rows, line : rows answered, and the line of the last of them, from 1
-    before_change : is called with a track id before its smoother takes something in
+    before_change : called with a track id before its smoother changes
     """
 
     def __init__(
@@ -327,17 +327,17 @@ class TrackAnswers:
         self.before_change: Callable[[Any], None] = lambda track_id: None
 
     def answer(self, number: int, line: bytes) -> dict[str, Any]:
-        """The estimate after a line of input, or what is wrong with it under ``error``."""
+        """Return the estimate after a line of input, or its fault under ``error``."""
         return self.answers(number, line)[-1]
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """Answers to a line of input: those of a frame that it ends, and its `answer`."""
+        """Return the answers to a line of input: those of a frame that it ends, and its `answer`."""
         return self.answers_together([(number, line)])[0]
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """Answers to each of some lines, the same as one by one.
+        """Return the answers to each of some lines, the same as one by one.
 
-        Rows that follow each other and are of different people are worked in by few calls into compiled code.
+        Consecutive rows of different people are processed by few calls of compiled code.
         """
         found: list[list[dict[str, Any]]] = []
         for number, line in lines:
@@ -358,7 +358,7 @@ class TrackAnswers:
         return found
 
     def _wait_for(self, track_id: int, observation: Observation, answers: list[dict[str, Any]]) -> None:
-        """Have a row wait for others, or for nobody where the people of a frame are told of each other."""
+        """Queue a row for joint processing; process it at once for new people, or if people interact."""
         if track_id in self._waiting or track_id not in self.members or observation.t >= self._looked + 1.0:
             self._take_waiting()
         smoother = self._smoother(track_id, observation.t)
@@ -371,7 +371,7 @@ class TrackAnswers:
             self._take_waiting()
 
     def _take_waiting(self) -> None:
-        """Work in the rows that wait, all of different people."""
+        """Process the queued rows, all of different people."""
         if not self._waiting:
             return
         waiting, self._waiting = self._waiting, {}
@@ -388,7 +388,7 @@ class TrackAnswers:
     def _told_before(
         self, track_id: int, observation: Observation, estimate: Estimate
     ) -> list[dict[str, Any]]:
-        """Groups, looks and forecasts of the frame that a row ends."""
+        """Return groups, attention and forecasts of the frame that a row ends."""
         found: list[dict[str, Any]] = []
         if CONVERSATIONS in self.members:
             self.members[CONVERSATIONS].estimated(track_id, estimate)
@@ -399,9 +399,9 @@ class TrackAnswers:
         return found
 
     def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
-        """Return a person's smoother, a new one if they are new or were forgotten.
+        """Return a person's smoother, newly made for a new or dropped person.
 
-        The time at which others are forgotten changes no answer, so a resumed stream gives the same ones.
+        The time at which people are dropped changes no answer, so a resumed stream gives the same answers.
         """
         if now >= self._looked + 1.0:
             self._looked = now
@@ -413,21 +413,21 @@ class TrackAnswers:
         if found is None and most is not None and self.count >= most:
             self._forget(now)
             if self.count >= most:
-                raise InputError(f"one more than {most} people", "rows of those who are there")
+                raise InputError(f"one more than {most} people", "rows of known people")
         return self._make()
 
     @property
     def count(self) -> int:
-        """The people of whom something is kept."""
+        """Number of people with a state."""
         return len(self.members) - sum(key in self.members for key in (BEHAVIOUR, CONVERSATIONS, FORECASTS))
 
     def _is_forgotten(self, smoother: OnlineSmoother, now: float) -> bool:
         after, last = self._bounds.forget_after, smoother.last
-        # Who was never placed has no estimate, and nothing is kept of them.
+        # A person without a position so far has no estimate, and no state is kept.
         return after is not None and (last is None or last.t < now - after)
 
     def _forget(self, now: float) -> None:
-        """Drop all who have not been heard of for long."""
+        """Drop people without a row for `Bounds.forget_after`."""
         members = self.members.items()
         people = [(one, smoother) for one, smoother in members if isinstance(smoother, OnlineSmoother)]
         for one, smoother in people:
@@ -436,7 +436,7 @@ class TrackAnswers:
                 del self.members[one]
 
     def finish(self) -> list[dict[str, Any]]:
-        """Answers when no more rows come: those of the last frame."""
+        """Return the answers at the end of input: those of the last frame."""
         rows: list[dict[str, Any]] = []
         for key in (FORECASTS, BEHAVIOUR):
             if key in self.members:
@@ -446,13 +446,13 @@ class TrackAnswers:
 
 
 ONE = ""
-"""The stream of rows that do not name theirs."""
+"""Name of the stream of rows without a stream."""
 
 Name = str | int
 
 
 class Frame:
-    """A stream: its tracker, what is told of its people besides, and the frame whose end is not known yet."""
+    """A stream: its tracker, its groups and attention, and the current frame."""
 
     def __init__(self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None) -> None:
         self.tracker, self.behaviour = tracker, behaviour
@@ -468,7 +468,7 @@ class Frame:
 
     @classmethod
     def restore(cls, state: dict[str, Any], tracker: OnlineTracker, asked: Asked | None = None) -> Frame:
-        """A stream that goes on where `state` was taken, given that the same was asked."""
+        """Restore a stream from `state`, for the same selection."""
         frame = cls(tracker, None if asked is None else SceneBehaviour.restore(state[BEHAVIOUR], asked))
         frame.t = None if state["t"] is None else real(state["t"])
         frame.number = None if state["number"] is None else whole(state["number"])
@@ -479,23 +479,23 @@ class Frame:
 class Scenes:
     """An online tracker for each stream, made when the stream first appears.
 
-    A frame ends with the next time, or with ``{"end": t}``; then its people are told, each in a row, and in a
-    row ``{"end": t, …}`` how many they are and what was taken back of frames before.
+    A frame ends with the next time, or with ``{"end": t}``; then its people are reported, each in a row, and
+    a row ``{"end": t, …}`` reports their number and the revisions of earlier frames.
 
     Parameters
     ----------
     make : a new tracker
     fps : frames a second, for rows without a time
-    note : is told of each unknown key, once
-    forget : identities that rows have do not count; else such a row is an error
-    horizon : (seconds, step) of forecasts that are told with each person; None: none are
-    asked : groups and attention that are told with each person; None: neither
+    note : called once with each unknown key
+    forget : ignore identities of rows; else such a row is an error
+    horizon : (seconds, step) of forecasts reported with each person; None: no forecasts
+    asked : groups and attention reported with each person; None: neither
 
     Attributes
     ----------
     members : name → stream
     rows, line : rows answered, and the line of the last of them, from 1
-    before_change : is called with a name before its stream takes something in
+    before_change : called with a name before its stream changes
     """
 
     def __init__(
@@ -517,11 +517,11 @@ class Scenes:
 
     @property
     def count(self) -> int:
-        """The people who are followed, in all streams."""
+        """Number of tracked people in all streams."""
         return sum(len(frame.tracker) for frame in self.members.values())
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """Answers to a line of input: none as long as the frame goes on."""
+        """Return the answers to a line of input: none until the frame ends."""
         self.rows, self.line = self.rows + 1, number
         pairs: Pairs = ()
         try:
@@ -536,11 +536,11 @@ class Scenes:
             return [error_row(pairs, number, error)]
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """Answers to each of some lines."""
+        """Return the answers to each of some lines."""
         return [self.answers(number, line) for number, line in lines]
 
     def finish(self) -> list[dict[str, Any]]:
-        """Answers when no more rows come: those of the frames that have not ended."""
+        """Return the answers at the end of input: those of the unfinished frames."""
         rows = []
         for name in self.members:
             self.before_change(name)
@@ -554,7 +554,7 @@ class Scenes:
             raise InputError(found, "rows with identities alone, or --associate always", column="track_id")
         number = cells.get("frame")
         if "t" not in cells and number is None:
-            raise InputError("neither t nor frame", "when it was seen", column="t")
+            raise InputError("neither t nor frame", "the time of the observation", column="t")
         one = observation_of({**cells, "frame": number or 0}, self._fps)
         frame = self.members.get(name)
         if frame is not None and frame.t is not None and one.t < frame.t:
@@ -590,7 +590,7 @@ class Scenes:
         return Frame(tracker, None if self._asked is None else SceneBehaviour(self._asked))
 
     def _flush(self, name: Name) -> list[dict[str, Any]]:
-        """Give the tracker the frame that has ended, and say whom it sees."""
+        """Pass the ended frame to the tracker, and return its people."""
         frame = self.members[name]
         if frame.t is None:
             return []

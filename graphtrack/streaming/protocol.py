@@ -1,4 +1,4 @@
-"""Rows of a stream as observations, estimates as answers, and names and units of a stream's own."""
+"""Conversion of a stream's rows to observations and of estimates to answers, with its names and units."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
 from graphtrack.tracks.validation import APPEARANCE, INPUT
 
 LONGEST_LINE = 1 << 20
-"""Bytes of a line; longer ones are refused."""
+"""Largest number of bytes in a line."""
 
 _CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
 _ANSWER = tuple(f"{name}_deg" if name in _CLASSES else name for name in STATE)
 _NUMBERS = (*_ANSWER, *(f"{name}_std_deg" if name in _CLASSES else f"{name}_std" for name in STATE))
 _NAMED = 100
-"""Unknown keys that are told before it is enough."""
+"""Number of unknown keys that are reported."""
 
 
 class UnknownKeys:
-    """Tells of keys that nothing is read from, once each.
+    """Reports ignored keys, once each.
 
     Parameters
     ----------
-    note : is told
-    known : keys that are none of the native table, and are read
+    note : receives the messages
+    known : keys that are read in addition to those of the native table
     """
 
     def __init__(self, note: Callable[[str], None], known: Collection[str] = ()) -> None:
@@ -47,11 +47,11 @@ class UnknownKeys:
         self._unknown: set[str] = set()
 
     def __call__(self, pairs: Pairs) -> None:
-        """Look at the keys of a line."""
+        """Report unknown keys of a line."""
         for name in _unknown(tuple([name for name, _ in pairs])):
             if name not in self._unknown and name not in self._known and len(self._unknown) < _NAMED:
                 self._unknown.add(name)
-                more = "; no further ones will be told" if len(self._unknown) == _NAMED else ""
+                more = "; further keys will not be reported" if len(self._unknown) == _NAMED else ""
                 self._note(f"ignored key {name[:100]!r}{more}")
 
 
@@ -61,7 +61,7 @@ def _unknown(names: tuple[str, ...]) -> list[str]:
 
 
 def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
-    """Answer to a line that cannot be used."""
+    """Return the answer to an invalid line."""
     told = InputError(error.found, error.expected, line=number, column=error.column)
     return {**identity(pairs), "line": number, "error": str(told)}
 
@@ -106,7 +106,7 @@ def _classes(cells: dict[str, Any], name: str) -> tuple[float, ...] | None:
 
 @lru_cache(64)
 def _of_inputs(names: tuple[str, ...]) -> list[str]:
-    """Those of a row's keys that are an input's; most rows of a stream have the same keys."""
+    """Return the input keys of a row; cached, since most rows of a stream have the same keys."""
     return [name for name in names if name.startswith((INPUT, APPEARANCE))]
 
 
@@ -139,7 +139,7 @@ def _pair(cells: dict[str, Any], first: str, second: str) -> tuple[float, float]
 
 
 def text_of(line: bytes) -> str:
-    """A line as text; InputError if it is too long or none."""
+    """Return a line as text; InputError if it is too long or not text."""
     if len(line) > LONGEST_LINE:
         raise InputError(f"more than {LONGEST_LINE} bytes", "a shorter line")
     try:
@@ -149,8 +149,8 @@ def text_of(line: bytes) -> str:
 
 
 def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
-    """An estimate with the columns of the native table; null where nothing is known."""
-    # A row is written for every row that comes: plain numbers are quicker than arrays of two.
+    """Return an estimate with the columns of the native table; null for unknown values."""
+    # This runs for every row: plain numbers are quicker than arrays of two.
     variance = estimate.covariance.diagonal().tolist()
     std = [math.sqrt(one) if one >= 0.0 else math.nan for one in variance]
     position, velocity = estimate.position.tolist(), estimate.velocity.tolist()
@@ -171,26 +171,26 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
 
 _TIMES = ("t", "end")
 _DIGITS = 3
-"""Decimals to which a time of an answer is rounded in a unit other than nanoseconds."""
+"""Decimals of times in answers, in units other than nanoseconds."""
 
 ORIGIN = "time_origin"
-"""The origin's name among the settings of a state."""
+"""Key of the origin among the settings of a state."""
 
 KNOWN = "known_names"
-"""The name there of whether columns were read by their well-known names."""
+"""Key there of the flag that columns were read by well-known names."""
 
 Lines = Iterator[tuple[int, bytes]]
 """Lines with their numbers, from 1."""
 
 
 Refuse = Callable[[int, bytes], None]
-"""Answers a line that cannot be read, given its number, before it is settled who answers the others."""
+"""Callback that answers an unreadable line, given its number, before the kind of rows is known."""
 
 
 def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] | None]:
-    """The lines from the first that can be read, and its cells; None if there is none.
+    """Return the lines from the first that can be read, and its cells; None if there is none.
 
-    Those before it are refused as they come: who sends them may wait for an answer before going on.
+    Earlier lines are refused at once: their sender may wait for an answer.
     """
     for number, line in lines:
         try:
@@ -202,14 +202,14 @@ def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] 
 
 @dataclass(frozen=True)
 class StreamNames:
-    """Names of a stream's columns, and the unit of its times.
+    """Names of a stream's columns and the unit of its times.
 
     Attributes
     ----------
     columns : name in the native table → name in the stream
-    unit : nanoseconds of a unit of time; those of a second leave times as they are
+    unit : nanoseconds of the unit of time; those of a second leave times unchanged
     origin : nanoseconds at t = 0; see `beginning`
-    are_known : whether the columns were read by their well-known names, since nobody said what they are
+    are_known : whether the columns were read by well-known names, without options
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -224,7 +224,7 @@ class StreamNames:
         Raises
         ------
         InputError
-            For what a row alone cannot be read by: degrees of the earth, radians, columns for each person,
+            For layouts that a stream does not support: geographic degrees, radians, columns for each person,
             and text for times.
         """
         for key, name in layout.columns.items():
@@ -240,17 +240,17 @@ class StreamNames:
     def beginning(
         self, lines: Lines, refuse: Refuse, note: Callable[[str], None]
     ) -> tuple[Lines, StreamNames]:
-        """The lines, and the names and the origin that the first of them that can be read implies.
+        """Return the lines, and the names and the origin implied by the first readable line.
 
-        Columns of well-known names (`synonyms.SYNONYMS`) are read as in a file, unless it was said which
-        columns are which; ``note`` is told of it. The seconds of a stream that has another unit count from
-        the midnight (UTC) before it. That is taken off while times are whole numbers: a double that counts
-        from 1970 has no digits left below a microsecond.
+        Columns of well-known names (`column_names.SYNONYMS`) are read as in a file, unless options name the
+        columns, and reported to ``note``. The seconds of a stream with another unit count from the midnight
+        (UTC) before it, which is subtracted while times are whole numbers: a double that counts from 1970
+        has no digits left below a microsecond.
 
         Raises
         ------
         InputError
-            If two columns have well-known names of one meaning, or one in another unit than metres.
+            If two columns have well-known names of one meaning, or a position is not in metres.
         """
         lines, given = with_first_row(lines, refuse)
         if given is None:
@@ -273,11 +273,11 @@ class StreamNames:
         if layout is None:
             return self
         if layout.units is not None:
-            raise InputError(f"column {layout.columns['x']} with -", "a column of places in metres")
+            raise InputError(f"column {layout.columns['x']} with -", "a column of positions in metres")
         return replace(self.of(layout), are_known=True)
 
     def going_on(self, saved: Mapping[str, Any]) -> StreamNames:
-        """The names of a stream that goes on, given the settings of its state."""
+        """Return the names of a resumed stream, given the settings of its state."""
         names, columns, per_second = self, saved.get("columns"), saved.get("per_second")
         if saved.get(KNOWN) is True and not self.columns and isinstance(columns, dict):
             unit = next((n for n in NANOSECONDS_IN.values() if 1e9 / n == per_second), self.unit)
@@ -286,12 +286,12 @@ class StreamNames:
         return names.counting_from(origin if isinstance(origin, int) else 0)
 
     def counting_from(self, origin: int) -> StreamNames:
-        """The same, of a stream whose seconds count from so many nanoseconds."""
+        """Return a copy for a stream whose seconds count from an origin in nanoseconds."""
         return replace(self, origin=origin)
 
     @property
     def are_native(self) -> bool:
-        """Return True if nothing is called or measured otherwise than in the native table."""
+        """Return True if all names and units are those of the native table."""
         return not self.columns and self._leaves_times
 
     @property
@@ -302,19 +302,19 @@ class StreamNames:
         return self.columns.get(key, key)
 
     def settings(self) -> dict[str, Any]:
-        """Settings that the answers depend on, for a state."""
+        """Return the settings that the answers depend on, for a state."""
         found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
         found |= {ORIGIN: self.origin} if self.origin else {}
         return found | ({KNOWN: True} if self.are_known else {})
 
     def native_lines(self, lines: Lines) -> Lines:
-        """Lines with their numbers, as the native table has them."""
+        """Yield lines in native names and units, with their numbers."""
         if self.are_native:
             return lines
         return ((number, self.native(line)) for number, line in lines)
 
     def native(self, line: bytes) -> bytes:
-        """A line as the native table has it; one that cannot be read stays, to be told of where rows are."""
+        """Return a line in native names and units; an unreadable line is unchanged and refused later."""
         try:
             pairs = parse_line(text_of(line))
         except InputError:
@@ -326,7 +326,7 @@ class StreamNames:
             if name not in meaning and name in self.columns:  # another column has that meaning
                 continue
             found.append((key, self._seconds(value) if key in _TIMES else value))
-        # A key that stands twice must stay so: it is an error.
+        # A repeated key is kept, since it is an error.
         body = ", ".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in found)
         return f"{{{body}}}\n".encode()
 
@@ -336,17 +336,17 @@ class StreamNames:
         try:
             if isinstance(value, int):
                 return (value * self.unit - self.origin) / 10**9
-            # The difference of two doubles of one size is exact; what a product would lose is not lost.
+            # The difference of two doubles of one size is exact, unlike a product.
             return (value - self.origin // self.unit) / (1e9 / self.unit)
-        except OverflowError:  # no time at all, which is told where rows are
+        except OverflowError:  # an invalid time, refused later
             return value
 
     def restored(self, answer: Mapping[str, Any]) -> dict[str, Any]:
-        """An answer under the stream's own names, in its unit."""
+        """Return an answer under the stream's names, in its unit."""
         return {self._name(key): self._value(key, value) for key, value in answer.items()}
 
     def _value(self, key: str, value: Any) -> Any:
-        if isinstance(value, list):  # what is revised, and forecasts, are rows themselves
+        if isinstance(value, list):  # revisions and forecasts are rows themselves
             return [self.restored(one) if isinstance(one, Mapping) else one for one in value]
         return self._time(value) if key in _TIMES else value
 

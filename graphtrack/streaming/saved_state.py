@@ -1,11 +1,11 @@
-"""The file that ``graphtrack track - --state`` resumes from: the state at one row, and every row since.
+"""State file of ``graphtrack track - --state``: a snapshot at one row, and all rows since.
 
 The first line has a fixed length: the format's version, the number of bytes that were flushed to the disk,
 and the digest of the file up to there; it is updated in place after each flush. Every further line is a JSON
-value behind the digest of all JSON text up to its end, so that a line that is missing, repeated, moved or
-from another file is detected, and a file that ends before what was flushed is too. Lines are appended one by
-one; a new content replaces the old one in one step, and lines that are appended meanwhile go to both.
-`Saving` keeps a stream of rows in such a file, and resumes it.
+value after the digest of all JSON text up to its end, so that a line that is missing, repeated, moved or
+from another file is detected, as is a file that ends before the last flush. Lines are appended one by one; a
+new content replaces the old one atomically, and lines that are appended meanwhile go to both. `Saving` keeps
+a stream of rows in such a file, and resumes it.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _MARK_LENGTH = 76
 _BEGINNING = b"graphtrack-state "
 _DIGEST_LENGTH = 32
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
-_REMEDY = "the file as it was written; without the file a stream starts from nothing"
+_REMEDY = "the file as it was written; without the file a stream starts from scratch"
 
 
 class StateInUse(InputError):
-    """A state that another process is writing."""
+    """Error for a state that another process is writing."""
 
     def __init__(self, path: Path) -> None:
         super().__init__("a state that another process is writing", "one process at a time", path=path)
@@ -58,7 +58,7 @@ class StateInUse(InputError):
 
 
 def line_of(value: Any) -> bytes:
-    """A JSON-able value as the text of a line."""
+    """Return a JSON-able value as the text of a line."""
     return encoded(value).encode()
 
 
@@ -81,7 +81,7 @@ class _Content:
         self._mutex = threading.Lock()  # `flush` writes from another thread
 
     def append(self, texts: Iterable[bytes]) -> None:
-        """Write lines at the end, all of them or none."""
+        """Append lines, all of them or none."""
         digest, lines = self._digest.copy(), []
         for text in texts:
             digest.update(text)
@@ -96,36 +96,36 @@ class _Content:
         self._digest, self.length = digest, self.length + len(data)
 
     def mark(self) -> bytes:
-        """The first line for the file as it is now."""
+        """Return the first line for the current content."""
         return b"graphtrack-state %04d %020d %s\n" % (VERSION, self.length, self._digest.hexdigest().encode())
 
     def flush(self, mark: bytes) -> None:
-        """Flush the file to the disk, and then state that in the first line."""
+        """Flush the file to the disk, and then record that in the first line."""
         os.fsync(self.file.fileno())
         with self._mutex:
             _write(self.file, mark, 0)
 
 
 class StateFile:
-    """A state file that belongs to this process, until it is closed or the process ends in whatever way.
+    """A state file locked by this process, until it is closed or the process ends.
 
-    What is added outlives this process at once, and a failure of the power or the system after ``every``
-    seconds: that is how often, in a thread, the file is flushed to the disk.
+    Added lines survive a crash of the process at once, and a power or system failure after ``every``
+    seconds, the interval at which a thread flushes the file to the disk.
 
     Parameters
     ----------
-    path : the file; where it is not there it appears with the first `replace`
+    path : the file; the first `replace` creates it
     every : seconds
 
     Attributes
     ----------
-    entries : what the file held, a value a line; empty if it was not there. A last line without its end that
-        was never flushed, as a failure of the power leaves it, is left out; the first `append` cuts it off.
+    entries : values of the file, one a line; empty for a new file. An incomplete last line that was never
+        flushed, as after a power failure, is left out; the first `append` cuts it off.
 
     Raises
     ------
     InputError
-        If the file belongs to another process, is none of this kind, is damaged or cannot be written to. The
+        If the file is locked by another process, is not a state, is damaged or cannot be written to. The
         file is not changed.
     """
 
@@ -164,7 +164,7 @@ class StateFile:
         Raises
         ------
         InputError
-            If that failed, or flushing or replacing has since the last call.
+            If that failed, or if flushing or replacing failed since the last call.
         """
         text = line_of(value)
         with self._mutex:
@@ -179,17 +179,17 @@ class StateFile:
                 self._since.append(text)
 
     def mark(self) -> None:
-        """Have lines that are added from now on follow the next new content too."""
+        """Mark the position from which lines also follow the next new content."""
         with self._mutex:
             self._since = []
 
     def replace(self, texts: list[bytes]) -> None:
-        """Begin to write a new content, lines of `line_of`, of what was known at the `mark`."""
+        """Begin to write a new content, lines of `line_of`, of the state at the `mark`."""
         self._idle.clear()
         self._jobs.put(texts)
 
     def wait(self) -> None:
-        """Until the new content is in its place.
+        """Wait until the new content is in place.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class StateFile:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Close the file and unlock it. It stays as it is."""
+        """Close the file and unlock it, without changing it."""
         self._jobs.put(None)
         self._thread.join()
         if self._content is not None:
@@ -213,7 +213,7 @@ class StateFile:
     # -- the file ------------------------------------------------------------------------------------------
 
     def _read(self) -> tuple[list[Any], _Content | None]:
-        """The values of the file, and the file as it goes on; None where it is not there."""
+        """Return the values of the file, and the file open for appending; None if it does not exist."""
         if not self._final.exists():
             return [], None
         if not self._final.is_file():
@@ -226,7 +226,7 @@ class StateFile:
                 raise InputError("no saved state", _EXPECTED, path=self.path)
             version = int(mark[1])
             if version != VERSION:
-                expected = f"version {VERSION}; without the file a stream starts from nothing"
+                expected = f"version {VERSION}; without the file a stream starts from scratch"
                 raise InputError(f"a state of version {version}", expected, path=self.path)
             flushed, size = int(mark[2]), os.fstat(stream.fileno()).st_size
             if size < flushed:
@@ -236,7 +236,7 @@ class StateFile:
             length, is_confirmed = _MARK_LENGTH, False
             for number, line in enumerate(stream, 2):
                 if not line.endswith(b"\n"):
-                    break  # unless it was flushed, a line that a failure of the power cut off
+                    break  # an unflushed line, cut off by a power failure
                 digest.update(line[_DIGEST_LENGTH + 1 : -1])
                 is_sound = line[: _DIGEST_LENGTH + 1] == digest.hexdigest().encode() + b" "
                 length += len(line)
@@ -256,7 +256,7 @@ class StateFile:
         return entries, _Content(_opened(self._final), digest, length, size > length)
 
     def _tend(self) -> None:
-        """Write new contents as they come, and flush from time to time, in the thread."""
+        """Write new contents and flush periodically, in the thread."""
         is_last = False
         while True:
             try:
@@ -294,7 +294,7 @@ class StateFile:
         with self._mutex:
             content.append(self._since or ())
             self._since = None
-            # Windows renames no file that is open.
+            # Windows does not rename open files.
             kept = self._content
             for one in (content, kept):
                 if one is not None:
@@ -323,9 +323,9 @@ def remove(path: Path) -> bool:
     Raises
     ------
     StateInUse
-        If a process has it open, or is about to make it. The file is not changed.
+        If a process has it open, or is about to create it. The file is not changed.
     InputError
-        If it is no state file. The file is not changed.
+        If it is not a state file. The file is not changed.
     OSError
         If it cannot be deleted.
     """
@@ -350,13 +350,13 @@ def remove(path: Path) -> bool:
 
 
 def _places(path: Path) -> tuple[Path, Path]:
-    """The file behind a path, and the one that becomes it."""
+    """Return the file of a path after links, and its temporary successor."""
     final = Path(os.path.realpath(path))
     return final, final.with_name(final.name + ".new")
 
 
 def _locked(path: Path) -> FileLock:
-    """The lock of a state file: a hidden file alongside it for as long as a process holds it."""
+    """Lock of a state file: a hidden file next to it while a process holds it."""
     final, _ = _places(path)
     lock = FileLock(final.with_name(f".{final.name}.lock"), timeout=0, thread_local=False)
     try:
@@ -383,7 +383,7 @@ def _write(file: io.FileIO, data: bytes, at: int) -> None:
 
 
 class Answering(Protocol):
-    """Protocol of classes that answer rows and have members whose states are saved one by one."""
+    """Protocol of classes that answer rows and whose members' states are saved one by one."""
 
     rows: int
     line: int
@@ -392,33 +392,32 @@ class Answering(Protocol):
 
     @property
     def count(self) -> int:
-        """The people who are followed."""
+        """Number of tracked people."""
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """Answers to a line of input."""
+        """Return the answers to a line of input."""
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """Answers to each of some lines, the same as one by one."""
+        """Return the answers to each of some lines, the same as one by one."""
 
     def finish(self) -> list[dict[str, Any]]:
-        """Answers when no more rows come."""
+        """Return the answers at the end of input."""
 
 
 class Saving:
-    """Keeps a stream in a state file: all people now and then, and each row as it comes.
+    """Keeps a stream in a state file: periodic snapshots of all people, and every row.
 
-    A row is in the file before it is answered, so that a run that goes on knows every row that was answered.
-    All people are written as they were at one row, but one at a time while rows go on: of a person who is
-    about to change, what is to be written is taken aside. Streams that begin together are written at
-    different times, which their files' names settle.
+    A row is in the file before it is answered, so that a resumed run knows every answered row. A snapshot is
+    of all people at one row, but is written one person at a time while rows continue: the state of a person
+    who is about to change is copied first. Streams that begin together are written at different times,
+    derived from their files' names.
 
     Parameters
     ----------
     file : the state file
     people : the people of the stream
-    settings : what the answers depend on; see `settings_of`
-    every : seconds between two writings of all people; None: only rows are kept, and going on means to take
-        in every row again
+    settings : those that the answers depend on; see `settings_of`
+    every : seconds between snapshots; None: only rows are kept, and resuming processes every row again
     clock : seconds
 
     Raises
@@ -448,27 +447,27 @@ class Saving:
 
     @property
     def entries(self) -> int:
-        """Number of values in the file."""
+        """Return the number of values in the file."""
         return len(self._file.entries)
 
     def begin(self) -> None:
-        """Make the file of a stream that has no rows yet."""
+        """Create the file of a stream without rows."""
         self._write_all()
 
     def resume(
         self, restore: Callable[[Any, Any], Any], advance: Callable[[int], None] = lambda rows: None
     ) -> list[list[dict[str, Any]]]:
-        """Bring the people to where the file ends.
+        """Restore the people to the end of the file.
 
         Parameters
         ----------
         restore : a member from its key and its state
-        advance : is told of rows that were taken in again
+        advance : called with the number of rows that were processed again
 
         Returns
         -------
         list of list of dict
-            The answers to each of the last rows of which it is not certain that they were given.
+            The answers to each of the last rows whose answers may not have been delivered.
 
         Raises
         ------
@@ -498,12 +497,12 @@ class Saving:
         return answers
 
     def take(self, lines: Sequence[tuple[int, bytes]]) -> None:
-        """Keep rows, before they are answered together."""
+        """Append rows, before they are answered together."""
         rows = [[number, line.decode("utf-8", "surrogateescape")] for number, line in lines]
         self._file.append(rows if len(rows) > 1 else rows[0])
 
     def tend(self) -> None:
-        """Do the work due after an answer: pack one more person, or begin the next writing of all."""
+        """Do the work due after an answer: pack one more person, or begin the next snapshot."""
         if self._left is not None:
             if self._left:
                 self._pack(next(iter(self._left)))
@@ -535,7 +534,7 @@ class Saving:
             yield
         except InputError as error:
             raise InputError(error.found, error.expected, path=self._file.path) from error
-        except Exception as error:  # what a value of a wrong type leads to cannot be listed
+        except Exception as error:  # a value of a wrong type may raise anything
             raise damaged(error, "what 'graphtrack track -' wrote", self._file.path) from error
 
     def _begin(self) -> None:
@@ -575,7 +574,7 @@ class Saving:
 
 
 def _header_of(entries: list[Any]) -> dict[str, Any]:
-    """The first value of a state file; ValueError if it has another form or the states are fewer."""
+    """Return the header of a state file; ValueError if it has another form or states are missing."""
     header: dict[str, Any] = entries[0]
     counts = [count(header[name]) for name in ("rows", "line", "people")]
     if counts[1] < counts[0] or not isinstance(header["settings"], dict):
@@ -594,7 +593,7 @@ def _member_of(entry: Any) -> tuple[int | str, dict[str, Any]]:
 
 
 def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
-    """The rows that a value holds; none if it states that all ``rows`` so far were answered.
+    """Return the rows that a value holds; none if it records that all ``rows`` so far were answered.
 
     Raises
     ------
@@ -615,7 +614,7 @@ def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
 
 
 def saved_settings(file: StateFile) -> dict[str, Any]:
-    """The settings of the stream that a file is the state of; none where it does not say."""
+    """Return the settings of the stream of a state file; empty where it has none."""
     header = file.entries[0]
     settings = header.get("settings") if isinstance(header, dict) else None
     return settings if isinstance(settings, dict) else {}
@@ -624,11 +623,11 @@ def saved_settings(file: StateFile) -> dict[str, Any]:
 def settings_of(
     model: Model, engine: str, lag: float | None, fps: float | None, camera: GroundCamera | None
 ) -> dict[str, Any]:
-    """Settings that the answers to rows depend on, as a flat dictionary of JSON-able values.
+    """Return settings that the answers to rows depend on, as a flat dictionary of JSON-able values.
 
     Parameters
     ----------
-    engine : as `online_engine` gives it
+    engine : result of `online_engine`
     """
     flat: dict[str, Any] = {"engine": engine, "lag": lag, "fps": fps}
     flat["homography"] = None if camera is None else camera.homography.tolist()

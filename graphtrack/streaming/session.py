@@ -1,4 +1,4 @@
-"""`graphtrack track -`: rows on standard input, an answer to each on standard output, at once."""
+"""`graphtrack track -`: rows from standard input, immediate answers on standard output."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _PIECE = 1 << 16
 """Bytes that are read at once."""
 
 MOST_TOGETHER = 128
-"""Rows that are answered together, where so many are there: the first of them wait for the last."""
+"""Largest number of waiting rows that are answered together."""
 
 Row = dict[str, Any]
 
@@ -65,10 +65,10 @@ class Answers:
     ----------
     model, engine, lag, camera : as in `OnlineSmoother`
     fps : frames a second, for rows without a time
-    associate : whether rows are detections without identity: "always", forgetting those they have; "never";
-        "auto": if the first one has none
-    horizon : (seconds, step) of forecasts that are told; None: none are
-    asked : groups and attention that are told; None: neither
+    associate : whether rows are detections without identity: "always", ignoring identities; "never"; "auto":
+        if the first row has none
+    horizon : (seconds, step) of forecasts to report; None: no forecasts
+    asked : groups and attention to report; None: neither
     bounds : of people with identities
     """
 
@@ -84,7 +84,7 @@ class Answers:
 
     @property
     def chosen_engine(self) -> str:
-        """The engine that "auto" stands for."""
+        """Engine that "auto" resolves to."""
         return online_engine(self.model, self.engine)
 
     @property
@@ -92,7 +92,7 @@ class Answers:
         return {"engine": self.engine, "lag": self.lag, "camera": self.camera}
 
     def people(self, note: Callable[[str], None] = say_nothing) -> TrackAnswers:
-        """Answers to rows with identities."""
+        """Return the object that answers rows with identities."""
         return TrackAnswers(
             partial(OnlineSmoother, self.model, **self._options),
             self.fps,
@@ -104,7 +104,7 @@ class Answers:
         )
 
     def restored_person(self, key: Any, saved: Any) -> Any:
-        """A member of `people` from its state."""
+        """Restore a member of `people` from its state."""
         if self.horizon is not None and key == FORECASTS:
             return FrameForecasts.from_state(times_ahead(*self.horizon), saved)
         if self.asked is not None and key == BEHAVIOUR:
@@ -116,23 +116,23 @@ class Answers:
         return OnlineSmoother.from_state(saved, self.model, **self._options)
 
     def scenes(self, note: Callable[[str], None] = say_nothing) -> Scenes:
-        """Answers to detections without identity."""
+        """Return the object that answers detections without identity."""
         make, forget = partial(OnlineTracker, self.model, **self._options), self.associate == "always"
         return Scenes(make, self.fps, note, forget=forget, horizon=self.horizon, asked=self.asked)
 
     def restored_scene(self, key: Any, saved: Any) -> Frame:
-        """A member of `scenes` from its state."""
+        """Restore a member of `scenes` from its state."""
         tracker = OnlineTracker.from_state(saved["tracker"], self.model, **self._options)
         return Frame.restore(saved, tracker, self.asked)
 
     def settings(self) -> dict[str, Any]:
-        """Settings that the answers depend on, as JSON-able data."""
+        """Return the settings that the answers depend on, as JSON-able data."""
         found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
         found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
         return found | ({} if self.asked is None else self.asked.settings())
 
     def warm_up(self) -> None:
-        """Load, or compile, what is called, so that no answer waits for it."""
+        """Load or compile the kernels, so that no answer waits for it."""
         engine = online_engine(self.model, self.engine)
         if engine == "chain" or self.model.has_modes:
             make_online_ready(self.model, engine)
@@ -144,17 +144,17 @@ class Answers:
 
 @dataclass(frozen=True)
 class Listener:
-    """Callbacks for what is no answer.
+    """Callbacks for notes and progress of a stream.
 
     Attributes
     ----------
-    note : of what was passed over, in a sentence
-    went_on : of the rows after which a saved stream goes on, the line of the last of them, and to how many of
-        the last the answers are given again; it comes before any answer
-    answered : each time that all answers to a row were given
-    all_answered : each time that rows which came together are answered, before the next are kept
-    progress : makes a context of a function that is told how many rows of a state were taken in again
-    most_together : rows that are kept and answered together, where so many are there
+    note : called with a sentence on ignored input
+    went_on : called before any answer of a resumed stream with the number of rows in its state, the line of
+        the last of them, and the number of the last rows that are answered again
+    answered : called when all answers to a row were given
+    all_answered : called when rows that came together are answered, before the next are kept
+    progress : makes a context of a function that is called with the number of rows processed again
+    most_together : largest number of waiting rows that are kept and answered together
     """
 
     note: Callable[[str], None] = say_nothing
@@ -179,16 +179,16 @@ def track_stream(
 
     Parameters
     ----------
-    answers : how
-    state : the file to go on from and to keep what going on takes; None: there is none
-    save_every : seconds between flushings of it to the disk
-    listener : is told what is no answer
+    answers : settings of the answers
+    state : the state file to resume from and to save to; None: no state
+    save_every : seconds between flushes of it to the disk
+    listener : callbacks for notes and progress
     names : of the columns, and the unit of time, of rows and answers
 
     Returns
     -------
     (int, int)
-        The rows that were answered, and how many of them could not be used.
+        The number of answered rows, and the number of invalid rows among them.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def track_stream(
     """
     stream = open_streams()
     answers.warm_up()
-    nobody = answers.people()  # answers rows before it is known by whom
+    nobody = answers.people()  # answers rows before their kind is known
 
     def tell(row: Row) -> None:
         give(row if names.are_native else names.restored(row))
@@ -210,7 +210,7 @@ def track_stream(
 
     with nullcontext() if state is None else closing(StateFile(state, save_every)) as file:
         saved = saved_settings(file) if file is not None and file.entries else None
-        incoming: Lines = iter(())  # rows are read once it is known how many of them a state has
+        incoming: Lines = iter(())  # rows are read once the number of rows in the state is known
         lines = incoming
         if saved is None:
             incoming = lines_of(stream, 1)
@@ -226,11 +226,11 @@ def track_stream(
         people = answers.scenes(listener.note) if are_detections else answers.people(listener.note)
         saving = None
         if file is not None:
-            # Rows that were refused before anything was kept count.
+            # Rows that were refused before the state was created are counted.
             people.rows, people.line = nobody.rows, nobody.line
             settings = answers.settings() | ({"detections": True} if are_detections else {})
             settings |= {} if names.are_native else names.settings()
-            # GTSAM does not give away what iSAM2 knows: it has to see every row again.
+            # GTSAM does not expose the state of iSAM2: every row is processed again.
             every = None if answers.chosen_engine == "isam2" else save_every
             saving = Saving(file, people, settings, every)
         if saving is not None and saved is None:
@@ -247,7 +247,7 @@ def track_stream(
 
 
 def _first_is_detection(lines: Lines, refuse: Refuse) -> tuple[Lines, bool]:
-    """The lines, and whether the first of them that can be read says nothing of whom it is."""
+    """Return the lines, and whether the first readable line has no identity."""
     lines, given = with_first_row(lines, refuse)
     return lines, given is not None and ("end" in given or given.get("track_id") in (None, -1))
 
@@ -259,7 +259,7 @@ def _go_on(
     listener: Listener,
     tell: Callable[[Row], None],
 ) -> None:
-    """Bring people to where the last run ended, say where that is, and answer what it may not have."""
+    """Restore people to the end of the last run, report it, and repeat answers that may be lost."""
     with listener.progress(saving.entries, "rows") as advance:
         again = saving.resume(restore, advance)
     listener.went_on(people.rows, people.line, len(again))
@@ -276,13 +276,13 @@ def _answer(
     tell: Callable[[dict[str, Any]], None],
     is_here: Callable[[], bool],
 ) -> tuple[int, int]:
-    """Answer all lines; those that are here already together, as many as the listener takes."""
+    """Answer all lines; waiting lines are answered together, up to the listener's limit."""
     before, wrong, lines = people.rows, 0, iter(lines)
-    # What there is by now stays: the collector need not look at it again while rows wait.
+    # Existing objects stay alive: the garbage collector need not scan them while rows wait.
     gc.collect()
     gc.freeze()
     try:
-        with np.errstate(all="ignore"):  # what is not finite is told in the answer
+        with np.errstate(all="ignore"):  # the answer reports values that are not finite
             while some := list(islice(lines, 1)):
                 while len(some) < listener.most_together and is_here():
                     some += islice(lines, 1)
@@ -304,11 +304,11 @@ def _answer(
 
 
 class Incoming:
-    """The lines of a stream that are not blank, with their numbers, and whether there are more already.
+    """Iterator over the non-blank lines of a stream, with their numbers and a test for waiting lines.
 
     Parameters
     ----------
-    stream : what has come is read at once, however little it is
+    stream : available bytes are read at once, without waiting for more
     first : the number of the next line
     """
 
@@ -322,7 +322,7 @@ class Incoming:
     def __next__(self) -> tuple[int, bytes]:
         while not self._lines and not self._ended:
             data = self._stream.read1(_PIECE)  # type: ignore[attr-defined]
-            # Of a line that is too long, as much is kept as tells that it is.
+            # A line that is too long is kept only up to the limit plus what proves its excess.
             *lines, left = (self._left + data).split(b"\n")
             self._left, self._ended = left[: LONGEST_LINE + 1], not data
             lines = [line + b"\n" for line in lines] + ([left] if self._ended and left else [])
@@ -335,12 +335,12 @@ class Incoming:
         return self._lines.popleft()
 
     def is_here(self) -> bool:
-        """Return True if the next line need not be waited for."""
+        """Return True if the next line is available without waiting."""
         return bool(self._lines)
 
 
 def _is_here(lines: Lines) -> Callable[[], bool]:
-    """Return a test of whether the next line is there already; False where nobody knows."""
+    """Return a test of whether the next line is available; False where that is unknown."""
     return lines.is_here if isinstance(lines, Incoming) else lambda: False
 
 
@@ -360,24 +360,24 @@ def open_streams() -> IO[bytes]:
     if sys.stdout is None:
         raise InputError("a closed standard output", "a place for the answers")
     stream = getattr(sys.stdin, "buffer", None)
-    # What stands in for it in a test or a notebook may have no bytes.
+    # A substitute in a test or a notebook may have no bytes.
     return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
 
 
 def give(answer: dict[str, Any]) -> None:
-    """Write an answer to standard output, as a line and at once.
+    """Write an answer to standard output as a line, and flush it.
 
     Raises
     ------
     InputError
-        If nobody reads it any more, or it cannot be written.
+        If the reader is gone, or it cannot be written.
     """
     try:
         sys.stdout.write(encoded(answer) + "\n")
         sys.stdout.flush()
     except OSError as error:
-        # Or else the interpreter would try the same again, and complain, at its end.
+        # Otherwise the interpreter would try again, and report the error, at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         gone = isinstance(error, BrokenPipeError)
-        found = "that its reader went away" if gone else error.strerror or str(error)
+        found = "a pipe closed by its reader" if gone else error.strerror or str(error)
         raise InputError(found, "a place for the answers", path="standard output") from error

@@ -1,1 +1,1 @@
-"""Tracks, their columns and units, and the tables they are read from and written to."""
+"""Tracks, their columns and units, and their conversion from and to tables."""

@@ -1,4 +1,4 @@
-"""Detections: what was seen in each frame, without saying of whom."""
+"""Detections: observations in each frame, without identities."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ APPEARANCE = "input_appearance"
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """n detections of one scene, in the order of their times; of one frame in any order.
+    """n detections of one scene, in the order of their times; in any order within a frame.
 
     Attributes
     ----------
-    frame : (n,) int64, the same for all that were seen at one time
+    frame : (n,) int64, equal for detections at one time
     t : (n,) seconds
     position : (n, 2) metres on the ground plane
-    channels : what else of a `Track` was observed, by the name of its attribute, (n, …); and ``box`` (n, 4),
-        left, top, width and height in pixels, for trackers of boxes
-    row : (n,) where each stood in the input
+    channels : further observed attributes of a `Track`, by name, (n, …); and ``box`` (n, 4), left, top, width
+        and height in pixels, for trackers of boxes
+    row : (n,) index of each in the input
     """
 
     frame: NDArray[np.int64]
@@ -53,19 +53,19 @@ class Detections:
         return len(self.t)
 
     def taken(self, places: NDArray[np.int64]) -> Detections:
-        """The detections at some places."""
+        """Return the detections at some indices."""
         channels = {name: values[places] for name, values in self.channels.items()}
         frame, t, position = self.frame[places], self.t[places], self.position[places]
         return Detections(frame, t, position, channels, self.row[places])
 
     @property
     def step(self) -> NDArray[np.int64]:
-        """(n,) number of each detection's frame, in steps of the recording from its first frame."""
+        """Return (n,) the number of each detection's frame, in steps of the recording from the first."""
         return (self.frame - self.frame[0]) // frames_between(self.frame)
 
     @property
     def step_seconds(self) -> float:
-        """Seconds from a frame to the next one, as most are."""
+        """Return the usual interval between frames, seconds."""
         steps, first = np.unique(self.step, return_index=True)
         if len(steps) < 2:
             return 1.0
@@ -73,13 +73,13 @@ class Detections:
 
 
 def with_those_between(frames: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The frames (n,), increasing, and those between them in which nobody was seen."""
+    """Return the increasing frames (n,), with frames between them that have no detections."""
     step = frames_between(frames)
     between = [np.arange(a, b, step) for a, b in pairwise(frames.tolist())]
     return np.unique(np.concatenate([frames, *between]))
 
 
 def frames_between(frame: NDArray[np.int64]) -> int:
-    """Return the most frequent step between neighbouring frame numbers: a recording may have every tenth."""
+    """Return the most frequent step between neighbouring frame numbers, such as 10."""
     apart, counts = np.unique(np.diff(np.unique(frame)), return_counts=True)
     return int(apart[counts.argmax()]) if len(apart) else 1

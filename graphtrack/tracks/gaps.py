@@ -1,7 +1,7 @@
-"""Frames that a table leaves out: gaps become rows without observations, and times can be of one's choice.
+"""Insertion of frames that a table leaves out, as rows without observations, and resampling.
 
 Rows without observations are inserted before the model is solved, so that the estimates there are its
-posterior and no interpolation.
+posterior and not an interpolation.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_FRAME, is_number
 
 LONGEST_FILLED = 60.0
-"""Seconds of the longest gap that is filled: in a longer one nothing is known of the person any more."""
+"""Seconds of the longest gap that is filled: in a longer one the posterior is uninformative."""
 
-_MOST_ROWS = 20_000_000  # rows of all tracks up to which tracks are resampled
+_MOST_ROWS = 20_000_000  # most rows of all tracks after resampling
 
-_SAME_TIME = 1e-6  # seconds within which two times are one
+_SAME_TIME = 1e-6  # seconds within which two times are equal
 
 
 def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     """Insert a row for each frame that is missing between a track's first and last.
 
-    A gap is where two rows of a track lie further apart than one and a half times its usual step: the median
-    of its steps, or of all tracks' steps where that is smaller. Times of inserted frames lie evenly between
-    those of the rows around the gap.
+    A gap is an interval between two rows of a track of more than 1.5 times its usual step: the median of its
+    steps, or of all tracks' steps where that is smaller. Times of inserted frames are evenly spaced within
+    the gap.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     Returns
     -------
     TrackSet
-        Tracks with inserted rows have ``observed``, 0 there and 1 elsewhere; others are what they were.
+        Tracks with inserted rows have ``observed``, 0 there and 1 elsewhere; other tracks are unchanged.
     """
     steps = [np.diff(track.frame) for track in tracks if len(track) > 1]
     if not steps:
@@ -73,7 +73,7 @@ def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
     Returns
     -------
     TrackSet
-        Tracks with new frame numbers; `at_times` takes the rows at the multiples from estimates.
+        Tracks with new frame numbers; `at_times` selects the rows at the multiples from estimates.
     """
     if not (is_number(hz) and math.isfinite(hz) and hz > 0.0):
         shown = f"{hz:g}" if is_number(hz) else repr(hz)
@@ -110,12 +110,12 @@ def _at_rate(track: Track, origin: float, hz: float) -> Track:
 
 
 def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
-    """Return a track with a row for each of some frames, its own among them, the others empty.
+    """Return a track with a row for each of some frames; rows of frames that it lacks are empty.
 
     Parameters
     ----------
     track : of observations
-    frame, t : (n,) frames in order, and their times in seconds
+    frame, t : (n,) frames in order, including those of the track, and their times in seconds
     """
     if len(frame) == len(track):
         return track

@@ -1,4 +1,4 @@
-"""Places on the earth as metres on a local ground, and back (the package pyproj, extra ``geo``)."""
+"""Projection of geographic coordinates to metres on a local ground, and back (pyproj, extra ``geo``)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from graphtrack.packages import package
 
 WGS84 = "EPSG:4326"
 _DIGITS = 2
-"""Of the degrees of a plane's origin: files of one place have one origin, whatever is seen in each."""
+"""Decimals of a plane's origin in degrees: files of one site share an origin."""
 
 
 def check_crs(crs: str) -> None:
-    """Raise InputError for what is no coordinate reference system of places on the ground."""
+    """Raise InputError unless the text is a coordinate reference system of positions on the ground."""
     pyproj = package("pyproj", "geo")
     try:
         known = pyproj.CRS.from_user_input(crs)
@@ -28,18 +28,18 @@ def check_crs(crs: str) -> None:
         raise InputError(f"--crs {crs!r}", expected) from error
     if not (known.is_geographic or known.is_projected):
         kind = known.type_name
-        raise InputError(f"--crs {crs!r}, a {kind}", "one of places on the ground, such as EPSG:4326")
+        raise InputError(f"--crs {crs!r}, a {kind}", "one of positions on the ground, such as EPSG:4326")
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A local ground that touches the earth: x to the east, y to the north, metres (transverse Mercator).
+    """Local tangent plane: x to the east, y to the north, metres (transverse Mercator).
 
-    Angles are true, and within 30 km of the origin so are lengths, to 1 in 10⁵.
+    The projection preserves angles and, within 30 km of the origin, lengths to 1 in 10⁵.
 
     Attributes
     ----------
-    crs : of the places in a file
+    crs : coordinate reference system of a file
     latitude, longitude : degrees, of the origin
     """
 
@@ -49,7 +49,7 @@ class Plane:
 
     @classmethod
     def around(cls, crs: str, first: FloatArray, second: FloatArray) -> Plane:
-        """The plane amid places (n,) given by easting or longitude and northing or latitude; NaN is none."""
+        """Return the plane centred on points (n,): easting or longitude, northing or latitude; NaN: none."""
         check_crs(crs)
         longitude, latitude = _transformer(crs, WGS84)(first, second)
         known = np.isfinite(longitude) & np.isfinite(latitude)
@@ -58,16 +58,16 @@ class Plane:
         return cls(crs, *(round(float(np.median(of[known])), _DIGITS) for of in (latitude, longitude)))
 
     def metres(self, first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x and y (n,) of places; NaN where there is none, infinite where the crs has none."""
+        """Return x and y (n,) of points; NaN for missing points, infinite outside the crs."""
         return _transformer(self.crs, self.local)(first, second)
 
     def back(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Easting and northing, or longitude and latitude, (n,) of places on the plane."""
+        """Return easting and northing, or longitude and latitude, (n,) of points on the plane."""
         return _transformer(self.local, self.crs)(x, y)
 
     @property
     def local(self) -> str:
-        """The plane's own coordinate reference system."""
+        """Coordinate reference system of the plane."""
         return (
             f"+proj=tmerc +lat_0={self.latitude} +lon_0={self.longitude} +k=1 +x_0=0 +y_0=0 +datum=WGS84 "
             "+units=m +no_defs"

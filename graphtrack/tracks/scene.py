@@ -1,4 +1,4 @@
-"""Parameters of a scene in which people are detected: birth, death, detection, clutter."""
+"""Parameters of multi-target tracking in a scene: birth, death, detection, clutter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SceneParameters:
     ----------
     acceleration_density : spectral density q of white-noise acceleration, m²/s³
     speed_std : 1-σ of each axis of a new person's velocity, m/s
-    position_std : 1-σ of each axis of a detection without a declared one, m
+    position_std : 1-σ of each axis of a detection without a declared 1-σ, m
     jump_probability : probability that a detection is an outlier, or that its person turned abruptly
     jump_std : 1-σ of each axis of such an outlier, m
     detection_probability : probability that a person in view is detected in a frame
@@ -30,13 +30,13 @@ class SceneParameters:
     duplicate_spread : 1-σ of each axis of duplicates about the first detection, m
     birth_density : rate at which people come into view, 1/(m² s)
     death_rate : rate at which people leave, 1/s
-    longest_gap : time after which nobody is found again, s
+    longest_gap : time after which a person is not re-identified, s
     body_std, head_std : 1-σ of observed angles, rad
     body_turn, head_turn : rate of turning of bodies and heads, rad/√s
     body_outliers, head_outliers : share of observed angles that carry no information about identities; 1: all
     heading_std, gaze_std : 1-σ of body and head about the direction of travel, rad
     longest_filled : duration of gaps up to which they are filled, s
-    look_ahead : number of detections after a cut that are evidence on identities
+    look_ahead : number of detections after a cut that are evidence of identities
     """
 
     acceleration_density: float = number(0.1, 1e-4, 100.0, "m²/s³")
@@ -68,7 +68,7 @@ class SceneParameters:
         check_numbers(self)
 
     def packed(self, frame_seconds: float) -> tuple[float, ...]:
-        """The values that kernels read, in the order of `kernels.Scene`, for frames so many seconds apart."""
+        """Return the values for kernels, in the order of `kernels.Scene`, for a frame interval in seconds."""
         return (
             self.acceleration_density,
             self.speed_std**2,
@@ -94,16 +94,16 @@ class SceneParameters:
 
 
 Known: TypeAlias = Mapping[str, Any]
-"""Values of some of the fields of `SceneParameters`, which are kept where the others are learned."""
+"""Fixed values of some fields of `SceneParameters`; the remaining fields are learned."""
 
 NOTHING: Known = MappingProxyType({})
 
 GivenScene: TypeAlias = SceneParameters | Mapping[str, Any] | None
-"""Known parameters of a scene: all of them, some by their names, or none."""
+"""Known parameters of a scene: all, some by name, or none."""
 
 
 def known_values(scene: GivenScene) -> Known:
-    """The known parameters of a scene by their names."""
+    """Return the known parameters of a scene by name."""
     if scene is None:
         return {}
     if isinstance(scene, SceneParameters):

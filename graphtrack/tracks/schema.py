@@ -1,4 +1,4 @@
-"""The columns of the native table: their units, bounds and place in a `Track`."""
+"""Columns of the native table: their units, bounds and position in a `Track`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Column:
     ----------
     name : heading, with the unit where it is not SI
     field : the `Track` attribute it belongs to; of an input ``input_<name>``
-    index : place within that attribute's row; () for a scalar
+    index : position within that attribute's row; () for a scalar
     bounds : the values allowed
     degrees : whether the file has degrees where the attribute has radians
     wrapped : whether it is an angle on the circle (a spread in degrees is not)
@@ -100,23 +100,23 @@ BY_NAME = {column.name: column for column in COLUMNS}
 INTEGERS = {"track_id": LARGEST_ID, "frame": LARGEST_FRAME}
 
 NAMES = (*INTEGERS, *BY_NAME, "label")
-"""Every column of the native table but inputs, in the order of writing."""
+"""All columns of the native table except inputs, in the order of writing."""
 
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
 """Columns that a tracker on pixels writes in addition to those of a track; nothing is read from them."""
 
 TILT_COLUMN = "head_tilt_deg"
-"""A column of the same kind, of trackers of heads: degrees above the horizontal."""
+"""A further such column, of trackers of heads: degrees above the horizontal."""
 
 ANSWER_COLUMNS = ("status", "reason", "error", "line")
-"""Columns of `graphtrack track -` next to an estimate, or in its place; nothing of a track either."""
+"""Columns of `graphtrack track -` next to an estimate, or in its place; not part of a track either."""
 
 _OF_TABLE = frozenset(NAMES)
 _KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, *ANSWER_COLUMNS))
 
 
 def repeated(names: Iterable[str]) -> str | None:
-    """The first name that comes again; None if each comes once."""
+    """Return the first repeated name; None if all are unique."""
     seen: set[str] = set()
     for name in names:
         if name in seen:
@@ -126,7 +126,7 @@ def repeated(names: Iterable[str]) -> str | None:
 
 
 def unknown(names: Iterable[str]) -> list[str]:
-    """The columns of a file that are neither of the native table nor known to say nothing of a track."""
+    """Return the columns of a file that are neither of the native table nor known to be irrelevant."""
     return [name for name in names if name not in _KNOWN and numeric(name) is None]
 
 
@@ -136,12 +136,12 @@ _INPUT_COLUMN = re.compile(
 _INPUT_NAME = re.compile(r"[A-Za-z](?!.*_[0-9]+$)[A-Za-z0-9_]*", re.ASCII)
 
 INPUT_NAME = "letters, digits and _, a letter first, and no number after the last _"
-"""Names allowed for inputs, in words: a trailing number is that of a column."""
+"""Allowed names of inputs, in words: a trailing number is that of a column."""
 
 
 @lru_cache(1024)
 def numeric(name: str) -> Column | None:
-    """The column of numbers of that name, inputs among them; None if the table has none."""
+    """Return the column of numbers of that name, including inputs; None if the table has none."""
     match = _INPUT_COLUMN.fullmatch(name)
     if match is None:
         return BY_NAME.get(name)
@@ -152,17 +152,17 @@ def numeric(name: str) -> Column | None:
 
 
 def _heading(field: str) -> str:
-    """Name of the columns of an input, without their numbers."""
+    """Return the name of an input's columns, without their numbers."""
     return APPEARANCE if field == INPUT + APPEARANCE else field
 
 
 def is_input_name(name: str) -> bool:
-    """Return whether an input of a track may be called so; see `INPUT_NAME`."""
+    """Return whether a name is allowed for an input of a track; see `INPUT_NAME`."""
     return _INPUT_NAME.fullmatch(name) is not None
 
 
 def input_columns(field: str, size: Sequence[int]) -> Iterator[Column]:
-    """The columns of an input that has one number a frame (``size`` is empty) or ``size[0]`` of them."""
+    """Return the columns of an input with one number a frame (``size`` is empty) or ``size[0]`` numbers."""
     heading = _heading(field)
     for index in range(*size) if size else [None]:
         column = numeric(heading if index is None else f"{heading}_{index}")
@@ -176,7 +176,7 @@ def is_column(name: str) -> bool:
 
 
 def in_order(names: Collection[str]) -> tuple[str, ...]:
-    """Those of some names that are columns of the native table, in the order of writing."""
+    """Return the names that are columns of the native table, in the order of writing."""
     inputs = [column for name in names if name not in _OF_TABLE and (column := numeric(name))]
     inputs.sort(key=lambda column: (column.field, column.index))
     there = set(names)
@@ -193,16 +193,16 @@ TOGETHER: tuple[tuple[str, ...], ...] = (
     tuple(f"body_p{k}" for k in range(BODY_CLASSES)),
     tuple(f"head_p{k}" for k in range(HEAD_CLASSES)),
 )
-"""Columns of which a file has all or none, and a row likewise; so it is with an input's, see `together`."""
+"""Groups of columns that a file, or a row, has completely or not at all; for inputs see `together`."""
 
 _GROUPS = tuple((group, frozenset(group)) for group in TOGETHER)
 
 
 @lru_cache(64)
 def together(names: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Groups of columns of which a row has all or none; those of which ``names`` has some.
+    """Return the groups of columns, complete or absent in a row, that have a column in ``names``.
 
-    Of an array that has an input, the group is what is there and the first column that is not.
+    The group of an input array is the columns present and the first one missing.
     """
     found = [group for group, members in _GROUPS if not members.isdisjoint(names)]
     places: dict[str, set[int]] = {}
@@ -218,14 +218,14 @@ def together(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 
 
 def expected_integer(highest: int) -> str:
-    """Allowed values of a whole number's cell, in words."""
+    """Return the allowed values of a whole number's cell, in words."""
     return f"a whole number within ±{highest}"
 
 
 def expected_group(group: Sequence[str]) -> str:
-    """Allowed cells of columns that stand together, in words."""
+    """Return the allowed cells of a group of columns, in words."""
     return f"all of {group[0]} … {group[-1]} or none of them"
 
 
 NO_CLASS = ("class likelihoods that are all 0", "one above 0")
-"""Found and expected where no class of an orientation is possible."""
+"""Found and expected where all class likelihoods of an orientation are 0."""

@@ -1,4 +1,4 @@
-"""Rows of observations: columns of the native table, checked, with the names and units that were read."""
+"""Rows of observations: checked columns of the native table, with the names and units of the file."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ LENGTHS = (*("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_st
 """Columns of the native table that are metres, or metres a second."""
 
 DEGREES = ("lat", "lon")
-"""Columns of places on the earth, which stand for ``x`` and ``y``."""
+"""Columns of geographic coordinates, which replace ``x`` and ``y``."""
 
 TRUE_DEGREES = ("true_lat", "true_lon")
 
 ANGLES = {"body_rad": "body_deg", "head_rad": "head_deg"}
-"""Columns in radians, and those of the native table that they stand for."""
+"""Columns in radians → the columns of the native table that they replace."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,10 @@ class AsRead:
     Attributes
     ----------
     columns : name in the native table (or one of `DEGREES` and `ANGLES`) → name in the file
-    time : what its times were; None: seconds, as in the native table
+    time : its time scale; None: seconds, as in the native table
     metre : metres of its unit of length
     names : track id → identity, where identities are text
-    plane : where its places lie, if they are none of a local ground
+    plane : projection of geographic coordinates; None: positions on a local ground
     frame : the name of the frame of reference, of a ROS 2 recording
     """
 
@@ -79,20 +79,20 @@ class AsRead:
     frame: str = ""
 
     def without_identities(self) -> AsRead:
-        """The same, where people have other identities than in the file."""
+        """Return a copy for identities that differ from those of the file."""
         columns = {key: name for key, name in self.columns.items() if key != "track_id"}
         return replace(self, columns=columns, names={})
 
 
 def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dict[str, Any]:
-    """Columns of the native table under the names and in the units of the table that was read.
+    """Return columns of the native table under the names and in the units of the table that was read.
 
-    What the native table has besides keeps its name, unless the other table has a use for it.
+    Further columns of the native table keep their name, unless it is a name of the other table.
 
     Parameters
     ----------
     columns : of the native table
-    as_read : None: they stay as they are
+    as_read : None: the columns are unchanged
     """
     if as_read is None:
         return dict(columns)
@@ -116,9 +116,9 @@ def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dic
 
 
 def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dict[str, NDArray[Any]]:
-    """Columns about people; identities that were text in what was read are their ``label``, next to the ids.
+    """Return columns with identities that were text in the file as ``label``, next to the ids.
 
-    Of targets, where there are any, those that are people have theirs as ``target_label``.
+    Text identities of targets that are people are ``target_label``.
     """
     if as_read is None or not as_read.names:
         return dict(columns)
@@ -133,7 +133,7 @@ def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> d
 
 
 def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[str, Any]:
-    """The columns with the identities as text, where they were; labels that say no more are left out."""
+    """Return the columns with text identities of the file; labels equal to them are left out."""
     found: dict[str, Any] = dict(columns)
     if not as_read.names or "track_id" not in found or "track_id" not in as_read.columns:
         return found
@@ -147,7 +147,7 @@ def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[st
 
 
 def _places(found: dict[str, Any], as_read: AsRead) -> None:
-    """Put coordinates of the earth in the place of metres, or in addition where they are degrees."""
+    """Replace metres by geographic coordinates, or add these if they are degrees."""
     plane = as_read.plane
     if plane is None:
         return
@@ -163,11 +163,11 @@ def _places(found: dict[str, Any], as_read: AsRead) -> None:
 
 
 def merged(parts: list[tuple[AsRead | None, Mapping[int, int]]]) -> AsRead | None:
-    """Names and units of several tables together; the first counts for what all have in common.
+    """Merge names and units of several tables; the first table decides on what all have in common.
 
     Parameters
     ----------
-    parts : of each file, and its track ids → those of the tracks together
+    parts : those of each file, and its track ids → track ids of the merged set
     """
     first = parts[0][0]
     if first is None or not any(one is not None and one.names for one, _ in parts):
@@ -203,16 +203,16 @@ class ReadSummary:
 
     @property
     def rows_refused(self) -> int:
-        """Rows that were left out, whatever the reason."""
+        """Number of rows that were left out, for any reason."""
         return sum(self.refused.values())
 
     @property
     def rows_used(self) -> int:
-        """Rows that stand in the tracks."""
+        """Number of rows in the tracks."""
         return self.rows_read - self.rows_refused
 
     def merged(self, other: ReadSummary) -> ReadSummary:
-        """The summary of both inputs together."""
+        """Return the summary of both inputs together."""
         refused = dict(self.refused)
         for reason, count in other.refused.items():
             refused[reason] = refused.get(reason, 0) + count
@@ -227,11 +227,11 @@ class ReadSummary:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of one file, n of them, still in its order.
+    """The n rows of one file, in its order.
 
     Attributes
     ----------
-    path, format : where they come from
+    path, format : of the file
     track_id, frame : (n,) int64
     channels : `Track` attribute → (n, ...) in the units of `Track`; ``t`` and ``position`` must be among them
         when they become tracks. A track's input is the channel ``input_<name>``
@@ -240,8 +240,8 @@ class Rows:
     camera : the camera that made the positions, if any
     refused : reason → number of rows left out so far
     notes : what was assumed or repaired, one sentence each
-    has_identity : False: the file does not say of whom a row is, and ``track_id`` is −1 throughout
-    as_read : names and units of a table that has others than the native one
+    has_identity : False: the file has no identities, and ``track_id`` is −1 throughout
+    as_read : names and units of the table, where they differ from the native ones
     """
 
     path: Path
@@ -262,27 +262,27 @@ class Rows:
 
     @property
     def n_read(self) -> int:
-        """Rows of the file, those that were refused among them."""
+        """Number of rows of the file, including refused rows."""
         return len(self) + sum(self.refused.values())
 
     def with_channels(self, **channels: FloatArray) -> Rows:
-        """The same rows with channels added or replaced."""
+        """Return the rows with channels added or replaced."""
         return replace(self, channels={**self.channels, **channels})
 
     def without(self, *names: str) -> Rows:
-        """The same rows without these channels."""
+        """Return the rows without these channels."""
         return replace(self, channels={k: v for k, v in self.channels.items() if k not in names})
 
     def with_camera(self, camera: GroundCamera | None) -> Rows:
-        """The same rows seen by that camera."""
+        """Return the rows with that camera."""
         return replace(self, camera=camera)
 
     def with_notes(self, *notes: str) -> Rows:
-        """The same rows with more notes."""
+        """Return the rows with more notes."""
         return replace(self, notes=(*self.notes, *notes))
 
     def keep(self, mask: NDArray[np.bool_], reason: str) -> Rows:
-        """The rows where the mask holds; the others are counted as refused for the reason."""
+        """Return the rows where the mask holds; other rows are counted as refused for the reason."""
         count = int(len(self) - mask.sum())
         if not count:
             return self
@@ -290,7 +290,7 @@ class Rows:
         return replace(self.taken(np.flatnonzero(mask)), refused=refused)
 
     def taken(self, places: NDArray[np.int64]) -> Rows:
-        """The rows at some places, in that order."""
+        """Return the rows at some indices, in that order."""
         line_of = self.line_of
         return replace(
             self,
@@ -301,17 +301,17 @@ class Rows:
         )
 
     def with_times(self, fps: float) -> Rows:
-        """Times from the frame numbers at ``fps`` frames a second."""
+        """Return the rows with times from the frame numbers at ``fps`` frames a second."""
         return self.with_channels(t=self.frame / fps)
 
 
 def sorted_rows(rows: Rows) -> Rows:
-    """The rows by track and, of each track, by frame.
+    """Return the rows sorted by track and frame.
 
     Warns
     -----
     InputWarning
-        If frames had to be sorted; the notes say so too.
+        If frames had to be sorted; a note is added too.
     """
     check_rows(rows)
     unsorted_tracks = _unsorted(rows)
@@ -342,24 +342,24 @@ def sorted_rows(rows: Rows) -> Rows:
 
 
 def no_camera(rows: Rows) -> InputError:
-    """The error for rows that have only pixels, where nothing brings them to the ground."""
+    """Return the error for rows with pixels alone and no camera or scale."""
     expected = "x, y, or a homography or point pairs as well"
     return InputError("pixels u, v and no camera", expected, path=rows.path)
 
 
 def check_identities(rows: Rows) -> None:
-    """Raise InputError for rows that do not say of whom they are."""
+    """Raise InputError for rows without identities."""
     if not rows.has_identity:
         raise InputError(
             "rows without identities",
-            "a track_id for each (--columns id=…); smooth --associate and gt.associate find it out",
+            "a track_id for each (--columns id=…); smooth --associate and gt.associate estimate it",
             path=rows.path,
             line=rows.line_of(0) if len(rows) else None,
         )
 
 
 def check_rows(rows: Rows) -> None:
-    """Refuse a file of which no row is left, some have no identity, or two are of one track in one frame."""
+    """Refuse a file without usable rows, with missing identities, or with two rows of a track in a frame."""
     if not len(rows):
         reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
         found = f"no usable row ({reasons} refused)" if reasons else "no rows"
@@ -368,7 +368,7 @@ def check_rows(rows: Rows) -> None:
     if 0 < len(nobody) < len(rows):
         raise InputError(
             f"a row without an identity (−1), which {len(rows) - len(nobody)} others have",
-            "one for each row, or none; with --associate always they are forgotten, with repair kept",
+            "one for each row, or none; --associate always ignores them, --associate repair keeps them",
             path=rows.path,
             line=rows.line_of(int(nobody[0])),
         )
@@ -386,7 +386,7 @@ def check_rows(rows: Rows) -> None:
 
 
 def _unsorted(rows: Rows) -> int:
-    """Number of tracks with a frame that comes after a later one in the file."""
+    """Return the number of tracks whose frames are out of order in the file."""
     order = np.argsort(rows.track_id, kind="stable")
     track_id, frame = rows.track_id[order], rows.frame[order]
     back = (np.diff(track_id) == 0) & (np.diff(frame) < 0)
@@ -397,7 +397,7 @@ _LONGEST = 2**31 - 1  # bytes of all texts of a column: Arrow's offsets have 32 
 
 
 def arrow_array(values: NDArray[Any]) -> pa.Array:
-    """A column (n,) as Arrow has it; NaN and None are missing there."""
+    """Return a column (n,) as an Arrow array; NaN and None are null."""
     import pyarrow as pa
 
     if values.dtype in (np.float64, np.int64):
@@ -414,7 +414,7 @@ def arrow_array(values: NDArray[Any]) -> pa.Array:
 
 
 def _array(kind: pa.DataType, there: NDArray[np.bool_], buffers: list[pa.Buffer]) -> pa.Array:
-    """An array of buffers, with those elements that are ``there``."""
+    """Return an Arrow array of buffers; elements not ``there`` are null."""
     import pyarrow as pa
 
     valid = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
@@ -422,7 +422,7 @@ def _array(kind: pa.DataType, there: NDArray[np.bool_], buffers: list[pa.Buffer]
 
 
 def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = None) -> Rows:
-    """The rows of a DataFrame, or of name → column; `TrackSet.from_table` says what may stand there."""
+    """Return the rows of a DataFrame, or of name → column; see `TrackSet.from_table`."""
     check_frame_rate(fps)
     table = frame_of(table)
     names = [str(name) for name in table.columns]
@@ -452,7 +452,7 @@ def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = N
 
 
 def frame_of(table: Any) -> pd.DataFrame:
-    """A DataFrame of pandas from one, from another Arrow table (polars), or from name → column."""
+    """Return a pandas DataFrame of one, of another Arrow table (polars), or of name → column."""
     import pandas as pd
 
     if isinstance(table, pd.DataFrame):
@@ -517,15 +517,15 @@ def from_columns(
     ignored: Sequence[str] = (),
     notes: tuple[str, ...] = (),
 ) -> Rows:
-    """Rows from the columns of the native table, checked cell by cell.
+    """Return rows from the columns of the native table, checked cell by cell.
 
     Parameters
     ----------
     columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
     path, format, line_of : as in `Rows`
     fps : frames a second, for rows without times
-    ignored : names of columns that the file has besides
-    notes : what was assumed so far
+    ignored : names of further columns of the file
+    notes : assumptions so far
     """
 
     def fail(found: str, expected: str, row: int | None = None, column: str | None = None) -> InputError:
@@ -566,7 +566,7 @@ def from_columns(
 
 
 def check_names(names: Collection[str], fps: float | None, fail: Callable[..., InputError]) -> None:
-    """Raise ``fail(found, expected, column=…)`` if a column that the native table needs is not there."""
+    """Raise ``fail(found, expected, column=…)`` if a required column of the native table is missing."""
     for name in INTEGERS:
         if name not in names:
             raise fail("no such column", f"a column {name}", column=name)
@@ -595,7 +595,7 @@ def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable
 
 
 def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError]) -> None:
-    """A row has all cells of a group or none, and class likelihoods are not all zero."""
+    """Refuse rows with some but not all cells of a group, and class likelihoods that are all zero."""
     empty = np.isnan(np.column_stack(list(group.values())))
     partial = empty.any(axis=1) & ~empty.all(axis=1)
     if partial.any():
@@ -636,7 +636,7 @@ def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
 
 
 def _diagonal(covariance: FloatArray) -> FloatArray:
-    """Zero correlations between the quantities that have a variance; the rest stays NaN."""
+    """Set correlations between quantities with a variance to zero; the rest stays NaN."""
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     known = np.isfinite(variance)
     result = np.where(known[:, :, None] & known[:, None, :], 0.0, np.nan)
@@ -648,7 +648,7 @@ def _diagonal(covariance: FloatArray) -> FloatArray:
 def _labels(
     labels: NDArray[Any] | None, track_id: NDArray[np.int64], fail: Callable[..., InputError]
 ) -> dict[int, str]:
-    """Track id → label; an empty cell says nothing."""
+    """Return track id → label; empty cells are skipped."""
     if labels is None:
         return {}
     found: dict[int, str] = {}
@@ -666,7 +666,7 @@ def _labels(
 
 def _with_times(rows: Rows, fps: float | None, fail: Callable[..., InputError]) -> Rows:
     if "t" not in rows.channels:
-        assert fps is not None  # or `check_names` would have said so
+        assert fps is not None  # otherwise `check_names` has raised
         return rows.with_times(fps)
     empty = np.isnan(rows.channels["t"])
     if empty.any():

@@ -1,7 +1,7 @@
-"""Points in time as tables have them: counts of a unit, ISO 8601 text, dates; computed with are seconds.
+"""Conversion of times in tables (counts of a unit, ISO 8601 text, dates) to seconds, and back.
 
-Of dates and of epochs the seconds count from the midnight (UTC) before the first, since a double that counts
-from 1970 has no digits left below a microsecond.
+Seconds of dates and epochs count from the midnight (UTC) before the first, since a double that counts from
+1970 has no digits left below a microsecond.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 
 NANOSECONDS_IN = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
-"""Nanoseconds of the units of time."""
+"""Unit of time → nanoseconds."""
 
 _UNIT_OF = {count: unit for unit, count in NANOSECONDS_IN.items()}
 DAY = 86_400 * 10**9
 """Nanoseconds."""
 EPOCH = 1e8
-"""Seconds from which a number counts from 1970: three years are longer than a recording."""
+"""Seconds above which a number counts from 1970: no recording takes three years."""
 
 _ISO = re.compile(
     r"(\d{4}-\d{2}-\d{2})([T ])(\d{2}:\d{2}(?::\d{2})?)(?:[.,](\d{1,9}))?\s*(Z|[+-]\d{2}(?::?\d{2})?)?",
@@ -40,10 +40,10 @@ class TimeScale:
     ----------
     kind : "number": counts of a unit; "text": ISO 8601; "date": values of a type for dates
     unit : nanoseconds of a count, or of the unit of a date's type
-    whole : whether the counts are whole numbers, and are to be again
-    origin : nanoseconds since 1970, or since the file's own beginning, at t = 0
-    between, digits, zone : of text: what stands between day and time, digits after the second, and what ends
-        it ("", "Z" or such as "+01:00"); of dates the name of the zone, "" where they have none
+    whole : whether the counts are whole numbers, and are written as such
+    origin : nanoseconds since 1970, or since the beginning of the file, at t = 0
+    between, digits, zone : of text: separator of day and time, digits after the second, and suffix ("", "Z",
+        or such as "+01:00"); of dates the name of the zone, "" where they have none
     """
 
     kind: Literal["number", "text", "date"]
@@ -55,7 +55,7 @@ class TimeScale:
     zone: str = ""
 
     def restored(self, t: FloatArray) -> Any:
-        """Times (n,) in seconds as the file has them."""
+        """Return times (n,), given in seconds, in the representation of the file."""
         if self.kind == "number" and not self.whole:
             return (self.origin / 1e9 + t) * (1e9 / self.unit)
         since = self.origin + np.rint(t * 1e9).astype(np.int64)
@@ -80,7 +80,7 @@ class TimeScale:
 
 
 def from_nanoseconds(since: NDArray[np.int64], beside: TimeScale | None) -> tuple[FloatArray, int]:
-    """Seconds (n,) from nanoseconds, and the origin, in nanoseconds, that they count from."""
+    """Return seconds (n,) of nanoseconds, and their origin in nanoseconds."""
     origin = beside.origin if beside is not None else int(since.min()) // DAY * DAY if len(since) else 0
     return (since - origin) / 1e9, origin
 
@@ -88,33 +88,33 @@ def from_nanoseconds(since: NDArray[np.int64], beside: TimeScale | None) -> tupl
 def from_numbers(
     values: NDArray[Any], unit: str, beside: TimeScale | None = None
 ) -> tuple[FloatArray, TimeScale]:
-    """Seconds (n,) from counts of a unit; those of an epoch from the midnight before the first.
+    """Return seconds (n,) of counts of a unit; those of an epoch from the midnight before the first.
 
     Parameters
     ----------
     values : (n,) int64 or float, NaN where there is none
     unit : one of `NANOSECONDS_IN`
-    beside : of a table whose times count from the same
+    beside : time scale of a table with the same origin
     """
     each = NANOSECONDS_IN[unit]
     whole = values.dtype.kind in "iu"
     known = values if whole else values[np.isfinite(values)]
     epoch = bool(len(known)) and float(np.median(known)) * (each / 1e9) >= EPOCH
     if not epoch:
-        # Between whole seconds there are times, which a gap that is filled may need.
+        # Filling a gap may need times between whole seconds.
         scale = TimeScale("number", each, whole and unit != "s")
         return (values.astype(float) if unit == "s" else values / (10**9 / each)), scale
     if whole:
         seconds, origin = from_nanoseconds(values.astype(np.int64) * each, beside)
     else:
         origin = beside.origin if beside is not None else int(known.min() * (each / 1e9)) // 86_400 * DAY
-        # The difference of two doubles of one size is exact; what a product would lose is not lost.
+        # The difference of two doubles of one size is exact, unlike a product.
         seconds = (values - origin / each) * (each / 1e9)
     return seconds, TimeScale("number", each, whole, origin)
 
 
 def from_dates(values: NDArray[Any], zone: str, beside: TimeScale | None) -> tuple[FloatArray, TimeScale]:
-    """Seconds (n,) from ``datetime64`` in UTC; NaN where there is none."""
+    """Return seconds (n,) of ``datetime64`` in UTC; NaN where one is missing."""
     unit = np.datetime_data(values.dtype)[0]
     empty = np.isnat(values)
     since = values.astype("M8[ns]").astype(np.int64)
@@ -125,19 +125,19 @@ def from_dates(values: NDArray[Any], zone: str, beside: TimeScale | None) -> tup
 
 
 def date_texts(values: Any) -> NDArray[Any]:
-    """Dates as ISO 8601, for files without a type for them."""
+    """Return dates as ISO 8601 text, for files without a type for them."""
     if isinstance(values, np.ndarray):
         return np.datetime_as_string(values).astype(object)
     return np.array([one.isoformat() for one in values], dtype=object)
 
 
 def is_iso(text: str) -> bool:
-    """Return whether a text is a date and a time, as ISO 8601 has them."""
+    """Return whether a text is a date and a time of ISO 8601."""
     return _ISO.fullmatch(text.strip()) is not None
 
 
 class NotIso(ValueError):
-    """The row (from 0) of a text that is no time, and what was expected."""
+    """Error with the row (from 0) of a text that is not a time, and the expectation."""
 
     def __init__(self, row: int, expected: str) -> None:
         self.row, self.expected = row, expected
@@ -145,14 +145,14 @@ class NotIso(ValueError):
 
 
 def from_text(texts: list[str], beside: TimeScale | None) -> tuple[FloatArray, TimeScale]:
-    """Seconds (n,) from ISO 8601 dates and times, such as 2026-11-23T10:00:00.04+01:00; NaN for an empty one.
+    """Return seconds (n,) of ISO 8601 texts, such as 2026-11-23T10:00:00.04+01:00; NaN for an empty text.
 
-    Without a zone they are taken as they stand, as if they were UTC.
+    Times without a zone are read as UTC.
 
     Raises
     ------
     NotIso
-        For the first that is none, or that has no zone where others do.
+        For the first text that is not a time, or that differs from the first in having a zone.
     """
     since, known, digits = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool), 0
     between, zone = "T", None
@@ -177,7 +177,7 @@ def from_text(texts: list[str], beside: TimeScale | None) -> tuple[FloatArray, T
         whole = np.array(days, dtype="M8[ns]").astype(np.int64)
     except ValueError:
         row = int(np.flatnonzero(known)[next(i for i, day in enumerate(days) if not _is_day(day))])
-        raise NotIso(row, "a date and time that there is") from None
+        raise NotIso(row, "a date and time that exists") from None
     since[known] = whole + np.array(parts, dtype=np.int64)
     seconds, origin = from_nanoseconds(since[known], beside)
     found = np.full(len(texts), np.nan)
@@ -194,7 +194,7 @@ def _is_day(text: str) -> bool:
 
 
 def _offset(zone: str) -> int:
-    """Nanoseconds that clocks of a zone are ahead of UTC."""
+    """Return the offset of a zone from UTC in nanoseconds."""
     if zone in ("", "Z"):
         return 0
     digits = zone[1:].replace(":", "").ljust(4, "0")
@@ -202,6 +202,6 @@ def _offset(zone: str) -> int:
 
 
 def check_time_unit(unit: str | None) -> None:
-    """Raise InputError for a unit of time that is none."""
+    """Raise InputError for an unknown unit of time."""
     if unit is not None and unit != "iso" and unit not in NANOSECONDS_IN:
         raise InputError(f"time_unit = {unit!r}", f"one of {', '.join(NANOSECONDS_IN)}, iso")

@@ -1,7 +1,7 @@
-"""`Track` and `TrackSet`: the one structure that flows through everything.
+"""`Track` and `TrackSet`: the data structure of observations and estimates.
 
-Observations and estimates share it. A track read from a file holds observations; a track that comes out of
-a smoother holds estimates in the same fields, with ``velocity`` and ``covariance`` set.
+A track read from a file holds observations; a track returned by a smoother holds estimates in the same
+fields, with ``velocity`` and ``covariance`` set.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet", "to_columns"]
 
-_PLACE = "a place from 0 to one less than that (by_id takes an id)"
+_PLACE = "an index from 0 to one less than that (by_id takes an id)"
 
 _ABSENT = dict.fromkeys(SHAPES)
 _KEPT = {"t", "identity_p", "observed", "true_position", "true_body", "true_head"}
@@ -66,7 +66,7 @@ _NOT_KEPT = dict.fromkeys(SHAPES.keys() - _KEPT)
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """One person over n frames. NaN is a missing value; ``None`` a channel that is absent altogether.
+    """One person over n frames. NaN is a missing value; ``None`` an absent channel.
 
     Attributes
     ----------
@@ -80,20 +80,20 @@ class Track:
     body_kappa, head_kappa : (n,) von Mises concentration of ``body`` and ``head``; NaN: the model's default
     body_likelihood : (n, 8), head_likelihood : (n, 12)
         Class likelihoods; class k is centred on 360·k/n degrees. A row is all finite or all NaN.
-    score : (n,) how sure the detector was, from 0 on; what it means is the detector's own
-    identity_p : (n,) probability that this is whom the track had before, where identities were associated;
-        NaN: not observed
+    score : (n,) the detector's confidence, from 0 on, in the detector's scale
+    identity_p : (n,) probability that this is the same person as before in the track, where identities were
+        associated; NaN: not observed
     observed : (n,) 1 where the frame was observed, 0 where association left a gap
     velocity : (n, 2) metres a second (estimates)
     covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
-    aligned_p : (n,) probability that the body faces where the motion goes (estimates)
-    gait_offset : (n,) radians from the direction of motion to the body, as expected (estimates)
+    aligned_p : (n,) probability that the body faces the direction of motion (estimates)
+    gait_offset : (n,) radians, expected offset of the body from the direction of motion (estimates)
     glance_p : (n,) probability that the head glances aside (estimates)
     true_position, true_body, true_head : the truth, where it is known
-    label : a name for people to read, such as the clip
-    inputs : name → (n,) or (n, k) what else is known in each frame and a term of the model reads, such as a
-        group's centre or a distance; a row is all finite or all NaN. Estimates keep them, but for
-        ``appearance`` (n, k), what a detection looks like, with which identities are associated.
+    label : a readable name, such as the clip
+    inputs : name → (n,) or (n, k) further known values in each frame that a term of the model reads, such as
+        a group's centre or a distance; a row is all finite or all NaN. Estimates keep them, except
+        ``appearance`` (n, k), a detection's descriptor for data association.
     """
 
     track_id: int
@@ -162,8 +162,8 @@ class Track:
         label: str = "",
         inputs: Mapping[str, FloatArray] = MappingProxyType({}),
     ) -> Track:
-        """A track of arrays that are as the attributes say; they become read-only."""
-        # Neither checked nor copied: for thousands of tracks that would take longer than to smooth them.
+        """Return a track of valid arrays, which become read-only."""
+        # Neither checked nor copied: for thousands of tracks that would take longer than smoothing.
         track = object.__new__(cls)
         vars(track).update(track_id=track_id, frame=frame, label=label, inputs=dict(inputs), **_ABSENT)
         vars(track).update(channels)
@@ -173,7 +173,7 @@ class Track:
         return track
 
     def _checked(self, name: str, given: Any, shape: tuple[int, ...]) -> FloatArray:
-        """Return a copy of what is given for a channel, an array of that shape within its bounds."""
+        """Return a copy of a channel's values, checked for shape and bounds."""
         try:
             value = real_numbers(given)
         except (TypeError, ValueError) as error:
@@ -232,11 +232,11 @@ class Track:
 
     @property
     def dt(self) -> FloatArray:
-        """(n,) seconds since the frame before; 0 at the first."""
+        """Return (n,) seconds since the previous frame; 0 at the first."""
         return np.diff(self.t, prepend=self.t[:1])
 
     def __getitem__(self, index: slice | NDArray[Any]) -> Track:
-        """The same person over some of the frames."""
+        """Return the track at some of the frames."""
         parts: dict[str, Any] = {
             f.name: getattr(self, f.name)[index]
             for f in fields(self)
@@ -246,7 +246,7 @@ class Track:
         return replace(self, **parts)
 
     def input(self, name: str, *size: int) -> FloatArray:
-        """One of the `inputs`, (n,) or (n, size), for a term that needs it so; NaN where the track lacks it.
+        """Return one of the `inputs`, (n,) or (n, size), as a term requires; NaN where the track lacks it.
 
         Raises
         ------
@@ -273,11 +273,11 @@ class Track:
         gait_offset: FloatArray | None = None,
         glance_p: FloatArray | None = None,
     ) -> Track:
-        """The track with estimates in place of its observations; truth, label and inputs stay.
+        """Return the track with estimates in place of its observations; truth, label and inputs are kept.
 
-        What somebody looked like does not: it is of no use once identities are known.
+        Appearance is dropped, since identities are known.
 
-        The arrays must be as the attributes say: they are neither checked nor copied.
+        The arrays must be valid: they are neither checked nor copied.
         """
         estimates = {
             "position": position,
@@ -301,12 +301,12 @@ class Track:
         return track
 
     def std(self, name: str) -> FloatArray:
-        """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,); NaN where there is no covariance.
+        """Return 1-σ of one quantity of `STATE` (metres, m/s or radians), (n,); NaN without a covariance.
 
         Raises
         ------
         InputError
-            For a name that is none of a quantity.
+            For an unknown quantity.
         """
         if name not in STATE:
             raise InputError(f"quantity {name!r}", f"one of {', '.join(STATE)}")
@@ -323,12 +323,12 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class TrackSet:
-    """People of one scene: tracks with distinct ids, the camera if it is known, and the reading's summary.
+    """Tracks of one scene with distinct ids, the camera if it is known, and the summary of reading.
 
     It is a sequence of tracks: ``tracks[0]`` is the first, ``tracks[:2]`` a set of the first two.
     ``tracks.by_id(7)`` is the track of an id, ``tracks.select("anna", "*walk*")`` those of labels or ids.
 
-    Of a table with other names and units than the native one ``as_read`` keeps them for what is written.
+    ``as_read`` keeps the names and units of a table that differ from the native ones, for writing.
     """
 
     tracks: tuple[Track, ...]
@@ -384,28 +384,28 @@ class TrackSet:
     @overload
     def __getitem__(self, place: slice) -> TrackSet: ...
     def __getitem__(self, place: int | slice) -> Track | TrackSet:
-        """The track at a place, from 0, as in a list; of a slice a set. `by_id` is the track of an id.
+        """Return the track at an index, or the set of a slice, as in a list; `by_id` takes an id.
 
         Raises
         ------
         IndexError
-            For a place beyond the last track.
+            For an index beyond the last track.
         InputError
-            For what is no whole number, such as a label: `select` takes those.
+            For an index that is not a whole number, such as a label: use `select`.
         """
         if isinstance(place, slice):
             return self.with_tracks(self.tracks[place])
         try:
             number = index(place)
         except TypeError:
-            expected = "a place from 0 or a slice; by_id takes an id, select a label or a pattern"
+            expected = "an index from 0 or a slice; by_id takes an id, select a label or a pattern"
             raise InputError(f"tracks[{place!r}]", expected) from None
         if not -len(self) <= number < len(self):
             raise TrackIndexError(f"tracks[{number}] of {counted(len(self), 'track')}", _PLACE)
         return self.tracks[number]
 
     def by_id(self, track_id: int) -> Track:
-        """The track of an id.
+        """Return the track of an id.
 
         Raises
         ------
@@ -420,11 +420,11 @@ class TrackSet:
 
     @property
     def n_frames(self) -> int:
-        """Person-frames: the sum of the tracks' lengths."""
+        """Number of person-frames: the sum of the tracks' lengths."""
         return sum(len(track) for track in self.tracks)
 
     def with_tracks(self, tracks: Iterable[Track]) -> TrackSet:
-        """The same scene with other tracks."""
+        """Return the scene with other tracks."""
         return replace(self, tracks=tuple(tracks))
 
     def map(self, function: Callable[[Track], Track]) -> TrackSet:
@@ -432,7 +432,7 @@ class TrackSet:
         return self.with_tracks(function(track) for track in self.tracks)
 
     def select(self, *patterns: str) -> TrackSet:
-        """The tracks whose label or id matches one of the shell patterns (``*walk*``, ``17``)."""
+        """Return the tracks whose label or id matches one of the shell patterns (``*walk*``, ``17``)."""
         return self.with_tracks(
             track
             for track in self.tracks
@@ -440,11 +440,11 @@ class TrackSet:
         )
 
     def to_table(self, *, as_read: bool = False) -> pd.DataFrame:
-        """One row per person and frame, with the columns of the native format (degrees in ``*_deg``).
+        """Return a table with a row for each person and frame and the native columns (degrees in ``*_deg``).
 
         Parameters
         ----------
-        as_read : columns have the names and units of the table that was read, where it had others
+        as_read : use the names and units of the table that was read
         """
         import pandas as pd
 
@@ -452,25 +452,25 @@ class TrackSet:
 
     @classmethod
     def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
-        """Tracks from a table with the columns of the native format; a missing cell is a missing observation.
+        """Return tracks from a table with native columns; a missing cell is a missing observation.
 
         Parameters
         ----------
-        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds since 1970, UTC; the
-            summary's notes say so.
+        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds since 1970, UTC, with a
+            note in the summary.
         fps : frames a second, for a table without ``t``
 
         Raises
         ------
         InputError
-            Naming the row (from 1) and column that cannot be used.
+            With the row (from 1) and column of an invalid value.
         """
         rows = rows_of_table(table, fps)
         return cls.from_identified_rows(rows)
 
     @classmethod
     def from_identified_rows(cls, rows: Rows) -> TrackSet:
-        """Tracks from rows with identities, with a note and a warning where no pedestrian is that fast.
+        """Return tracks from rows with identities, with a note and a warning for implausible speeds.
 
         Raises
         ------
@@ -487,16 +487,16 @@ class TrackSet:
 
     @property
     def speeds(self) -> Speeds:
-        """The median speeds of the tracks."""
+        """Return the median speeds of the tracks."""
         return Speeds.of((track.t, track.position) for track in self)
 
     @classmethod
     def from_rows(cls, rows: Rows) -> TrackSet:
-        """Tracks from the rows that a reader made of its file."""
+        """Return tracks from the rows of a reader."""
         rows = sorted_rows(rows)
         ids = rows.track_id
         edges = np.flatnonzero(np.diff(ids, prepend=ids[0] - 1, append=ids[-1] + 1)).tolist()
-        # A channel that is missing throughout a track is absent: engines ask for None, not for all-NaN.
+        # A channel that is missing throughout a track is absent: engines expect None, not all-NaN.
         known = {
             name: np.logical_or.reduceat(~np.isnan(values).reshape(len(rows), -1).all(axis=1), edges[:-1])
             for name, values in rows.channels.items()
@@ -519,7 +519,7 @@ class TrackSet:
 
 
 def _contents(tracks: Sequence[Track]) -> str:
-    """The time that tracks span and what they hold, such as ``0.0–19.9 s, body, head; truth``."""
+    """Return the time span and channels of tracks, such as ``0.0–19.9 s, body, head; truth``."""
     begin, end = min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks)
     words = [f"{begin:.1f}–{end:.1f} s"]
     for name, fields_ in (
@@ -536,15 +536,15 @@ def _contents(tracks: Sequence[Track]) -> str:
 
 
 def _n_known(*channels: np.ndarray | None) -> int:
-    """The number of frames in which any of the channels is known."""
+    """Return the number of frames in which any of the channels is known."""
     given = [np.isfinite(c.reshape(len(c), -1)).all(axis=1) for c in channels if c is not None]
     return int(np.logical_or.reduce(given).sum()) if given else 0
 
 
 def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
-    """The columns that any of the tracks has, in the order of `schema.in_order`; missing numbers are NaN.
+    """Return the columns of all tracks, in the order of `schema.in_order`; missing numbers are NaN.
 
-    Of a covariance the table has the diagonal, as standard deviations.
+    The diagonal of a covariance is written, as standard deviations.
     """
     columns: dict[str, NDArray[Any]] = {
         "track_id": np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]).astype(
@@ -570,7 +570,7 @@ def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
 
 
 def _input_columns(tracks: TrackSet) -> list[Column]:
-    """The columns of all inputs that any track has, by name; a set's tracks agree on their sizes."""
+    """Return the columns of the inputs of all tracks, by name; a set's tracks agree on their sizes."""
     sizes = {name: values.shape[1:] for track in tracks for name, values in track.inputs.items()}
     names = [column.name for name in sizes for column in input_columns(f"{INPUT}{name}", sizes[name])]
     return [column for name in columns_in_order(names) if (column := numeric(name)) is not None]

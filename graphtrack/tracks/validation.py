@@ -1,4 +1,4 @@
-"""Shapes and bounds of a track's arrays, checks of settings, and speeds that tell of wrong units."""
+"""Shapes and bounds of a track's arrays, checks of settings, and detection of implausible speeds."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from graphtrack.geometry.angles import FloatArray
 
 LARGEST_FRAME = 2**31 - 1
 LARGEST_ID = 2**53 - 1
-"""Within ± this every whole number is a double of its own, to which no other one rounds."""
+"""Largest magnitude up to which every whole number has a unique double."""
 LARGEST_METRES = 1e8
-"""Twice the way round the earth: a coordinate beyond it is a mistake."""
+"""Twice the earth's circumference, metres: a larger coordinate is a mistake."""
 LARGEST_SECONDS = 1e11
 LARGEST_PIXELS = 1e6
 LARGEST_DEGREES = 1e6
@@ -26,26 +26,26 @@ LARGEST_CONCENTRATION = 1e9
 LARGEST_LIKELIHOOD = 1e12
 
 SMALLEST = math.ulp(0.0)
-"""The smallest number above 0."""
+"""Smallest positive double."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Numbers from ``low`` to ``high``, both of them allowed."""
+    """Closed interval from ``low`` to ``high``."""
 
     low: float
     high: float
 
     @property
     def expected(self) -> str:
-        """The allowed numbers, in words."""
+        """Description of the allowed numbers."""
         if math.isclose(-self.low, self.high):
             return f"a number within ±{self.high:g}"
         return f"a number {'above 0' if self.low == SMALLEST else f'from {self.low:g}'} to {self.high:g}"
 
     def first_outside(self, values: NDArray[Any]) -> tuple[int, ...] | None:
-        """Index of the first value out of bounds, or None; NaN, a missing value, is within them."""
-        # Two reductions without a copy: this is asked of every channel of every track.
+        """Return the index of the first value out of bounds, or None; NaN, a missing value, is allowed."""
+        # Two reductions without a copy: this is called for every channel of every track.
         if not values.size:
             return None
         low, high = np.fmin.reduce(values, axis=None), np.fmax.reduce(values, axis=None)
@@ -56,7 +56,7 @@ class Bounds:
 
 
 def within(largest: float) -> Bounds:
-    """Numbers of either sign."""
+    """Bounds of numbers of either sign."""
     return Bounds(-largest, largest)
 
 
@@ -88,7 +88,7 @@ FIELDS: Mapping[str, Bounds] = {
     "true_body": RADIANS,
     "true_head": RADIANS,
 }
-"""Bounds of a `Track`'s attributes, in its units; of what engines alone make it must be finite."""
+"""Bounds of a `Track`'s attributes, in its units; attributes that only engines set must be finite."""
 
 STATE = ("x", "y", "vx", "vy", "body", "head")
 """Order of the state in ``Track.covariance``."""
@@ -111,16 +111,16 @@ INPUT = "input_"
 """Prefix of channels and columns that are inputs of a track."""
 
 APPEARANCE = "appearance"
-"""The input that says what somebody looks like, of any size; its columns have no prefix."""
+"""Name of the input with the appearance descriptor, of any size; its columns have no prefix."""
 
 
 def bounds_of(name: str) -> Bounds:
-    """Bounds of a `Track`'s attribute or of one of its inputs, in its units."""
+    """Return the bounds of a `Track`'s attribute or input, in its units."""
     return FINITE if name.startswith(INPUT) else FIELDS[name]
 
 
 def out_of_bounds(name: str, value: float, frame: int, track_id: int, **place: Any) -> InputError:
-    """The error for a value of an attribute in one frame; ``place`` is where in a file it stands."""
+    """Return the error for a value of an attribute in one frame; ``place`` is its position in a file."""
     found = f"{name} = {value:g} in frame {frame} of track {track_id}"
     return InputError(found, f"{bounds_of(name).expected}, or NaN where it is missing", **place)
 
@@ -132,7 +132,7 @@ def check_positive(name: str, value: float | None, highest: float) -> None:
 
 
 def is_number(value: object) -> bool:
-    """Return whether a setting is a real number; text and truth values are none."""
+    """Return whether a setting is a real number, and not text or a boolean."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
@@ -143,18 +143,18 @@ def check_count(name: str, value: object) -> None:
 
 
 def real_numbers(given: Any) -> NDArray[np.float64]:
-    """An array of doubles, a copy; masked values are NaN.
+    """Return a copy as an array of doubles; masked values are NaN.
 
-    NumPy would drop masks and imaginary parts, and take dates and durations for counts of their unit.
+    NumPy would drop masks and imaginary parts, and convert dates and durations to counts of their unit.
 
     Raises
     ------
     TypeError, ValueError
-        For anything else than real numbers.
+        For values other than real numbers.
     """
     value = np.asarray(given)
     if np.iscomplexobj(value):
-        raise TypeError("complex numbers, of which only real ones can be used")
+        raise TypeError("complex numbers; expected real numbers")
     if value.dtype.kind in "mM":
         raise TypeError("dates or durations; expected seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
     numbers = np.array(value, dtype=float)
@@ -168,7 +168,7 @@ TEXT = "text in Unicode characters (no half of a surrogate pair)"
 
 
 def is_text(value: object) -> bool:
-    """Return whether a value is text that UTF-8 can hold; the half of a surrogate pair is not."""
+    """Return whether a value is text that UTF-8 can encode, without half a surrogate pair."""
     if not isinstance(value, str):
         return False
     try:
@@ -184,7 +184,7 @@ def check_frame_rate(fps: float | None) -> None:
 
 
 def number(default: float, low: float, high: float, unit: str = "") -> Any:
-    """A field of a dataclass of parameters: a number from ``low`` to ``high``; see `check_numbers`."""
+    """Return a field of a dataclass of parameters: a number from ``low`` to ``high``; see `check_numbers`."""
     return field(default=default, metadata={"range": (low, high), "unit": unit})
 
 
@@ -203,7 +203,7 @@ Parameters = TypeVar("Parameters")
 
 
 def with_table(parameters: Parameters, table: str, values: Any) -> Parameters:
-    """A dataclass of parameters with the values of a table, as a file has it, in place of some of them."""
+    """Return a dataclass of parameters updated by the values of a file's table."""
     if not isinstance(values, Mapping):
         raise InputError(f"{table} = {values!r}", f"a table [{table}]")
     names = [one.name for one in fields(parameters)]  # type: ignore[arg-type]
@@ -217,12 +217,12 @@ def with_table(parameters: Parameters, table: str, values: Any) -> Parameters:
 
 
 FASTEST = 12.0
-"""Metres a second: nobody runs faster."""
+"""Metres a second, the speed above which units are suspected."""
 
-_SPAN = 1.0  # seconds over which speeds are taken: from frame to frame they are mostly noise
+_SPAN = 1.0  # seconds over which speeds are computed: between frames they are mostly noise
 
 _SHARE = 0.1
-"""Share of the positions from which fast tracks are told of: a few odd ones have other causes than units."""
+"""Least share of positions in fast tracks for a note: a few have other causes than wrong units."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class Speeds:
     ----------
     n_tracks, n_positions : of all tracks with a speed
     fast : median speed (m/s) of each track that is faster than `FASTEST`
-    n_fast : positions of those
+    n_fast : number of positions of those tracks
     """
 
     n_tracks: int = 0
@@ -243,7 +243,7 @@ class Speeds:
 
     @classmethod
     def of(cls, tracks: Iterable[tuple[FloatArray, FloatArray]]) -> Speeds:
-        """The speeds of tracks by their times (n,) and positions (n, 2)."""
+        """Return the speeds of tracks from their times (n,) and positions (n, 2)."""
         found = [(speed, n) for speed, n in (median_speed(*one) for one in tracks) if n]
         fast = [(speed, n) for speed, n in found if speed > FASTEST]
         return cls(
@@ -260,7 +260,7 @@ class Speeds:
 
     @property
     def note(self) -> str | None:
-        """Note on speeds that no people have; None where there are none."""
+        """Return a note on implausible speeds; None where there are none."""
         if self.n_fast <= _SHARE * self.n_positions:
             return None
         usual, greatest = _median(np.array(self.fast)), max(self.fast)
@@ -273,7 +273,7 @@ class Speeds:
 
 
 def median_speed(t: FloatArray, position: FloatArray) -> tuple[float, int]:
-    """Median speed (m/s) over spans of about a second, and the number of positions; 0, 0 of less than two."""
+    """Return the median speed (m/s) over about 1 s, and the number of positions; 0, 0 for fewer than two."""
     seen = np.isfinite(position).all(axis=1)
     position, t = position[seen], t[seen]
     if len(t) < 2:
@@ -285,5 +285,5 @@ def median_speed(t: FloatArray, position: FloatArray) -> tuple[float, int]:
 
 
 def _median(values: FloatArray) -> float:
-    """The upper median; for thousands of short tracks ``np.median`` takes as long as to read them."""
+    """Return the upper median; for thousands of short tracks ``np.median`` takes as long as reading."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
