@@ -1,4 +1,4 @@
-"""Detections without identities: who is who is found, and what is false left out."""
+"""Data association of detections without identities; false detections are left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidates within reach: none is missed, and what is left out changes no match."""
+"""Candidates within reach: complete, and pruning changes no match."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ PARAMETERS = Parameters(
 
 
 def noisy_walk(n: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and head of somebody who turns, with gaps in both."""
+    """Positions and head of a person who turns, with gaps in both."""
     rng = np.random.default_rng(seed)
     course = 0.8 * np.sin(np.arange(n) / 9.0)
     position = np.cumsum(0.4 * unit(course), axis=0) + rng.normal(0.0, 0.4, (n, 2))

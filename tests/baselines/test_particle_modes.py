@@ -29,7 +29,7 @@ from graphtrack.tracks.track import Track
 
 
 def aside(n: int = 60, *, seed: int = 0, offset: float = 1.4) -> Track:
-    """Somebody who walks straight, body and head all the time at an offset from where the motion goes."""
+    """A person who walks straight, body and head at a constant offset from the direction of motion."""
     rng = np.random.default_rng(seed)
     t = 0.1 * np.arange(n)
     position = np.stack([1.2 * t, np.zeros(n)], axis=1)

@@ -38,7 +38,7 @@ def test_what_is_told_within_an_answer_has_the_same_names_and_unit() -> None:
     later=st.lists(st.integers(0, 90 * DAY), min_size=2, max_size=4),
 )
 def test_whole_stamps_come_back_to_the_last_digit(unit: int, first: int, later: list[int]) -> None:
-    """Also those since 1970, of which a double has no nanoseconds."""
+    """Also times since 1970, which a double cannot hold in nanoseconds."""
     stamps = [(first + more) // unit for more in (0, *later)]
     lines = [(0, b"no row"), *((k, b'{"t": %d}' % stamp) for k, stamp in enumerate(stamps, start=1))]
     rest, names = StreamNames(unit=unit).beginning(iter(lines), nobody, print)

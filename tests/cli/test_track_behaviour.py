@@ -1,4 +1,4 @@
-"""`graphtrack track - --groups --attention --forecast`: what is told, when, and after a stop."""
+"""`graphtrack track - --groups --attention --forecast`: its output, its timing, and after a restart."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OF_GROUPS = ["group", "kind", "probability", "centre_x", "centre_y"]
 
 
 def rows(frames: int = 8, people: int = 3) -> list[dict[str, Any]]:
-    """Two who walk side by side, and others far from them."""
+    """Two people who walk side by side, and further people far from them."""
     far = {1: 0.0, 2: 0.7}
     return [
         {"track_id": k, "frame": f, "t": round(0.4 * f, 6), "x": round(0.5 * f, 6), "y": far.get(k, 20.0 * k)}

@@ -1,4 +1,4 @@
-"""Baxter et al.'s Fig. 5 on CAVIAR: who is judged, what is seen of them, and what the gains are made of."""
+"""Baxter et al.'s Fig. 5 on CAVIAR: selected people, their observations, and the parts of the gains."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from graphtrack.tracks.track import Track
 
 
 def labelled_walk(seed: int = 0, n: int = 200) -> Track:
-    """Somebody at 25 frames a second, the head up to a bin off the travel and labelled anew each second."""
+    """A person at 25 frames a second, the head up to a bin off the travel and labelled again each second."""
     rng = np.random.default_rng(seed)
     course = np.repeat(rng.normal(0.0, 0.3, n // 25), 25)
     position = np.cumsum(0.055 * unit(course), axis=0) + rng.normal(0.0, 0.03, (n, 2))

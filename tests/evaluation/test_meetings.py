@@ -23,7 +23,7 @@ SPEED, STEP = 1.2, 0.1
 
 
 def around_a_corner(track_id: int, turn: float, frames: int = 61) -> Track:
-    """Somebody who walks on a line, turns within a second, and walks on; the head is a little ahead."""
+    """A person who walks on a line, turns within a second, and walks on; the head is a little ahead."""
     time = STEP * np.arange(frames)
     heading = turn * np.clip(time - 0.5 * time[-1] + 0.5, 0.0, 1.0)
     way = SPEED * STEP * np.column_stack([np.cos(heading), np.sin(heading)])

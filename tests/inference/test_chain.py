@@ -229,7 +229,7 @@ def test_a_term_without_a_kernel_is_gtsams_work() -> None:
 
 def test_a_term_is_linear_only_if_its_own_class_says_so() -> None:
     class Steered(Motion):
-        """A parent's word is not taken for what a child may have changed."""
+        """A parent's declaration does not hold for a child that may have changed it."""
 
     def is_linear(model: Model) -> bool:
         return model.is_linear(pack([walk()], model))

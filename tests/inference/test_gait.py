@@ -1,4 +1,4 @@
-"""Modes of the couplings: people who side-step, people who do not, and the recursion behind it."""
+"""Coupling modes: people who side-step, people who do not, and the recursion."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -111,7 +111,7 @@ def test_the_past_of_a_window_is_not_forgotten() -> None:
 
 @pytest.mark.parametrize("offset", [0.0, 100.0])
 def test_the_head_steers_people_who_look_where_they_go_and_no_others(offset: float) -> None:
-    """A turn in a gap that only the head tells of; bodies and heads of the others point elsewhere."""
+    """A turn in a gap that only the head reveals; bodies and heads of other people point elsewhere."""
     rng, tracks = np.random.default_rng(17), []
     for i in range(6):
         t = np.arange(150) / FPS

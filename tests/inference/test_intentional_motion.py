@@ -125,7 +125,7 @@ def test_the_head_tells_of_a_turn_that_is_not_seen(data_dir: Path) -> None:
 
 
 def straight(head: np.ndarray, dt: float = 0.1) -> Track:
-    """Somebody who walks along x at 1 m/s, without noise."""
+    """A person who walks along x at 1 m/s, without noise."""
     n = len(head)
     path = np.column_stack([dt * np.arange(n), np.zeros(n)])
     return Track(track_id=1, frame=np.arange(n), t=dt * np.arange(n), position=path, head=head)

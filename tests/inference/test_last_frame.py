@@ -1,4 +1,4 @@
-"""The last frame of a track has nothing after it: offline and online say the same of it."""
+"""The last frame of a track has no later observations: offline and online agree on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Groups and attention frame by frame: as over a file, whoever comes first, and after a stop."""
+"""Groups and attention frame by frame: as over a file, in any order of people, and after a restart."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FPS = 2.0
 
 
 def estimated(people: int = 7, steps: int = 40, seed: int = 2) -> TrackSet:
-    """Estimates of a party, of which rows are missing here and there."""
+    """Estimates of a party, with missing rows."""
     rng = np.random.default_rng(seed)
 
     def one(track: Track) -> Track:

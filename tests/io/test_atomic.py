@@ -1,4 +1,4 @@
-"""Writing whole or not at all: through links, beside others who write, and after runs that were killed."""
+"""Atomic writing: through links, with parallel writers, and after runs that were killed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write(path: Path, text: str) -> None:
 
 
 def killed(path: Path, *directory: str) -> None:
-    """Somebody who is killed while they write."""
+    """A process that is killed while it writes."""
     done = subprocess.run([sys.executable, "-c", KILLED, str(path), *directory], check=False)
     assert done.returncode == -signal.SIGKILL
 

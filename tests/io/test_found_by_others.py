@@ -1,4 +1,4 @@
-"""Detections of supervision and Ultralytics, and what trackers make of them, as tracks."""
+"""Detections of supervision and Ultralytics, and their trackers' output, as tracks."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ SIMULATED = Path(__file__).parent / "made_elsewhere" / "jupedsim.sqlite.gz"
 
 
 def seen() -> TrackSet:
-    """Tracks as `made_tracks`, the frames with a position; what text and databases hold."""
+    """Tracks as `made_tracks`, the frames with a position, with the columns of text and databases."""
     return TrackSet(tuple(track[np.isfinite(track.position).all(axis=1)] for track in made_tracks()))
 
 

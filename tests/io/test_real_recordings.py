@@ -1,4 +1,4 @@
-"""Real recordings: known counts, and what must hold of people who walk."""
+"""Real recordings: known counts, and properties of walking people."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ Read = tuple[gt.TrackSet, int, int]
 
 @dataclass(frozen=True)
 class WayIn:
-    """A reader or an adapter, and what it needs besides this package."""
+    """A reader or an adapter, and its further requirements."""
 
     read: Callable[[Path], Read]
     needs: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ def foreign_table(folder: Path) -> Read:
 
 
 def detections_as_table(folder: Path) -> Read:
-    """Rows of which some have no position, and some stand there twice."""
+    """Rows with missing positions, and with repeated rows."""
     t = np.repeat(np.arange(FRAMES), 2)
     x = np.tile([0.0, 5.0], FRAMES) + 0.05 * t
     table = pd.DataFrame({"frame": t, "t": t / 10.0, "x": x, "y": np.zeros(len(t))})
@@ -105,7 +105,7 @@ def detections_as_table(folder: Path) -> Read:
 
 
 def beyond_the_horizon(folder: Path) -> Read:
-    """Pixels of which one lies above the horizon v = 100."""
+    """Pixels, one of them above the horizon v = 100."""
     homography = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, -100.0]])
     pixels = {"track_id": [1] * 5, "frame": range(5), "u": [1, 2, 3, 4, 5], "v": [200, 201, 202, 203, 50]}
     return gt.read(pixels, fps=10.0, homography=homography), 5, 1

@@ -1,4 +1,4 @@
-"""How often the stated 95 % intervals hold the parameters that simulated people were made with.
+"""Coverage of the 95 % intervals of parameters, on simulated people.
 
 One command prints the table of docs/results/model.md:
 ``pytest tests/learning/test_coverage.py -m slow -s``

@@ -23,7 +23,7 @@ MISSED, CLUTTER, NOISE, SECONDS = 0.15, 1.0, 0.1, 120.0
 
 @pytest.fixture(scope="module")
 def seen() -> Detected:
-    """People who cross a place, with the faults of a detector, who do not say how noisy they are."""
+    """People who cross a place, with detector errors and without declared noise."""
     rng = np.random.default_rng(0)
     exact = crowd(rng, seconds=SECONDS, place=Place(arrivals=0.25))
     found = detect(exact, Detector(missed=MISSED, clutter=CLUTTER), position_std=NOISE, rng=rng)

@@ -1,4 +1,4 @@
-"""A camera that teaches itself: labels, alignment, what it learns, and what it refuses."""
+"""A camera that adapts itself: labels, alignment, learning, and rejected input."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 
 @pytest.fixture(scope="module")
 def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The file that a camera wrote, and what it said."""
+    """The file that a camera wrote, and its messages."""
     folder = tmp_path_factory.mktemp("adapted")
     arguments = write_street(pasted_street(24, np.random.default_rng(0)), folder / "street")
     done = run("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")

@@ -1,4 +1,4 @@
-"""A camera without a calibration: what boxes tell of the view, how surely, and when they do not."""
+"""A camera without a calibration: the view from boxes, its uncertainty, and insufficient boxes."""
 
 from __future__ import annotations
 

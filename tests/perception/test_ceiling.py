@@ -1,4 +1,4 @@
-"""Rendered ceiling-camera sequences: what is seen against what the labels say."""
+"""Rendered ceiling-camera sequences: the images agree with the labels."""
 
 from __future__ import annotations
 

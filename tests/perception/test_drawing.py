@@ -1,4 +1,4 @@
-"""Drawn estimates: where things are in the picture, and what stands on the disk."""
+"""Drawn estimates: positions in the image, and the content of the disk."""
 
 from __future__ import annotations
 

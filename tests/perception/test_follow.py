@@ -1,4 +1,4 @@
-"""`perception follow` with a tracker of red blobs: what it says, and what becomes of it in the graph."""
+"""`perception follow` with a tracker of red blobs: its messages, and its effect in the graph."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def blobs(monkeypatch: pytest.MonkeyPatch) -> list[BlobTracker]:
-    """Every name stands for the tracker of blobs; those that were made."""
+    """Replace every tracker by the tracker of blobs; returns the trackers made."""
     made: list[BlobTracker] = []
 
     def make(

@@ -1,4 +1,4 @@
-"""Frames of videos and folders: what is taken, told of and refused."""
+"""Frames of videos and folders: used, reported and refused."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def test_while_hidden_it_goes_on_and_becomes_less_sure() -> None:
 
 
 def test_what_a_tracker_says_as_its_target_is_covered_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The box stands still for ten frames, as at the edge of a wall, before the tracker owns up."""
+    """The box stands still for ten frames, as at the edge of a wall, before the tracker reports a loss."""
     errors = {}
     for forget in (0.0, 0.4):
         monkeypatch.setattr(guidance, "FORGET", forget)

@@ -47,7 +47,7 @@ def all_17(used: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("angle", np.deg2rad([0.0, 45.0, 90.0, 135.0, 180.0, -135.0, -90.0, -45.0]))
 def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
-    """Of a rendered person who looks where the body points, before a camera at 5 m, without errors."""
+    """Keypoints of a rendered person facing along the body, before a camera at 5 m, without errors."""
     rng = np.random.default_rng(3)
     camera = Camera((5.0, 0.0, 1.5), np.pi, -0.1, 400.0, (400, 400))
     found = []

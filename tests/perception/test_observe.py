@@ -1,4 +1,4 @@
-"""`perception observe`: what it writes, leaves out, says and draws, and how it goes on."""
+"""`perception observe`: its output, skipped rows, messages and drawings, and resuming."""
 
 from __future__ import annotations
 

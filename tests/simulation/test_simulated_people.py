@@ -1,4 +1,4 @@
-"""Simulated people are those whom the estimator believes in, at every frame rate."""
+"""Simulated people have the statistics of the estimator's model, at every frame rate."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_modes_have_their_shares_rates_and_offsets() -> None:
     )
     t = np.arange(400) / 10.0
     modes = sample_modes(t, 400, gait, np.random.default_rng(4)).body
-    # 400 people for 40 s, in which the mode is drawn anew twenty times.
+    # 400 people for 40 s, in which the mode is redrawn twenty times.
     assert modes.aligned.mean() == pytest.approx(0.3, abs=0.03)
     for k in (0, -1):
         assert modes.aligned[:, k].mean() == pytest.approx(0.3, abs=0.1)

@@ -1,4 +1,4 @@
-"""What has to hold of the figures whatever the scene, and what `score` takes and says."""
+"""Properties of the scores in any scene, and the input and output of `score`."""
 
 from dataclasses import replace
 
