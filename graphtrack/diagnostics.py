@@ -1,9 +1,9 @@
-"""Diagnosis of the declared noise: the multiple that makes observations likeliest, and a bias of angles.
+"""Diagnosis of the declared noise: its maximum-likelihood multiple, and a bias of angles.
 
 Stretches of tracks are filtered under white-noise acceleration and rotational diffusion, each observation an
-outlier with some probability, all stretches and candidates at once. Everybody seen at the same angle to the
-motion is more probably a bias of the detector than of people: each track has an offset from a von Mises
-density about the bias or, for some, from the circle.
+outlier with some probability, all stretches and candidates at once. An angle to the motion common to all
+people is attributed to the detector: each track has an offset from a von Mises density about the bias or, for
+some, from a uniform density.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MOST = 2500  # Frames of all pieces together, about
 FEWEST = 4  # Observations of a piece at least
 
 Channel = Callable[[Track], tuple[FloatArray | None, FloatArray | None]]
-"""What was observed in each frame, and the spread that was declared for it."""
+"""Observation of each frame, and its declared spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,9 @@ class Pieces:
     Attributes
     ----------
     dt : (T, P) seconds since the frame before
-    value : (T, P, k) observed, from the first value of its piece; NaN where nothing was, and past the end
-    spread : (T, P) what is declared of it; NaN: nothing
-    track : (P,) place of the track that it is of
+    value : (T, P, k) observations, from the first of its piece; NaN if missing, and past the end
+    spread : (T, P) declared spread; NaN: none
+    track : (P,) index of its track
     """
 
     dt: FloatArray
@@ -64,16 +64,16 @@ class Pieces:
 
     @property
     def seen(self) -> BoolArray:
-        """(T, P) where something was observed."""
+        """(T, P) mask of observations."""
         return np.asarray(np.isfinite(self.value[..., 0]))
 
     def part(self, count: int) -> Pieces:
-        """The first so many."""
+        """Return the first pieces."""
         return Pieces(self.dt[:, :count], self.value[:, :count], self.spread[:, :count], self.track[:count])
 
 
 def pieces_of(tracks: Sequence[Track], channel: Channel, rng: np.random.Generator) -> Pieces | None:
-    """Pieces of tracks in which a channel was observed, chosen at random; None where there are none."""
+    """Choose at random pieces of tracks with observations of a channel; None if there are none."""
     places = [(m, a) for m, track in enumerate(tracks) for a in range(0, len(track), LONGEST)]
     chosen: list[tuple[int, FloatArray, FloatArray, FloatArray]] = []
     frames = 0
@@ -150,7 +150,7 @@ def position_log_density(
         outlier = rate * np.exp(-0.5 * square / wide) / (TWO_PI * wide) + 1e-300
         share = np.where(here, inlier / (inlier + outlier), 0.0)
         total += np.where(here, np.log(inlier + outlier), 0.0)
-        # What an outlier leaves is what was known before; both together, by their moments.
+        # An outlier leaves the prior unchanged; the mixture is moment-matched.
         gain_p, gain_v = share * pp / spread, share * pv / spread
         doubt = 0.5 * share * (1.0 - share) * square / spread**2
         x, y, vx, vy = x + gain_p * dx, y + gain_p * dy, vx + gain_v * dx, vy + gain_v * dy
@@ -176,7 +176,7 @@ def angle_log_density(
 ) -> FloatArray:
     """Log density (G, P) of the angles (T, P, 1) of pieces, by each of G candidates.
 
-    A mixture is taken for the von Mises density of the same mean resultant.
+    A mixture is approximated by the von Mises density of the same mean resultant.
 
     Parameters
     ----------
@@ -218,13 +218,13 @@ def angle_log_density(
 Density = Callable[[Pieces, FloatArray, FloatArray, FloatArray], FloatArray]
 """Pieces, (G,) multiples of the noise and of the model's wander, probabilities of an outlier → (G, P)."""
 
-SURE = 0.999  # Of the intervals by which a declaration is judged
+SURE = 0.999  # Probability of the intervals against which a declaration is tested
 
 FEWEST_PIECES, FEWEST_SEEN = 4, 100
 
 _PRIOR_MEAN = np.array([0.0, 0.0, np.log(0.02 / 0.98)])
 _PRIOR_STD = np.array([3.0, 2.0, 1.5])
-"""Of the logarithms of the multiples, and of the log odds of an outlier: broad."""
+"""Prior of the logarithms of the multiples, and of the log odds of an outlier: broad."""
 
 _STEP, _FAR = 0.1, 1.0
 _WIDEST = 10.0
@@ -235,9 +235,9 @@ _COARSE = [np.log(10.0) * np.linspace(-1.0, 1.0, 9), np.linspace(-4.0, 4.0, 5)]
 
 @dataclass(frozen=True)
 class Multiplier:
-    """A factor for a declared 1-σ, and its interval of probability `SURE`.
+    """Factor for a declared 1-σ, and its interval of probability `SURE`.
 
-    ``seen`` observations in ``pieces`` stretches tell of it.
+    It is based on ``seen`` observations in ``pieces`` stretches.
     """
 
     value: float
@@ -248,7 +248,7 @@ class Multiplier:
 
 
 def multiplier_of(pieces: Pieces, density: Density) -> Multiplier | None:
-    """The multiplier of the declared noise, how much people wander learned beside; None of too few."""
+    """Estimate the multiplier of the declared noise jointly with the motion noise; None for too few data."""
     count, seen = len(pieces.track), int(pieces.seen.sum())
     if count < FEWEST_PIECES or seen < FEWEST_SEEN:
         return None
@@ -277,7 +277,7 @@ def multiplier_of(pieces: Pieces, density: Density) -> Multiplier | None:
     blocks = len(slopes)
     inverse = np.linalg.inv(hessian)
     scatter = (slopes - slopes.mean(axis=0)).T @ (slopes - slopes.mean(axis=0)) * blocks / (blocks - 1)
-    # Neither sees all: where tracks differ the sandwich is the wider one, where they are few the curvature.
+    # Use the larger variance: the sandwich if tracks differ, the curvature if they are few.
     variance = max((inverse @ scatter @ inverse)[0, 0], inverse[0, 0])
     half = min(float(special.stdtrit(blocks - 1, 0.5 + 0.5 * SURE) * np.sqrt(variance)), _WIDEST)
     low, value, high = np.exp(best[0] + np.array([-half, 0.0, half])).tolist()
@@ -285,11 +285,11 @@ def multiplier_of(pieces: Pieces, density: Density) -> Multiplier | None:
 
 
 _STENCIL = np.vstack([np.zeros((1, 3)), np.eye(3), -np.eye(3), 1.0 - np.eye(3)])
-"""The middle, a step up and down each axis, and up two at a time."""
+"""Stencil: the centre, one step up and down each axis, and up two axes at a time."""
 
 
 def _hessian(costs: FloatArray) -> FloatArray:
-    """(3, 3) from the costs at the stencil, positive definite."""
+    """Return the (3, 3) Hessian from the costs at the stencil, positive definite."""
     middle, up, down = costs[0], costs[1:4], costs[4:7]
     hessian = np.diag(up + down - 2.0 * middle)
     for left_out in range(3):
@@ -300,7 +300,7 @@ def _hessian(costs: FloatArray) -> FloatArray:
 
 
 def _by_track(slopes: FloatArray, track: NDArray[np.int64]) -> FloatArray:
-    """Sums of the slopes (P, 3) of each track; of each piece, where tracks are too few."""
+    """Sum the slopes (P, 3) of each track; return those of pieces if there are too few tracks."""
     names, place = np.unique(track, return_inverse=True)
     if len(names) < 10:
         return slopes
@@ -311,19 +311,19 @@ def _by_track(slopes: FloatArray, track: NDArray[np.int64]) -> FloatArray:
 
 BASE = 1.0  # Seconds over which the direction of motion is measured
 
-MOVING = 0.5  # m/s over that time from which it means something
+MOVING = 0.5  # m/s over that time from which the direction is defined
 
 FEWEST_TRACKS, FEWEST_FOR_BIAS = 8, 8
-"""Tracks, and observations of who moves in each, that it takes to tell a bias from people's gaits."""
+"""Fewest tracks, and observations in motion of each, to separate a bias from people's gaits."""
 
 MOST_TRACKS = 400
 
-SHARED = 0.7  # Share of the tracks that a bias is common to, at least
+SHARED = 0.7  # Smallest share of the tracks with a common bias
 
 
 @dataclass(frozen=True)
 class Bias:
-    """Radians by which observed angles are turned from the true ones, and a 99.9 % interval.
+    """Rotation in radians of observed from true angles, and its 99.9 % interval.
 
     ``share`` of the ``tracks`` agree on it.
     """
@@ -336,7 +336,7 @@ class Bias:
 
 
 def bias_of(tracks: Sequence[Track], name: str, rng: np.random.Generator) -> Bias | None:
-    """The bias of "body" or "head" that tracks have in common; None of too few."""
+    """Estimate the common bias of "body" or "head"; None for too few tracks."""
     offsets: list[float] = []
     for m in rng.permutation(len(tracks)).tolist():
         offset = offset_of(tracks[m], name)
@@ -348,7 +348,7 @@ def bias_of(tracks: Sequence[Track], name: str, rng: np.random.Generator) -> Bia
 
 
 def shared_offset(offsets: FloatArray) -> Bias:
-    """The angle that most of the offsets (m,) of tracks, in radians, are about."""
+    """Return the mode of the offsets (m,) of tracks, in radians."""
     grid = np.radians(np.arange(-180.0, 180.0, 2.0))
     sharp, share = np.array([3.0, 8.0, 20.0, 60.0, 200.0]), np.array([0.3, 0.5, 0.7, 0.85, 0.95, 0.99])
     about = von_mises_log_density(offsets, grid[:, None, None], sharp[:, None])
@@ -367,7 +367,7 @@ def shared_offset(offsets: FloatArray) -> Bias:
 
 
 def offset_of(track: Track, name: str) -> float:
-    """Circular mean of what was seen of an orientation less the direction of motion; NaN of too little."""
+    """Return the circular mean of an observed orientation minus the direction of motion; NaN for few data."""
     angle = observed_angle(track, name)
     seen = np.isfinite(angle)
     place = np.flatnonzero(np.isfinite(track.position).all(axis=1))
@@ -377,7 +377,7 @@ def offset_of(track: Track, name: str) -> float:
     at = track.t[seen]
     before = np.clip(np.searchsorted(t, at - 0.5 * BASE), 0, len(t) - 1)
     after = np.clip(np.searchsorted(t, at + 0.5 * BASE), 0, len(t) - 1)
-    # The middle of a stretch, which is as long to either side; what is turned within it is so on average.
+    # The interval is centred on the frame, so that turns within it average out.
     apart, seconds = position[after] - position[before], t[after] - t[before]
     off_centre = np.abs(0.5 * (t[after] + t[before]) - at)
     moves = (np.linalg.norm(apart, axis=1) > MOVING * seconds) & (seconds >= 0.5 * BASE)
@@ -390,7 +390,7 @@ def offset_of(track: Track, name: str) -> float:
 
 
 def turned(track: Track, name: str, by: float) -> dict[str, FloatArray]:
-    """The channels of an orientation, turned by radians; classes go over into their neighbours."""
+    """Rotate the channels of an orientation by radians; classes are interpolated between neighbours."""
     angle, classes = getattr(track, name), getattr(track, f"{name}_likelihood")
     changes: dict[str, FloatArray] = {}
     if angle is not None:
@@ -405,12 +405,12 @@ def turned(track: Track, name: str, by: float) -> dict[str, FloatArray]:
 
 
 Trust = Literal["declared", "check", "learn"]
-"""The declared noise is taken as it is; or checked, to say where data contradict it; or corrected there."""
+"""Use of the declared noise: unchanged; checked, with reports of contradictions; or corrected there."""
 
 TOO_FAR, SURELY = 1.25, 1.1
-"""A declared σ is contradicted if it is off by such a factor, and by at least the second with 99.9 %."""
+"""A declared σ is contradicted if wrong by the first factor, and by the second with 99.9 % probability."""
 
-BIASED, SURELY_BIASED = math.radians(10.0), math.radians(4.0)  # The same of a bias
+BIASED, SURELY_BIASED = math.radians(10.0), math.radians(4.0)  # Likewise for a bias
 
 
 @dataclass(frozen=True)
@@ -420,9 +420,9 @@ class ChannelNoise:
     Attributes
     ----------
     name : "position", "body" or "head"
-    multiplier : of the declared 1-σ; None: too few observations to tell
-    bias : of angles; None: too few people who move
-    column : the file's column that declares the noise, or the model's parameter where it does not
+    multiplier : factor of the declared 1-σ; None: too few observations
+    bias : bias of angles; None: too few people in motion
+    column : the file's column that declares the noise, else the model's parameter
     """
 
     name: str
@@ -432,7 +432,7 @@ class ChannelNoise:
 
     @property
     def scale(self) -> float:
-        """The factor for the declared σ: 1 where it is not contradicted."""
+        """Factor for the declared σ: 1 if it is not contradicted."""
         found = self.multiplier
         if found is None or 1.0 / TOO_FAR < found.value < TOO_FAR:
             return 1.0
@@ -440,7 +440,7 @@ class ChannelNoise:
 
     @property
     def turn(self) -> float:
-        """Radians by which everybody is seen turned; 0 where the data do not say so."""
+        """Common rotation of the observed angles in radians; 0 if the data do not show one."""
         found = self.bias
         if found is None or abs(found.value) < BIASED or found.share < SHARED:
             return 0.0
@@ -448,7 +448,7 @@ class ChannelNoise:
         return found.value if sure else 0.0
 
     def line(self, corrected: bool) -> str | None:
-        """A report in one line; None if there is nothing to report."""
+        """Return a report in one line; None if there is nothing to report."""
         said: list[str] = []
         if self.scale != 1.0 and self.multiplier is not None:
             found = self.multiplier
@@ -468,16 +468,16 @@ class ChannelNoise:
 
 @dataclass(frozen=True)
 class Noise:
-    """The evidence about the declared noise of all channels that a model reads."""
+    """Evidence about the declared noise of all channels that a model reads."""
 
     channels: tuple[ChannelNoise, ...]
 
     def lines(self, corrected: bool = False) -> list[str]:
-        """Contradictions of the declarations, a line for each channel."""
+        """Return contradictions of the declarations, a line for each channel."""
         return [line for one in self.channels if (line := one.line(corrected)) is not None]
 
     def corrected(self, tracks: TrackSet, model: Model) -> tuple[TrackSet, Model]:
-        """Tracks without the biases, and the model with the noise, that the data do not contradict."""
+        """Return tracks without biases, and the model with noise consistent with the data."""
         likelihood, changes = model.parameters.likelihood, {}
         for one in self.channels:
             if one.scale != 1.0:
@@ -500,7 +500,7 @@ class Noise:
 
 
 def trusted(tracks: TrackSet, model: Model, trust: Trust) -> tuple[TrackSet, Model, list[str]]:
-    """Tracks and model to be solved, and remarks on their noise; InputError for an unknown `Trust`."""
+    """Return tracks and model to solve, and remarks on the noise; raise InputError for an unknown `Trust`."""
     if trust not in ("declared", "check", "learn"):
         raise InputError(f"trust {trust!r}", "declared, check or learn")
     if trust == "declared":
@@ -512,15 +512,15 @@ def trusted(tracks: TrackSet, model: Model, trust: Trust) -> tuple[TrackSet, Mod
 
 
 _DECLARED = {"position": ("position_std", 1.0), "body": ("body_kappa", -2.0), "head": ("head_kappa", -2.0)}
-"""The channel and parameter of the noise, and the power of a multiple of σ in it."""
+"""Channel and parameter of the noise, and its power of a multiple of σ."""
 
 
 def declared_noise(tracks: Sequence[Track], model: Model) -> Noise:
     """Test the noise that a file, or else the model, declares against the data.
 
-    Multipliers make each observation most probable after those before it, on the same stretches each time. A
-    bias is an angle at which everybody is seen to their motion. Positions judged in the image, and class
-    likelihoods but for their bias, are left out.
+    Multipliers maximise the one-step predictive likelihood, always on the same stretches. A bias is a common
+    angle of all people to their motion. Positions observed in the image, and class likelihoods except for
+    their bias, are left out.
     """
     found, parameters = [], model.parameters
     for name in ("position", "body", "head"):

@@ -1,4 +1,4 @@
-"""The errors a user can meet. The command line prints them as one line and exits with status 2."""
+"""Errors for users. The command line prints them in one line and exits with status 2."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from pathlib import Path
 
 
 class GraphtrackError(Exception):
-    """Anything that the user can mend: bad input, a bad option, a model that cannot be solved."""
+    """Error that the user can fix: bad input, a bad option, a model that cannot be solved."""
 
 
 class InputError(GraphtrackError):
-    """Input that cannot be used, with its place and what was expected there.
+    """Invalid input, with its location and the expected form.
 
     Parameters
     ----------
     found, expected : str
-        What stands there and what should.
+        The value found, and the expected form.
     path : path of the file, if there is one
     line : line (text files, from 1) or row (Parquet, from 1)
     column : name or number of the column
@@ -50,11 +50,11 @@ class InputError(GraphtrackError):
 
 
 class UnknownTrackError(InputError, KeyError):
-    """An id that no track of a set has; a `KeyError` too, as a mapping would raise."""
+    """Id of no track in a set; also a `KeyError`, as raised by a mapping."""
 
 
 class TrackIndexError(InputError, IndexError):
-    """A place at which a set has no track; an `IndexError` too, as a list would raise."""
+    """Index of no track in a set; also an `IndexError`, as raised by a list."""
 
 
 def _rebuild_input_error(
@@ -80,7 +80,7 @@ class SolveError(GraphtrackError):
 
 
 NO_POSITION = "found no position at all, expected at least one"
-"""Why a track cannot be estimated in which nobody was ever seen."""
+"""Reason of failure for a track without any observed position."""
 
 
 class InputWarning(UserWarning):

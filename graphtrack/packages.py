@@ -1,4 +1,4 @@
-"""Packages that are optional, or that take longer to import than most of what is done without them."""
+"""Packages that are optional, or slow to import and rarely needed."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ __all__ = [
 def imported_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     """Return a module's ``__getattr__`` (PEP 562) that imports its names when they are first used.
 
-    Reading a file loads no solver then, and printing help none of the readers.
+    Reading a file then loads no solver, and printing help loads no readers.
 
     Parameters
     ----------
     package : full name of the module
-    homes : module within the package → names that come from it, with spaces between them
+    homes : module within the package → its names, separated by spaces
     """
     home_of = {name: home for home, names in homes.items() for name in names.split()}
 
@@ -47,13 +47,13 @@ def imported_names(package: str, homes: Mapping[str, str]) -> Callable[[str], An
 
 
 class _Later(ModuleType):
-    """Stands for a module, and imports it when something of it is asked for."""
+    """Proxy of a module that imports it at the first attribute access."""
 
     def __getattr__(self, name: str) -> Any:
         try:
             module = import_module(self.__name__)
         except ModuleNotFoundError as error:
-            expected = "it installed (GTSAM has no wheel for Windows: use the engine chain there)"
+            expected = "the package installed (GTSAM has no wheel for Windows: use the engine chain there)"
             raise InputError(f"no package {self.__name__}", expected) from error
         found = getattr(module, name)
         setattr(self, name, found)
@@ -73,17 +73,17 @@ else:
 
 
 def package(name: str, extra: str) -> Any:
-    """Return a package that not every installation has, imported when it is needed.
+    """Return an optional package, imported when it is needed.
 
     Parameters
     ----------
-    name : of the package, as it is imported
-    extra : of this package that brings it
+    name : import name of the package
+    extra : extra of this package that installs it
 
     Raises
     ------
     InputError
-        If it is not there, with the extra to install.
+        If it is not installed, with the extra to install.
     """
     try:
         return import_module(name)

@@ -1,4 +1,4 @@
-"""The folder of a report: its stages, and the video, the view from above and the page in it."""
+"""Folder of a report: its stages, annotated video, view from above and page."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from perception.observe.tables import BOX
 from perception.storage import key_of
 
 STAGES = "stages.json"
-"""Which stages are done, and what they said."""
+"""Completed stages and their messages."""
 TRACKS = "tracks.csv"
-"""The estimates; `graphtrack.read` of the folder reads them."""
+"""Estimates; `graphtrack.read` of the folder reads them."""
 
 FILES = {
     "boxes": "boxes.txt",
@@ -52,12 +52,12 @@ FILES = {
 
 @dataclass
 class ReportFolder:
-    """A folder whose stages are done one after the other, each once.
+    """Folder of stages, which run in order and once each.
 
     Attributes
     ----------
     path : the folder
-    tell : is told of each stage that begins or was done before
+    tell : receives a message on each stage that begins or is already complete
     count : number of stages
     """
 
@@ -73,18 +73,18 @@ class ReportFolder:
         return self.path / FILES[name]
 
     def open(self) -> None:
-        """Make the folder, or see what is done in it.
+        """Create the folder, or read its completed stages.
 
         Raises
         ------
         InputError
-            If it cannot be made, or holds something else.
+            If it cannot be created, or has other contents.
         """
         check_folder(self.path)
         self.path.mkdir(exist_ok=True)
         stages = self.path / STAGES
         if not stages.is_file():
-            self._save()  # from now on it is known for what it is
+            self._save()  # marks the folder as a report
             return
         try:
             known = json.loads(stages.read_text("utf-8"))
@@ -97,19 +97,19 @@ class ReportFolder:
     def stage(
         self, name: str, asked: object, outputs: Sequence[str], work: Callable[[str], Sequence[str]]
     ) -> list[str]:
-        """Do a stage, unless it was done with the same before.
+        """Run a stage, unless it is complete with the same inputs.
 
         Parameters
         ----------
-        name : in words
-        asked : all that its outputs depend on, besides the stages before it
-        outputs : names of `FILES` that are there when it is done
-        work : does it, given a key of what it depends on; says what is to be said of it
+        name : description
+        asked : all that its outputs depend on, in addition to the stages before it
+        outputs : names of `FILES` that it writes
+        work : runs it, given a key of its dependencies; returns its messages
 
         Returns
         -------
         list of str
-            What it said.
+            Its messages.
         """
         self._number += 1
         self._key = key_of(self._key, name, asked)
@@ -130,7 +130,7 @@ class ReportFolder:
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a place that is neither free nor the folder of a report.
+    """Refuse a path that exists and is no folder of a report.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def check_folder(path: Path) -> None:
 
 
 class ShownPeople(Mapping[int, list[ShownPerson]]):
-    """People to draw in each frame, made when they are asked for: of an hour, only columns are kept."""
+    """People to draw in each frame, created on access: only columns are kept in memory."""
 
     def __init__(self, tracks: Sequence[_Shown]) -> None:
         self._tracks = tracks
@@ -185,10 +185,10 @@ class _Shown:
     seen: NDArray[np.bool_]
     angles: FloatArray  # (n, 4) of body and head, each with its standard deviation
     pixel: FloatArray  # (n, 2) of the feet
-    first: NDArray[np.int64]  # (n,) row at which the path begins that is drawn at each
+    first: NDArray[np.int64]  # (n,) first row of the drawn path, for each row
 
     def person(self, row: int) -> ShownPerson:
-        """The person in a row."""
+        """Return the person in a row."""
         body, body_std, head, head_std = self.angles[row].tolist()
         return ShownPerson(
             self.track.track_id,
@@ -216,7 +216,7 @@ def shown_by_frame(
     Parameters
     ----------
     estimates, observations : matched by ``track_id``; the latter from `numbered` or `associated`
-    boxes : that were looked at
+    boxes : the observed boxes
     trail : seconds of the path
     """
     observed = {track.track_id: track for track in observations}
@@ -231,7 +231,7 @@ def shown_by_frame(
 
 
 def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
-    """The boxes of what `shown_by_frame` found."""
+    """Return the boxes of the people of `shown_by_frame`."""
     shown = [(frame, person.track_id, person.box) for frame, some in people.items() for person in some]
     frame, number, box = zip(*shown, strict=True) if shown else ((), (), ())
     return PersonBoxes(
@@ -248,7 +248,7 @@ def _angle(track: Track, name: Literal["body", "head"]) -> tuple[FloatArray, Flo
 def _boxes_of(
     track: Track, observation: Track, boxes: Sequence[PersonBox], camera: GroundCamera
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Boxes (n, 4) of an estimate, interpolated about its feet where they were not seen; which were (n,)."""
+    """Return boxes (n, 4) of an estimate, interpolated where not observed, and the mask (n,) of observed."""
     number = observation.inputs[BOX].reshape(-1)
     known = np.flatnonzero(np.isfinite(number))
     at = {int(observation.frame[k]): boxes[int(number[k])].box for k in known.tolist()}
@@ -274,7 +274,7 @@ def write_video(
     camera: GroundCamera,
     clock: Clock,
 ) -> int:
-    """Write the frames with their people; how many there are. One at a time is in memory."""
+    """Write the annotated frames, one in memory at a time; return their number."""
     count = 0
     with pictures(path, clock.rate) as write:
         for frame in frames:
@@ -286,7 +286,7 @@ def write_video(
 
 
 def write_above(path: Path, estimates: TrackSet, observations: TrackSet) -> None:
-    """Write a picture of everybody's path from above."""
+    """Write an image of all paths from above."""
     figure = plot_tracks(estimates, observations)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", dpi=160)
@@ -322,7 +322,7 @@ def write_page(
 
 
 def what_they_do(estimates: TrackSet) -> Behaviour | None:
-    """Groups and, where heads are known, attention of people; None for fewer than two."""
+    """Return groups and, with known heads, attention of people; None for fewer than two."""
     if len(estimates) < 2:
         return None
     found = groups(estimates)
@@ -332,14 +332,14 @@ def what_they_do(estimates: TrackSet) -> Behaviour | None:
 
 
 _DESCRIPTION = (
-    "Boxes and ids in everybody's colour, dashed where nobody was seen and the estimate stands; on the "
-    "ground the path of the last seconds, an arrow along the body and the sector that holds it with 95 %; at "
-    "the head the same of the head, light."
+    "Boxes and ids in each person's colour, dashed for estimates without an observation; on the "
+    "ground the path of the last seconds, an arrow along the body and its 95 % sector; at "
+    "the head the same for the head, in a lighter colour."
 )
 
 
 def _photos(video: Path) -> list[tuple[int, int, bytes]]:
-    """Numbers of frames of a video, from 0, how many it has, and the frames, evenly chosen, as JPEG."""
+    """Return evenly chosen frames of a video as JPEG, with their numbers from 0, and the number of all."""
     frames = FrameSource.open(video)
     wanted = np.linspace(0, frames.count - 1, min(_PHOTOS, frames.count)).round().astype(int).tolist()
     found = []

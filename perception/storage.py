@@ -1,4 +1,4 @@
-"""Model files: arrays and a card in one NumPy archive, which loads without running anything in it.
+"""Model files: arrays and a card in one NumPy archive, which loads without executing code.
 
 Also records of runs: dataclasses with arrays as lines of JSON.
 """
@@ -35,9 +35,9 @@ class ModelCard:
     ----------
     kind : name of the classifier or detector
     trained_on, fails_when : in words
-    images : how many it was trained on
-    parameters : settings with which it was built
-    figures : measured on images that it was not fitted to; the names carry the units
+    images : number of training images
+    parameters : settings of the training
+    figures : measured on held-out images; the names carry the units
     """
 
     kind: str
@@ -48,7 +48,7 @@ class ModelCard:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def text(self) -> str:
-        """The card as lines of text."""
+        """Return the card as lines of text."""
         lines = [f"{self.kind}: trained on {self.images} images", f"  trained on: {self.trained_on}"]
         lines += [f"  fails when: {self.fails_when}"] if self.fails_when else []
         lines += [f"  {name} = {value}" for name, value in self.parameters.items()]
@@ -57,12 +57,12 @@ class ModelCard:
 
 
 def save_model(path: str | Path, card: ModelCard, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write a model file (.npz), whole or not at all.
+    """Write a model file (.npz) atomically.
 
     Raises
     ------
     InputError
-        If the place cannot be written to.
+        If the path cannot be written to.
     """
     text = json.dumps(asdict(card), sort_keys=True)
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
@@ -70,16 +70,16 @@ def save_model(path: str | Path, card: ModelCard, arrays: Mapping[str, NDArray[A
 
 
 def load_model(path: str | Path, kind: str | None = None) -> tuple[ModelCard, dict[str, NDArray[Any]]]:
-    """Card and arrays of a model file.
+    """Read card and arrays of a model file.
 
     Parameters
     ----------
-    kind : what it must be, if that matters
+    kind : required kind; None: any
 
     Raises
     ------
     InputError
-        If it is no model file, is damaged, or is of another kind.
+        If the file is no model file, damaged, or of another kind.
     """
     expected = "a model file (.npz) of this program"
     try:
@@ -96,25 +96,25 @@ def load_model(path: str | Path, kind: str | None = None) -> tuple[ModelCard, di
 
 
 class Stored(ABC):
-    """A model that is written to a file and read from it; ``card`` says how it came about."""
+    """Model that is written to and read from a file; ``card`` describes its training."""
 
     kind: ClassVar[str]
     card: ModelCard
 
     @abstractmethod
     def parameters(self) -> dict[str, Any]:
-        """Numbers and words that the file keeps on the card."""
+        """Return the numbers and words that the card stores."""
 
     @abstractmethod
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Learned arrays, for the file."""
+        """Return the learned arrays, for the file."""
 
     @classmethod
     @abstractmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
-        """The model of which `parameters`, on the card, and `arrays` are.
+        """Return the model with the `parameters` of the card and the `arrays`.
 
-        ``KeyError``, ``TypeError`` or ``ValueError`` where something is missing.
+        Raises ``KeyError``, ``TypeError`` or ``ValueError`` for missing values.
         """
 
     def save(self, path: str | Path) -> None:
@@ -123,7 +123,7 @@ class Stored(ABC):
         Raises
         ------
         InputError
-            If nothing was learned yet, or the place cannot be written to.
+            If the model is not fitted, or the path cannot be written to.
         """
         arrays = self.arrays()
         parameters = {**self.card.parameters, **self.parameters()}
@@ -146,7 +146,7 @@ class Stored(ABC):
 
 
 def key_of(*asked: object) -> str:
-    """Key of a run, from all that its result depends on."""
+    """Return the key of a run, from all that its result depends on."""
     return hashlib.sha256(repr(asked).encode()).hexdigest()
 
 

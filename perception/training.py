@@ -47,11 +47,11 @@ _PASSES = ((8, 2e-3), (4, 5e-4), (3, 1e-4))  # passes over all skeletons and lea
 
 _TRAINED_ON = (
     "skeletons of people who walk and stand, 20-400 pixels high, before random cameras up to 60 degrees "
-    "above, with points that are off, unsure, hidden or exchanged as a pose network's"
+    "above, with points that are displaced, uncertain, hidden or exchanged as a pose network's"
 )
 _FAILS = (
-    "not judged on real networks here; people bent, sitting or lying, views from straight above, networks "
-    "that are sure of points that they cannot see"
+    "not evaluated on real networks; people bent, sitting or lying, views from straight above, networks "
+    "that are confident of hidden points"
 )
 
 
@@ -84,7 +84,7 @@ def train_keypoints(
 def drawn(
     count: int, rng: np.random.Generator, errors: NetworkErrors = NetworkErrors()
 ) -> tuple[Skeletons, FloatArray]:
-    """Skeletons, and what a pose network would say of them (n, 9, 3)."""
+    """Draw skeletons, and simulated output of a pose network (n, 9, 3)."""
     people = make_skeletons(count, rng)
     return people, perceived(people.points, people.visibility, people.height, rng, errors)
 
@@ -97,7 +97,7 @@ def _fitted(values: NDArray[np.float32], labels: NDArray[np.int64], seed: int) -
         _UNITS, alpha=1e-5, batch_size=500, tol=0.0, n_iter_no_change=1000, warm_start=True, random_state=seed
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # it ends after so many passes
+        warnings.simplefilter("ignore", ConvergenceWarning)  # the number of passes is fixed
         for passes, rate in _PASSES:
             network.set_params(max_iter=passes, learning_rate_init=rate)
             network.fit(values, labels)
@@ -108,7 +108,7 @@ def _fitted(values: NDArray[np.float32], labels: NDArray[np.int64], seed: int) -
 def keypoint_figures(
     model: KeypointPose, points: FloatArray, body: FloatArray, head: FloatArray
 ) -> dict[str, float]:
-    """Errors and calibration errors of body and head, of the points (n, 9, 3) of people who point at (n,)."""
+    """Return errors and calibration errors of body and head, from points (n, 9, 3) and true angles (n,)."""
     found: dict[str, float] = {}
     for name, classes, layers, angle in (("body", BODY, model.body, body), ("head", HEAD, model.head, head)):
         log_likelihood = layers.log_likelihoods(points)
@@ -131,11 +131,11 @@ _HEADS = HeadVariation(size=(16, 40), offset=0.02, scale=0.03)
 _SCENES = PedestrianVariation(
     size=(150, 280), head_turn=1.2, tilt=0.25, occluded=0.0, cluttered=0.6, margin=1.5, offset=0.02
 )
-_BOXES = 40  # boxes looked at in each scene: the head's, as many beside it as anywhere
+_BOXES = 40  # boxes per scene: the head's, and equally many next to it and anywhere
 _OFFSET, _SCALE = 0.25, 0.2
-_BESIDE = 0.3  # A box that is off by more than this share of the head's size is no head
+_BESIDE = 0.3  # relative offset from which a box is background
 _SEARCH = 120
-_EXEMPLAR_FAILS = "heads below 16 pixels, views from above, boxes that start off by a third of the head"
+_EXEMPLAR_FAILS = "heads below 16 pixels, views from above, initial boxes off by a third of the head"
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,17 +158,17 @@ def train_head_exemplars(
     as_published: bool = False,
     advance: Callable[[int], None] = lambda count: None,
 ) -> HeadExemplars:
-    """Learn exemplars, the table of shared people and the weights of the filters.
+    """Fit exemplars, the table of shared people and the weights of the filters.
 
     Parameters
     ----------
     people : rendered at every pose, and mirrored
-    scenes : rendered people with surroundings: half of them give the background's exemplars, a quarter each
-        the weights and the figures of the card
+    scenes : rendered people with surroundings: half for the background's exemplars, a quarter each for the
+        weights and the figures of the card
     exemplars : K for each pose class
-    background : exemplars of what is no head
-    as_published : Ba & Odobez 2003 as printed (`Exemplars.as_published`): filters have no weights
-    advance : is told how many more heads are rendered
+    background : exemplars of the background
+    as_published : form of Ba & Odobez 2003 (`Exemplars.as_published`): filters have no weights
+    advance : receives the number of newly rendered heads
     """
     rng = np.random.default_rng(seed)
     classes = PoseClasses.circle(16, 3)
@@ -214,7 +214,7 @@ def _heads(
     advance: Callable[[int], None],
     subtract_mean: bool,
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-    """Responses, labels and people of heads: every person at every pose, and mirrored."""
+    """Return responses, labels and people of heads: every person at every pose, and mirrored."""
     looks = [random_appearance(rng) for _ in range(people)]
     labels, who = np.tile(np.arange(len(classes)), people), np.repeat(np.arange(people), len(classes))
     n = len(labels)
@@ -288,7 +288,7 @@ def _shared(
 
 
 def _weighed(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> HeadExemplars:
-    """With the weights of the filters that make the head's box and pose most likely among all, calibrated."""
+    """Fit the weights of the filters by the likelihood of the head's box and pose, and calibrate."""
     head, background = _by_filter(model, scenes.features[chosen])
     label = scenes.label[chosen]
     rows = np.arange(len(label))
@@ -315,7 +315,7 @@ def _by_filter(
 
 
 def _calibration(heads: FloatArray, others: FloatArray) -> tuple[float, float]:
-    """Slope and intercept that make a score the log likelihood ratio; both kinds weigh the same."""
+    """Fit slope and intercept of the log likelihood ratio in a score; both classes have equal weight."""
 
     def loss(p: FloatArray) -> float:
         wrong = np.logaddexp(0.0, -(p[0] * heads + p[1])).mean()
@@ -326,7 +326,7 @@ def _calibration(heads: FloatArray, others: FloatArray) -> tuple[float, float]:
 
 
 def _figures(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> dict[str, float]:
-    """Figures on scenes that nothing was learned from: the best box of 40, and the pan in the head's box."""
+    """Return figures on held-out scenes: the best box of 40, and the pan in the head's box."""
     head, background = _by_filter(model, scenes.features[chosen])
     poses = model.pose_log_likelihood(combined(head, background, model.background_log_weight, model.exponent))
     off = scenes.off[chosen]
@@ -342,7 +342,7 @@ def _figures(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> dict[str, 
 
 @dataclass(frozen=True, eq=False)
 class LabelledImages:
-    """n images with numbers of each: ``values`` (n, k) in the order of the columns that were asked for."""
+    """n images with numbers of each: ``values`` (n, k) in the order of the requested columns."""
 
     images: list[Image]
     values: FloatArray
@@ -355,12 +355,12 @@ def read_labelled(folder: str | Path, labels: str | Path, columns: tuple[str, ..
     ----------
     folder : where the images are
     labels : the CSV, with a heading
-    columns : that it must have besides ``image``
+    columns : required columns in addition to ``image``
 
     Raises
     ------
     InputError
-        With the line of the first row that cannot be used.
+        With the line of the first unusable row.
     """
     images, values = [], []
     with Path(labels).open(encoding="utf-8-sig", newline="") as stream:
@@ -401,15 +401,15 @@ COUNTS = {
 """Rendered images, or skeletons, that the models of the package are trained on."""
 
 PUBLISHED = (BodyPose.kind, Templates.kind, HeadLocaliser.kind)
-"""Models of Chen et al. 2011, which are there as it has printed them, too."""
+"""Models of Chen et al. 2011, also available in the published form."""
 AS_PUBLISHED = (*PUBLISHED, Exemplars.kind, HeadExemplars.kind)
-"""The same, and those of Ba & Odobez 2003."""
+"""All models with a published form, including those of Ba & Odobez 2003."""
 
 FOUND = HeadVariation(size=(10, 32), offset=0.07, scale=0.12, tilt_deviation=0.45)
-"""Heads as the localiser boxes them (its errors were measured), small ones too."""
+"""Heads in boxes with the measured errors of the localiser, small heads included."""
 
 FOUND_AS_WALKING = replace(FOUND, tilt_deviation=0.35)
-"""The same with tilts as of walking people, to judge with."""
+"""The same with tilts of walking people, for evaluation."""
 
 FAR = PedestrianVariation(
     size=(24, 80),
@@ -421,7 +421,7 @@ FAR = PedestrianVariation(
     blur=0.6,
     cluttered=0.8,
 )
-"""People in wide-angle views: small, blurred, seen from above, behind things and before a busy background."""
+"""People in wide-angle views: small, blurred, from above, occluded, in front of clutter."""
 
 _HEAD_POSE: dict[str, Callable[[], FeatureClassifier]] = {
     kind.kind: kind for kind in (Templates, Exemplars, DeepBelief)
@@ -429,11 +429,11 @@ _HEAD_POSE: dict[str, Callable[[], FeatureClassifier]] = {
 _EXACT = HeadVariation(offset=0.03, scale=0.05, tilt_deviation=0.45)
 _SKIN_IMAGES = 2000
 _CALIBRATION_IMAGES = 1500
-_HEAD_IMAGES = "rendered heads of 16-32 pixels; every one another person, light and camera"
-_FOUND_TOO = "; half of them of 10-32 pixels, in boxes as the head localiser's"
-_PEOPLE = "rendered people of 70-140 pixels; every one another person, light and camera"
-_FAR_TOO = "; a third of them of 24-80 pixels, from up to 45 degrees above, before busy backgrounds"
-_REAL = "not judged on real pictures here; "
+_HEAD_IMAGES = "rendered heads of 16-32 pixels; each with another person, light and camera"
+_FOUND_TOO = "; half of them of 10-32 pixels, in boxes with the head localiser's errors"
+_PEOPLE = "rendered people of 70-140 pixels; each with another person, light and camera"
+_FAR_TOO = "; a third of them of 24-80 pixels, from up to 45 degrees above, in front of clutter"
+_REAL = "not evaluated on real images; "
 
 
 Trained = FeatureClassifier | HeadLocaliser | HeadExemplars | KeypointPose
@@ -449,13 +449,13 @@ def train_on_rendered(
     as_published: bool = False,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Trained:
-    """Train a model by name on rendered crops; its card tells of ``test_images`` other ones.
+    """Train a model by name on rendered crops; its card has figures on ``test_images`` others.
 
     Parameters
     ----------
-    images : how many to train on; by default as many as for the package's model
-    as_published : the form that their papers have printed, of the models of `AS_PUBLISHED`
-    advance : is told how many more images to train on are rendered
+    images : number to train on; by default as for the package's model
+    as_published : the published form, for the models of `AS_PUBLISHED`
+    advance : receives the number of newly rendered training images
 
     Raises
     ------
@@ -492,7 +492,7 @@ def train_on_rendered(
             as_published=as_published,
             advance=advance,
         )
-    # The two that are means and exemplars are best at what they were trained on; the network holds both.
+    # Templates and exemplars fit one kind of crops best; the network is trained on both.
     found = count // 2 if name == DeepBelief.kind else 0
     pan, tilt = draw_poses(count - found, rng, _EXACT, _HEAD_POSE[name]().classes)
     heads = make_heads(count - found, rng, _EXACT, pan=pan, tilt=tilt, advance=advance)
@@ -510,12 +510,12 @@ def train_on_rendered(
 
 
 def check_published(name: str, as_published: bool) -> None:
-    """Refuse the form as published of a model that is of neither paper.
+    """Refuse the published form for a model of neither paper.
 
     Raises
     ------
     InputError
-        As said.
+        For a model without a published form.
     """
     if as_published and name not in AS_PUBLISHED:
         raise InputError(f"{name} as published", f"one of {', '.join(AS_PUBLISHED)}")
@@ -543,9 +543,9 @@ def _untrained(
 
 
 def calibrate_for_use(model: FeatureClassifier, seed: int) -> None:
-    """Choose the temperature anew on other heads, with tilts as of walking people.
+    """Refit the temperature on other heads, with tilts of walking people.
 
-    Training has more heads that look up or down, so that every class has enough of them.
+    The training set has more heads tilted up or down, so that every class has enough samples.
     """
     rng = np.random.default_rng([seed, 2])
     heads = make_heads(_CALIBRATION_IMAGES, rng)
@@ -555,7 +555,7 @@ def calibrate_for_use(model: FeatureClassifier, seed: int) -> None:
 
 
 def head_pose_figures(model: FeatureClassifier, count: int, rng: np.random.Generator) -> dict[str, float]:
-    """Errors on heads in exact boxes, and on heads in boxes as the localiser's (names end in ``_found``)."""
+    """Return errors on heads in exact boxes, and in boxes with localiser errors (names with ``_found``)."""
     exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
     figures = evaluate(model, exact.images, exact.pan).figures()
     of_found = evaluate(model, found.images, found.pan).figures()
@@ -576,7 +576,7 @@ def train_on_files(
     InputError
         If there is no model of that name that learns from such files, or they cannot be used.
     """
-    # The labels do not say who is who, which the tracker's exemplars need, nor where points of the body are.
+    # The labels lack identities, which the tracker's exemplars need, and keypoints.
     known = [known for known in NAMES if known not in (HeadExemplars.kind, KeypointPose.kind)]
     if name not in known:
         raise InputError(f"model {name!r}", f"one of {', '.join(known)}")
@@ -591,18 +591,18 @@ def train_on_files(
         model.fit(given.images, model.classes.index(np.deg2rad(given.values[:, 0])))
     else:
         given = read_labelled(folder, labels, ("pan_deg", "tilt_deg"))
-        # Skin is a matter of masks, which these labels lack: the colours of the package's model serve.
+        # These labels lack skin masks, so the colours of the package's model are used.
         skin = Templates.load(model_path(Templates.kind)).skin if name == Templates.kind else None
         model = _untrained(name, seed, as_published, skin)
         if name == Exemplars.kind and not as_published:
-            model = Exemplars(seed=seed)  # of fewer images than are rendered
+            model = Exemplars(seed=seed)  # for fewer images than are rendered
         model.fit(given.images, model.classes.index(*np.deg2rad(given.values).T))
     model.card = replace(model.card, trained_on=f"the images that {Path(labels).name} names")
     return model
 
 
 def localisation_figures(model: HeadLocaliser, people: PedestrianSet) -> dict[str, float]:
-    """The three numbers of Chen et al.'s Table 1: overlap of the first candidate, best of all, candidates."""
+    """Return the numbers of Chen et al.'s Table 1: overlap of the first candidate, of the best, and count."""
     found = [model.locate(image) for image in people.images]
     first, best = [], []
     for candidates, true in zip(found, people.head_box, strict=True):

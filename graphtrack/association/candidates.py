@@ -710,8 +710,8 @@ def carried(
 ) -> Edges:
     """Return those of earlier candidates that still hold, by their places in ``keys`` and ``columns``.
 
-    Columns that a stale row had a candidate for become stale: a candidate that it outbid may matter now.
-    ``place``: −1 throughout, as long as there are keys
+    Columns become stale for which a stale row, or one with a candidate in a stale column, had a candidate:
+    what that outbid may matter now. ``place``: −1 throughout, as long as there are keys
     """
     rows_before, columns_before, gains = edges
     rows, others = np.empty(len(gains), np.int64), np.empty(len(gains), np.int64)
@@ -723,9 +723,13 @@ def carried(
         place[keys[i]] = -1
     for j in range(len(columns)):
         place[columns[j]] = j
+    touched = np.zeros(len(keys), np.bool_)
     for e in range(len(gains)):
         others[e] = place[columns_before[e]]
-        if others[e] >= 0 and (rows[e] < 0 or stale_rows[rows[e]]):
+        if rows[e] >= 0 and (others[e] < 0 or stale_columns[others[e]]):
+            touched[rows[e]] = True
+    for e in range(len(gains)):
+        if others[e] >= 0 and (rows[e] < 0 or stale_rows[rows[e]] or touched[rows[e]]):
             stale_columns[others[e]] = True
     for j in range(len(columns)):
         place[columns[j]] = -1

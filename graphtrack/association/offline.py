@@ -176,7 +176,7 @@ class Moves:
         recent : (rows,) whose candidates are computed first: candidates that they outbid are skipped
         gains : candidates of some rows for some columns, whose gains are above a least value
         """
-        self._move += 1
+        self._move += self.remembers
         pieces: list[Edges] = []
         if place in self._visits:
             pieces.append(carried(self._visits[place].edges, keys, columns, *fresh, self._place))

@@ -1,4 +1,4 @@
-"""The command line: thin; it parses, calls and prints."""
+"""Command-line interface: parses arguments, calls the library and prints results."""
 
 from graphtrack.cli.main import main
 

@@ -1,4 +1,4 @@
-"""`graphtrack groups`, `attention` and `forecast`, and the score of a table of groups."""
+"""Commands `graphtrack groups`, `attention` and `forecast`, and the score of a table of groups."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Smoothing = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help="Smooth observations first, with this preset or model file (.toml); by default they are taken "
-        "as they are.",
+        help="Smooth observations first, with this preset or model file (.toml); by default the table is "
+        "used unchanged.",
         show_default=False,
     ),
 ]
@@ -40,13 +40,13 @@ def groups(
     online: bool = False,
     json_path: options.Json = None,
 ) -> None:
-    """Find who stands in conversation with whom, and who walks together, in every frame.
+    """Detect conversation groups, and people walking together, in every frame.
 
     Parameters
     ----------
-    truth : Labelled groups to judge by: SALSA's or ETH's file, or a table of groups.
-    parameters : What 'graphtrack fit --groups' wrote (.toml).
-    online : In each frame the past alone counts, as in a live scene.
+    truth : Labelled groups to score against: a SALSA or ETH file, or a table of groups.
+    parameters : Output of 'graphtrack fit --groups' (.toml).
+    online : Use only the past of each frame, as in a live scene.
     """
     from graphtrack.interaction.attention import make_behaviour_ready
     from graphtrack.interaction.groups import groups as find
@@ -78,7 +78,7 @@ def groups(
 
 
 def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
-    """The tracks, smoothed if a model is named."""
+    """Read the tracks, and smooth them if a model is named."""
     if model is None:
         return tracks
     from graphtrack.inference.engines import engine_of
@@ -92,7 +92,7 @@ def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
 
 
 def check_csv(output: Path) -> None:
-    """Refuse a name of a table that is not CSV."""
+    """Refuse an output table whose name is not CSV."""
     if not output.name.lower().endswith((".csv", ".csv.gz")):
         raise InputError(f"the file name {output.name!r}", "one of the endings .csv, .csv.gz", path=output)
 
@@ -107,12 +107,12 @@ def read_quietly(path: Path) -> GroupLabels:
 
 def show(found: GroupScore, json_path: Path | None) -> None:
     """Print a score of groups, and write it."""
-    print_table(f"Groups beside the truth, {counted(found.frames, 'frame')}", found.shown())
+    print_table(f"Groups against the truth, {counted(found.frames, 'frame')}", found.shown())
     write_json(json_path, found.to_dict())
 
 
 def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
-    """`graphtrack score` of a table of groups."""
+    """Run `graphtrack score` on a table of groups."""
     from graphtrack.interaction.scores import score_groups
     from graphtrack.interaction.tables import read_group_table
 
@@ -139,15 +139,15 @@ def attention(
     parameters: Path | None = None,
     truth: Path | None = None,
 ) -> None:
-    """Find who looks at whom, and at which places, in every frame, with probabilities.
+    """Estimate gaze targets, people and named places, in every frame, with probabilities.
 
     Parameters
     ----------
-    online : In each frame the past alone counts, as in a live scene.
-    json_path : Write who looks at whom, dwell times of places and mutual gaze, in seconds.
-    pictures : Folder for a heat map of looks on the ground, a timeline and the matrix.
-    parameters : What 'graphtrack fit --attention' wrote (.toml).
-    truth : Labelled looks to judge by (.csv): frame, track_id and target.
+    online : Use only the past of each frame, as in a live scene.
+    json_path : Write gaze between people, dwell times on places and mutual gaze, in seconds.
+    pictures : Folder for a heat map of gaze on the ground, a timeline and the gaze matrix.
+    parameters : Output of 'graphtrack fit --attention' (.toml).
+    truth : Labelled gaze targets to score against (.csv): frame, track_id and target.
     """
     from graphtrack.interaction.attention import attention as find
     from graphtrack.interaction.attention import attention_columns, make_behaviour_ready, summary_of
@@ -186,7 +186,7 @@ def attention(
         f"{counted(len(known), 'place')}"
     )
     if score is not None:
-        print_table(f"Looks beside the truth, {counted(score.frames, 'look')}", score.shown())
+        print_table(f"Gaze against the truth, {counted(score.frames, 'label')}", score.shown())
     summary = summary_of(found)
     write_json(json_path, summary.to_dict())
     if pictures is not None:
@@ -210,17 +210,17 @@ def forecast(
     walkable: options.Walkable = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Predict where each person will be, with the uncertainty, at every time from observations until then.
+    """Predict each person's future positions, with uncertainty, from the observations up to each frame.
 
     Parameters
     ----------
     output : Table to write: .csv, .csv.gz, .parquet or .ndjson.
-    horizon : How far ahead.
-    step : Between the times ahead that are told.
-    every : Between the times at which forecasts are made; by default at each frame.
-    history : How long somebody must have been seen; by default in two frames.
-    samples : Paths to draw, as columns.
-    parameters : What graphtrack fit --forecast learned (.toml); by default, what it learned of streets.
+    horizon : Longest time ahead.
+    step : Interval between predicted times.
+    every : Interval between forecasts; by default one at each frame.
+    history : Shortest observed history of a person; by default two frames.
+    samples : Number of sampled paths, written as columns.
+    parameters : Output of graphtrack fit --forecast (.toml); by default, parameters learned on streets.
     """
     from graphtrack.forecasting.recorded import forecast as forecast_tracks
     from graphtrack.io.read_write import check_table_name, write_table
@@ -246,6 +246,6 @@ def forecast(
     if found.too_short:
         needed = "two frames" if history is None else f"{history:g} s"
         who = counted(len(found.too_short), "track")
-        emit(f"  note: no forecast of {who} seen for less than {needed}")
+        emit(f"  note: no forecast of {who} observed for less than {needed}")
     of = counted(found.people, "track")
     emit(f"forecast {of}, {len(found)} rows\nwrote {output}")

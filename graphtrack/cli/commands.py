@@ -1,4 +1,4 @@
-"""The program graphtrack: its commands by their names."""
+"""Command table of the program graphtrack."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from graphtrack.cli.track import serve, track
 
 app = program_of(
     "graphtrack",
-    "Where pedestrians are, how they move and where their bodies and heads point.",
+    "Pedestrian tracking: positions, velocities, and body and head orientations.",
     {
         "smooth": smooth,
         "track": track,

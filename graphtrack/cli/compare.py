@@ -1,4 +1,4 @@
-"""`graphtrack compare`: methods on tracks, and trackers on detections, judged by the truth."""
+"""Command `graphtrack compare`: methods on tracks, and trackers on detections, scored against truth."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def compare_trackers(
 
 
 def print_trackers(found: TrackerComparison) -> None:
-    """The figures as a table on standard output, and below it how to read them."""
+    """Print the figures as a table, followed by notes on reading them."""
     from graphtrack.evaluation.identities import HEADINGS
 
     rows = []
@@ -87,12 +87,12 @@ FIGURES = ("errors.png", "reliability.png")
 
 
 def named(methods: str | None) -> list[str]:
-    """The methods of an option; none if it was not given."""
+    """Return the methods named by an option; none if it was not given."""
     if methods is None:
         return []
     names = [name.strip() for name in methods.split(",") if name.strip()]
     if not names:
-        raise InputError("no methods", "some names between commas")
+        raise InputError("no methods", "names separated by commas")
     return names
 
 
@@ -111,10 +111,10 @@ def compare(
     metres: float | None = None,
     fill: bool = False,
 ) -> None:
-    """Compare methods on tracks whose truth is known: errors, and NEES and coverage of their intervals.
+    """Compare methods on tracks with known truth: errors, NEES and interval coverage.
 
-    With a noise option the file's own values are the truth, and what the methods see is made from them. With
-    --truth trackers are compared, which find out who is who.
+    With a noise option the file's values are the truth, and noisy observations are drawn from them. With
+    --truth, trackers are compared on detections without identities.
 
     Parameters
     ----------
@@ -125,24 +125,24 @@ def compare(
         ocsort; by default the first two.
     model : A preset or a model file (.toml) for all methods; by default the best preset of each: full for the
         graph with every engine and particle-modes, joint for particles, and the filters' own.
-    occlude : Seconds around the sharpest turn to withhold and to score.
+    occlude : Seconds around the sharpest turn to withhold and score.
     figures : Folder for figures (PNG) of errors and of reliability.
 
     Trackers, from detections without identities
     --------------------------------------------
-    truth : File with the true tracks of the same frames: then the input is detections without identities, and
+    truth : File with the true tracks of the same frames; the input is then detections without identities, and
         trackers are compared.
-    metres : How far apart on the ground a match may be; 1 by default.
-    fill : Smooth the tracks of online methods too, and fill their gaps: then all that differs is who is who.
+    metres : Largest distance of a match on the ground; 1 by default.
+    fill : Smooth the tracks of online methods too, and fill their gaps; only identities then differ.
     """
     if truth is not None:
         of_tracks = {"occlude": occlude, "figures": figures, "trust": trust}
         refused = {options.option_name(name): one for name, one in (of_tracks | vars(noise)).items()}
-        options.refuse(refused, "with --truth", "it without: with --truth the input is detections")
+        options.refuse(refused, "with --truth", "no such option: with --truth the input is detections")
         compare_trackers(inputs, truth, reading, named(methods), metres, fill, model, json_path)
         return
     of_trackers = {"--metres": metres, "--fill": fill, "--associate": reading.associate != "auto"}
-    options.refuse(of_trackers, "without --truth", "it with --truth: there trackers are compared")
+    options.refuse(of_trackers, "without --truth", "it with --truth, which compares trackers")
     reading = replace(reading, associate="never")
     import numpy as np
 
@@ -171,7 +171,7 @@ def compare(
         first = found.failures[0]
         raise InputError(
             f"no method with a result ({first.method} on track {first.track_id}: {first.failure})",
-            "a track that one of them can estimate",
+            "a track that at least one method can estimate",
         )
     print_comparison(found)
     if model is not None and model not in presets:
@@ -183,7 +183,7 @@ def compare(
 
 
 def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSet, Model | str | None]:
-    """The tracks and the model of all methods, with the noise that is taken; None: each method its own."""
+    """Return the tracks, and the model of all methods with its noise; None: each method uses its own."""
     from graphtrack.diagnostics import trusted
     from graphtrack.model import Model
 
@@ -193,14 +193,14 @@ def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSe
         emit(f"  note: {line}")
     if model is None and learned.parameters != given.parameters:
         raise InputError(
-            "--trust learn, with a model of its own for each method",
-            "--model, so that all methods have the noise that was learned",
+            "--trust learn with a separate model for each method",
+            "--model, so that all methods share the learned noise",
         )
     return tracks, None if model is None else learned
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """The comparison as tables on standard output: medians over the tracks, differences, reliability."""
+    """Print the comparison as tables: medians over the tracks, differences, reliability."""
     values = {(row["method"], row["metric"]): row["median"] for row in comparison.rows}
     columns = {row["metric"]: f"{row['metric']}\n({row['unit']})" for row in comparison.rows}
     groups, models = {row["method"]: row["group"] for row in comparison.rows}, comparison.models
@@ -216,7 +216,7 @@ def print_comparison(comparison: Comparison) -> None:
 
 
 def print_differences(comparison: Comparison) -> None:
-    """Paired differences from the first method of each group, with their intervals."""
+    """Print paired differences from the first method of each group, with their intervals."""
     columns = {row["metric"]: f"{row['metric']}\n({row['unit']})" for row in comparison.differences}
     cells = {(row["method"], row["metric"]): _interval(row) for row in comparison.differences}
     pairs = dict.fromkeys((row["method"], row["reference"]) for row in comparison.differences)
@@ -226,7 +226,7 @@ def print_differences(comparison: Comparison) -> None:
         for method, reference in pairs
     ]
     if rows:
-        print_table("Paired differences on the same tracks: mean, 95 % interval; below 0 it is better", rows)
+        print_table("Paired differences on the same tracks: mean, 95 % interval; negative is better", rows)
 
 
 def _interval(row: Mapping[str, Any]) -> str:
@@ -235,7 +235,7 @@ def _interval(row: Mapping[str, Any]) -> str:
 
 
 def print_reliability(comparison: Comparison) -> None:
-    """NEES by method and quantity, and how often intervals hold the truth, on standard output."""
+    """Print NEES and interval coverage by method and quantity."""
     rows = [
         {
             "method": row["method"],
@@ -243,15 +243,15 @@ def print_reliability(comparison: Comparison) -> None:
             "of": row["quantity"],
             "NEES / dof": row["nees"],
             "± (95 %)": row["nees_error"],
-            **{f"{level} % holds\n(%)": f"{100.0 * row[f'coverage_{level}']:.0f}" for level in (50, 90, 95)},
+            **{f"{level} % covers\n(%)": f"{100.0 * row[f'coverage_{level}']:.0f}" for level in (50, 90, 95)},
         }
         for row in comparison.calibration
     ]
-    print_table("Reliability: NEES should be 1, and an interval hold the truth as often as it says", rows)
+    print_table("Reliability: NEES / dof should be 1, and coverage should equal the nominal level", rows)
 
 
 def print_failures(comparison: Comparison) -> None:
-    """Which methods failed and which tracks were left out, why, and how many."""
+    """Print failed methods and omitted tracks, with reasons and counts."""
     reasons: dict[tuple[str, str], list[int]] = {}
     for record in comparison.failures:
         reasons.setdefault((f"{record.method} failed on", record.failure), []).append(record.track_id)

@@ -1,4 +1,4 @@
-"""Messages, tables, files and progress of the commands, and how a program ends: one line and a status."""
+"""Messages, tables, files and progress of the commands, and exit with one line and a status."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ if TYPE_CHECKING:
 
 
 _CONTROL = re.compile(r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]|[\x00-\x09\x0b-\x1f\x7f-\x9f]")
-"""Escape sequences such as colours and movements (CSI), and every control character but the line feed."""
+"""Escape sequences such as colours and movements (CSI), and all control characters except the line feed."""
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
-    """A text without escape sequences and control characters, and with ? for what is no character.
+    """Return a text without escape sequences and control characters; invalid characters become ?.
 
-    Names and labels come from files, and must not steer the terminal that shows them.
+    Names and labels come from files, and must not control the terminal.
 
     Parameters
     ----------
-    one_line : whether line feeds become spaces
+    one_line : replace line feeds by spaces
     """
     text = _CONTROL.sub("", text.replace("\t", " ")).encode(errors="replace").decode()
     return " ".join(text.splitlines()) if one_line else text
 
 
 class PlainConsole(Console):
-    """A console that prints text as it is, without markup and emoji, as far as it is `printable`."""
+    """Console that prints `printable` text without interpreting markup or emoji."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(highlight=False, markup=False, emoji=False, **options)
@@ -69,7 +69,7 @@ def emit(text: str) -> None:
 
 
 def write_json(path: Path | None, content: object) -> None:
-    """Write numbers as JSON, where that is asked for."""
+    """Write numbers as JSON, if a path is given."""
     if path is None:
         return
     from graphtrack.io.atomic import atomic_path
@@ -89,14 +89,14 @@ def save_figure(figure: Any, path: Path, dpi: int = 120) -> None:
 
 
 _LONGEST = 2000
-"""Characters of an error message, beyond which its middle is left out."""
+"""Longest error message in characters; the middle of a longer message is left out."""
 
 WIDE = 160
-"""Columns of a table that goes into a file or a pipe, where no terminal says how many there are."""
+"""Width in columns of a table written to a file or a pipe."""
 
 
 def fail(message: str) -> None:
-    """Print one line of error and end with status 2."""
+    """Print an error in one line and exit with status 2."""
     message = printable(message, one_line=True)
     if len(message) > _LONGEST:
         message = f"{message[: _LONGEST // 2]} … {message[-_LONGEST // 2 :]}"
@@ -106,7 +106,7 @@ def fail(message: str) -> None:
 
 @contextmanager
 def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error; yields the function that advances it."""
+    """Show a progress bar on standard error; yield the function that advances it."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -114,7 +114,7 @@ def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[
         TextColumn(unit),
         TimeRemainingColumn(),
     )
-    # Where nobody watches, nothing is drawn, not even the empty line that a bar leaves behind.
+    # Without a terminal nothing is drawn, not even the empty line that a bar leaves behind.
     hidden = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
         task = progress.add_task("", total=total)
@@ -122,7 +122,7 @@ def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[
 
 
 class _Printed(logging.Handler):
-    """Print log records as messages; above a progress bar, where there is one."""
+    """Print log records as messages, above a progress bar if one is shown."""
 
     def emit(self, record: logging.LogRecord) -> None:
         emit(record.getMessage())
@@ -130,7 +130,7 @@ class _Printed(logging.Handler):
 
 @contextmanager
 def printed_log() -> Iterator[None]:
-    """Print the log, which tells of what takes long without a progress bar, such as compiling."""
+    """Print the log, which reports slow steps without a progress bar, such as compiling."""
     handler, logger = _Printed(), logging.getLogger("graphtrack")
     logger.addHandler(handler)
     try:
@@ -141,7 +141,7 @@ def printed_log() -> Iterator[None]:
 
 @contextmanager
 def quiet_input_warnings() -> Iterator[None]:
-    """Readers warn and write the same in the summary's notes; the command line shows the notes."""
+    """Ignore readers' warnings: the command line prints the same text from the summary's notes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         yield
@@ -149,7 +149,7 @@ def quiet_input_warnings() -> Iterator[None]:
 
 @contextmanager
 def input_warnings_as_notes() -> Iterator[None]:
-    """Collect warnings about the input and print each once in the end, as the readers' notes are."""
+    """Collect warnings about the input, and print each once at the end, like the readers' notes."""
     told: dict[str, None] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)
@@ -168,7 +168,7 @@ def input_warnings_as_notes() -> Iterator[None]:
 
 
 def write_tracks(tracks: TrackSet, output: Path) -> None:
-    """Write tracks in the format that the file name asks for, and print what its writer notes."""
+    """Write tracks in the format given by the file name, and print the writer's notes."""
     from graphtrack.io.read_write import write
 
     with input_warnings_as_notes():
@@ -176,12 +176,12 @@ def write_tracks(tracks: TrackSet, output: Path) -> None:
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:
-    """Print rows read, used and refused, tracks, and the reader's notes."""
+    """Print the numbers of rows read, used and refused, the tracks, and the reader's notes."""
     print_reading(tracks.summary, len(tracks), name)
 
 
 def print_reading(summary: ReadSummary, tracks: int, name: str) -> None:
-    """Print the summary of the input ``name``, and how many tracks it made."""
+    """Print the summary of the input ``name``, and its number of tracks."""
     emit(
         f"{printable(name, one_line=True)}: {summary.format}, rows read {summary.rows_read}, "
         f"used {summary.rows_used}, refused {summary.rows_refused}; {counted(tracks, 'track')}",
@@ -193,9 +193,9 @@ def print_reading(summary: ReadSummary, tracks: int, name: str) -> None:
 
 
 def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Rows as a table on standard output; the columns are the keys of the first row.
+    """Print rows as a table on standard output; the columns are the keys of the first row.
 
-    Headings and phrases are folded between words; a table that is still too wide for the terminal is not cut.
+    Headings and phrases are wrapped between words; a table that is still too wide is not cut.
     """
     if not rows:
         return
@@ -224,17 +224,17 @@ def _cell(value: Any) -> str:
 
 
 def shown_number(value: float) -> str:
-    """Three digits that count; no exponent where thousands and millions can be read."""
+    """Format a number with three significant digits; no exponent for thousands and millions."""
     short = f"{value:.3g}"
     return f"{float(short):,.0f}" if "e+" in short and abs(value) < 1e9 else short
 
 
 UsageError: Any = typer.BadParameter.__base__
-"""Click's error of that name, which typer brings along or imports, depending on its version."""
+"""Click's error of that name, which typer vendors or imports, depending on its version."""
 
 
 def fail_usage(error: Any) -> None:
-    """Say in one line what is wrong with the arguments, and end with status 2."""
+    """Report wrong arguments in one line, and exit with status 2."""
     message = " ".join(error.format_message().split()).rstrip(".")
     if not message:  # no arguments at all: the help has been printed
         raise SystemExit(BAD_INPUT)
@@ -243,22 +243,22 @@ def fail_usage(error: Any) -> None:
 
 
 def leave_garbage() -> None:
-    """Let what is there when the process ends go with it: to look for garbage takes a third of a second."""
-    # What nanobind has bound would complain of what nobody took away.
+    """Skip garbage collection when the process ends; it would take a third of a second."""
+    # nanobind would report the objects that were not collected as leaks.
     if not {"_duckdb", "onnx"} & sys.modules.keys():
         gc.freeze()
 
 
 def run_app(program: typer.Typer, name: str) -> None:
-    """Run an application: wrong use and bad input end with one line and exit status 2.
+    """Run an application; wrong usage and bad input end with one line and exit status 2.
 
     Raises
     ------
     KeyboardInterrupt
-        At Ctrl-C, also where a library has replaced it by an error of its own.
+        At Ctrl-C, even if a library has replaced it by another error.
     """
     atexit.register(leave_garbage)
-    # Importing and compiling keep what they make: looking for garbage took a tenth of a short command.
+    # Importing and compiling create few garbage objects: collecting took a tenth of a short command.
     gc.set_threshold(100_000, 20, 50)
     try:
         with printed_log():

@@ -1,4 +1,4 @@
-"""`graphtrack info`, `graphtrack formats` and `graphtrack convert`."""
+"""Commands `graphtrack info`, `graphtrack formats` and `graphtrack convert`."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def info(
     json_path: options.Json = None,
     suggest: bool = False,
 ) -> None:
-    """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows.
+    """Summarise a file: tracks, rates, gaps, channels, speeds, refused rows.
 
     Parameters
     ----------
-    model : Model file (.toml) whose [scene] is known of people without identities.
-    suggest : Print a command line that reads the file, from the columns that it has.
+    model : Model file (.toml) with the [scene] of people without identities.
+    suggest : Print a command line that reads the file, derived from its columns.
     """
     if suggest:
         _suggest(inputs, reading, json_path)
@@ -49,7 +49,7 @@ def info(
 
 
 def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path | None) -> None:
-    """Print the command line with which a file can be read; what was only supposed is said beside it."""
+    """Print the command line that reads a file; assumptions are printed as notes."""
     from graphtrack.io.suggestion import suggest
 
     if len(inputs) != 1 or reading.given() or json_path is not None:
@@ -68,15 +68,15 @@ def _shown(value: Any) -> Any:
 
 
 _WINDOW = 0.5
-"""Seconds to either side over which a line is fitted to the positions."""
+"""Half width in seconds of the window in which a line is fitted to the positions."""
 
 
 def _speeds(track: Track) -> Any:
-    """Speeds (m/s) of a person along the smoothed path: differences of noisy positions are faster.
+    """Return speeds (m/s) along the smoothed path; differences of noisy positions overestimate them.
 
-    The slopes of straight lines that are fitted by least squares to what was seen around each moment.
-    `travel_velocity` of Baxter et al.'s statistics cannot serve: it is the published mean of differences over
-    a number of frames, which is too noisy for a person who stands.
+    They are slopes of straight lines fitted by least squares to the observations around each frame.
+    `travel_velocity` of Baxter et al.'s statistics is unsuitable: the published mean of differences over a
+    number of frames is too noisy for a standing person.
     """
     import numpy as np
 
@@ -94,7 +94,7 @@ def _speeds(track: Track) -> Any:
 
 
 def describe(track: Track) -> dict[str, Any]:
-    """One line about a track: extent, rate, gaps, what was observed, median speed of the smoothed path."""
+    """Return a track's row: extent, rate, gaps, observed channels, median speed of the smoothed path."""
     import numpy as np
 
     seen = np.isfinite(track.position).all(axis=1)
@@ -137,7 +137,7 @@ def formats() -> None:
 
 
 def convert(inputs: options.Inputs, output: options.Output, reading: options.CameraReading) -> None:
-    """Write tracks in another format, as they are: the ending of the output names it."""
+    """Write tracks unchanged in another format, given by the ending of the output."""
 
     options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
     tracks = reading.tracks(inputs)

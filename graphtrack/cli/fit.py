@@ -43,23 +43,22 @@ def fit(
     json_path: options.Json = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Learn the parameters of a model from tracks, by their truth or without; of a scene from detections.
+    """Learn model parameters from tracks, with or without truth, or a scene from detections.
 
     Parameters
     ----------
     output : Model file to write (.toml).
-    scene : Learn the scene of tracks: how people come, go, are missed and wrongly detected. Of detections
-        without identities it is what is learned anyway.
-    forecast : Learn how people go on, for graphtrack forecast --parameters; each file is a scene.
-    groups : Learn who is in a group with whom, from this file of labelled groups: SALSA's, ETH's or a table.
-    attention : Learn how people look, from this file of labelled looks (.csv): frame, track_id and target, an
-        id or -1; for graphtrack attention --parameters.
-    model : Where to begin: a preset or a model file (.toml); by default separate, full for a scene.
-    criterion : By default the truth, where there is one, else the evidence or, with couplings, the
-        prediction.
-    hold_out : Share of the tracks, or for a scene of the recording's end, that only judges.
-    max_frames : Person-frames to learn from at most; not of a scene.
-    report : Write what changed and what it bought as HTML.
+    scene : Learn the scene from tracks: births, deaths, missed and false detections. With detections without
+        identities this is the default.
+    forecast : Learn motion for graphtrack forecast --parameters; each file is a scene.
+    groups : Learn group detection from this file of labelled groups: SALSA's, ETH's or a table.
+    attention : Learn gaze from this file of labelled gaze targets (.csv): frame, track_id and target (an id
+        or -1); for graphtrack attention --parameters.
+    model : Starting point: a preset or a model file (.toml); by default separate, full for a scene.
+    criterion : By default truth if the file has it, else evidence or, with couplings, prediction.
+    hold_out : Share of the tracks, or of the end of a scene's recording, held out for validation.
+    max_frames : Most person-frames to learn from; ignored for a scene.
+    report : Write the changed parameters and the gain in log density as HTML.
     """
     if output.suffix != ".toml":
         raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
@@ -104,12 +103,12 @@ def fit(
             progress=lambda count: status.update(f"learning: {count} evaluations"),
         )
     found.model.save(output)
-    tables = {"What changed": parameter_rows(found), "What it bought: log density a frame": score_rows(found)}
+    tables = {"Changed parameters": parameter_rows(found), "Gain: log density a frame": score_rows(found)}
     _write((found.to_dict(), [*advice(found), caption(found)], tables), output, json_path, report)
 
 
 def _write(found: Learned, output: Path, json_path: Path | None, report: Path | None) -> None:
-    """Print what was learned, say that the model is written, and write numbers and a page if asked for."""
+    """Print the learned parameters and the output path; write numbers and a page if requested."""
     from graphtrack.report.content import DataTable, Note, Report, Section
     from graphtrack.report.html import write_html
 
@@ -132,7 +131,7 @@ def _write(found: Learned, output: Path, json_path: Path | None, report: Path | 
 def _labelled(
     tracks: TrackSet, truth: Path, what: str, hold_out: float, output: Path, json_path: Path | None
 ) -> None:
-    """Learn from labelled groups or looks, say how well they are found, and write the parameters."""
+    """Learn from labelled groups or gaze, report the accuracy, and write the parameters."""
     from graphtrack.interaction.tables import read_looks, save_parameters
     from graphtrack.learning.interaction import fit_attention, fit_groups
 
@@ -146,7 +145,7 @@ def _labelled(
             parameters = asdict(found.parameters)
     save_parameters(found.parameters, output)
     title, counted_by = ("Groups", "frame") if what == "groups" else ("Looks", "look")
-    parts = {"what was learned from": found.learned_from, "what was held out": found.held_out}
+    parts = {"training data": found.learned_from, "held-out data": found.held_out}
     scores = {name: score for name, score in parts.items() if score is not None}
     for name, score in scores.items():
         print_table(f"{title} in {name}, {counted(score.frames, counted_by)}", score.shown())
@@ -156,7 +155,7 @@ def _labelled(
 
 
 def _forecasts(inputs: list[Path], reading: options.SceneReading, output: Path) -> Learned:
-    """Learn how people go on."""
+    """Learn motion for forecasts."""
     from graphtrack.learning.forecasts import fit_forecast
 
     scenes = {str(path): reading.tracks([path]) for path in inputs}
@@ -212,13 +211,13 @@ def _scene(
     found.model.save(output)
     tables = {
         "The scene": scene_rows(found),
-        "What it bought: log density a detection": scene_part_rows(found),
+        "Gain: log density a detection": scene_part_rows(found),
     }
     return found.to_dict(), [*scene_advice(found), scene_caption(found)], tables
 
 
 def parameter_rows(found: Fit) -> list[dict[str, object]]:
-    """Parameters before and after, a row each."""
+    """Return parameters before and after, a row each."""
     return [
         {
             "parameter": one.name,
@@ -233,7 +232,7 @@ def parameter_rows(found: Fit) -> list[dict[str, object]]:
 
 
 def score_rows(found: Fit) -> list[dict[str, object]]:
-    """Log density before and after, a row for each part of the tracks."""
+    """Return log density before and after, a row for each part of the tracks."""
     return [
         {"tracks": name, "n": n, "before": before, "after": after, "gain": after - before}
         for (name, (before, after)), n in zip(found.scores.items(), found.tracks, strict=False)
@@ -245,26 +244,26 @@ def caption(found: Fit) -> str:
     what = {
         "truth": "the likelihood of the true positions and angles under the smoother's covariances",
         "evidence": "the Laplace evidence of the observations",
-        "prediction": "the density of observations that were hidden from the smoother, a part at a time",
+        "prediction": "the held-out predictive log-likelihood of the observations, a part at a time",
     }[found.criterion]
     return f"Learned by {what}; preset {found.model.preset}, {found.evaluations} evaluations."
 
 
 def advice(found: Fit) -> list[str]:
-    """Advice where learning did not help tracks held out; none where it did."""
+    """Return advice if learning did not improve held-out tracks, else none."""
     before, after = found.scores.get("held out", (0.0, 0.0))
     if after >= before:
         return []
     learned, held = found.tracks
     return [
-        f"Learning made it worse on {counted(held, 'track')} held out, by {before - after:.3g} a frame: "
-        f"keep the model that it started from ({found.start.preset}), or learn from more than "
+        f"The score on {counted(held, 'track')} held out fell by {before - after:.3g} a frame: "
+        f"keep the initial model ({found.start.preset}), or learn from more than "
         f"{counted(learned, 'track')}."
     ]
 
 
 def scene_rows(found: SceneFit) -> list[dict[str, object]]:
-    """Parameters before and after, a row each."""
+    """Return parameters before and after, a row each."""
     return [
         {
             "parameter": f"scene.{one.name}",
@@ -278,7 +277,7 @@ def scene_rows(found: SceneFit) -> list[dict[str, object]]:
 
 
 def scene_part_rows(found: SceneFit) -> list[dict[str, object]]:
-    """Log density before and after, a row for each part of the recording."""
+    """Return log density before and after, a row for each part of the recording."""
     return [
         {
             "": name,
@@ -305,11 +304,11 @@ def scene_caption(found: SceneFit) -> str:
 
 
 def scene_advice(found: SceneFit) -> list[str]:
-    """Advice where learning did not help the part held out; none where it did."""
+    """Return advice if learning did not improve the held-out part, else none."""
     held = found.parts.get("held out")
     if held is None or held.after >= held.before:
         return []
     return [
-        f"Learning made it worse on {held.seconds:.0f} s held out, by {held.before - held.after:.3g} a "
+        f"The score on {held.seconds:.0f} s held out fell by {held.before - held.after:.3g} a "
         "detection: learn from a longer recording."
     ]

@@ -1,6 +1,6 @@
-"""The entry point: imports the commands, runs one of them, and ends with one line and an exit status.
+"""Entry point: import the commands, run one of them, and exit with one line and a status.
 
-Imports nothing heavy itself, so that Ctrl-C while the commands are imported ends as quietly as later on.
+This module imports nothing heavy, so that Ctrl-C during the import of the commands is handled as well.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ def main() -> None:
 
 
 def run(module: str, name: str) -> None:
-    """Run a program's command line: wrong use and bad input end with one line and exit status 2.
+    """Run a program's command line; wrong usage and bad input end with one line and exit status 2.
 
     Parameters
     ----------
-    module : the module whose ``app`` is the program
+    module : module with the program ``app``
     name : name of the program
     """
     try:
@@ -44,7 +44,7 @@ def run(module: str, name: str) -> None:
 
 
 def print_any_text() -> None:
-    """Have standard output and standard error print escapes for characters that their encoding lacks."""
+    """Print escapes on standard output and error for characters that their encoding lacks."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -52,7 +52,7 @@ def print_any_text() -> None:
 
 @contextlib.contextmanager
 def ended_at_once() -> Iterator[None]:
-    """End the process at Ctrl-C while the block imports.
+    """Exit at Ctrl-C while the block imports.
 
     Extension modules replace a `KeyboardInterrupt` in their imports by other errors, and there is nothing to
     clean up yet.

@@ -1,4 +1,4 @@
-"""Options that several commands share, and how a function becomes a command."""
+"""Shared options of the commands, and conversion of functions into commands."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 _CAMERA_FILES = ("homography", "point_pairs", "calibration")
 CAMERA = (*_CAMERA_FILES, "metres_per_pixel")
-"""Options of how pixels come to the ground."""
+"""Options that map pixels to the ground."""
 
 InputFile = Annotated[Path, typer.Option(exists=True, dir_okay=False)]
 Walkable = Annotated[
@@ -77,17 +77,15 @@ TrustNoise = Annotated[
     Literal["declared", "check", "learn"] | None,
     typer.Option(
         "--trust",
-        help="What the noise that the file or the model declares is worth: declared, it is taken as it is; "
-        "check, a note says where the data contradict it; learn, it is corrected there. By default check; "
-        "declared of what is streamed.",
+        help="Use of the noise that the file or the model declares: declared, unchanged; check, with a note "
+        "where the data contradict it; learn, corrected where the data contradict it. By default check; "
+        "declared for streams.",
     ),
 ]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
 Places = Annotated[
     Path | None,
-    typer.Option(
-        help="CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …)."
-    ),
+    typer.Option(help="CSV of other gaze targets: name and x, y, radius, or name and polygon (x y x y …)."),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
 
@@ -98,27 +96,27 @@ class Reading:
 
     Reading the input
     -----------------
-    fps : Frames a second, where the file has no times.
+    fps : Frames a second, if the file has no times.
     format : Force the input's format; see 'graphtrack formats'.
     select : Only tracks whose label or id matches this pattern, such as '*walk*'; repeat for more.
 
-    Tables with names and units of their own
+    Tables with other column names and units
     ----------------------------------------
-    columns : Which column is which, such as id=agent,t=timestamp,x=pos_x,y=pos_y; also lat, lon, or any of
-        the native table. Numbers count the columns of a file without a header; * stands for who it is, where
-        each has columns of their own.
+    columns : Map of columns, such as id=agent,t=timestamp,x=pos_x,y=pos_y; also lat, lon, or any of
+        the native table. Numbers count the columns of a file without a header; * stands for the person's id
+        if each person has separate columns.
     time_unit : Unit of the times; iso: text of ISO 8601.
     units : Unit of the lengths.
-    crs : Coordinate reference system of the places, such as EPSG:4326; needs the extra geo.
-    delimiter : Mark between the cells: such as ';', or tab, space.
-    decimal : Mark before the decimals: a comma.
-    encoding : Of text that is not UTF-8, such as cp1252 or utf-16-le.
+    crs : Coordinate reference system of the positions, such as EPSG:4326; needs the extra geo.
+    delimiter : Separator of the cells, such as ';', or tab, space.
+    decimal : Decimal separator: a comma.
+    encoding : Encoding of text that is not UTF-8, such as cp1252 or utf-16-le.
 
     ROS 2 recordings
     ----------------
-    topic : Of a ROS 2 bag or MCAP file: the topic that tells of people, where there are several; a pattern
-        such as '/person*/pose' for topics of one person each.
-    fixed_frame : Of a ROS 2 bag or MCAP file: the frame of reference, such as map, to which tf brings places.
+    topic : Topic with people in a ROS 2 bag or MCAP file, if there are several; a pattern such as
+        '/person*/pose' if each person has a topic.
+    fixed_frame : Frame of reference, such as map, into which tf transforms positions (ROS 2 bag or MCAP).
     """
 
     _associate: ClassVar[Literal["auto", "never"]] = "never"
@@ -137,7 +135,7 @@ class Reading:
     fixed_frame: Annotated[str | None, typer.Option(metavar="FRAME")] = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
-        """Files that a command reads, by the names of its options, for `check_outputs`.
+        """Return the files that a command reads, by option name, for `check_outputs`.
 
         Parameters
         ----------
@@ -150,15 +148,15 @@ class Reading:
         paths, given = [table_in(path) for path in paths], self.given()
         named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
         named |= {option_name(name): given[name] for name in _CAMERA_FILES if name in given}
-        named["a file beside the input"] = [place for path in paths for place in files_beside(path)]
+        named["a companion file of the input"] = [place for path in paths for place in files_beside(path)]
         return named
 
     def given(self) -> dict[str, Any]:
-        """Options that differ from their defaults, by name."""
+        """Return options that differ from their defaults, by name."""
         return {f.name: value for f in fields(self) if (value := getattr(self, f.name)) != f.default}
 
     def options(self) -> ReadOptions:
-        """The fields of `ReadOptions` among these options."""
+        """Return the fields of `ReadOptions` among these options."""
         from graphtrack.io.options import ReadOptions
 
         told = {name: value for name, value in self.given().items() if name not in ("format", "select")}
@@ -175,10 +173,10 @@ class Reading:
 
         Parameters
         ----------
-        paths : of the files
-        rows : those of the one file, where they have been read
-        scene : what is known of it where people are without identities
-        beside : tracks with which these are compared: times and local metres count from the same
+        paths : paths of the files
+        rows : rows of the single file, if already read
+        scene : scene model, for people without identities
+        beside : tracks to compare with; times and local metres share its origin
         """
         from graphtrack.association.associate import tracks_of_rows
         from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
@@ -199,7 +197,7 @@ class Reading:
             chosen = tracks.select(*self.select)
             if not len(chosen):
                 wanted = " or ".join(self.select)
-                raise InputError(f"no track that matches {wanted}", "a label or id that is there")
+                raise InputError(f"no track that matches {wanted}", "an existing label or id")
             emit(f"  selected {len(chosen)} of {len(tracks)} tracks")
             tracks = chosen
         return tracks
@@ -207,7 +205,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class CameraReading(Reading):
-    """Options of an input that may have to be brought to the ground first.
+    """Options of an input that may have to be mapped to the ground first.
 
     Reading the input
     -----------------
@@ -227,12 +225,12 @@ class CameraReading(Reading):
 
 @dataclass(frozen=True)
 class SceneReading(CameraReading):
-    """Options of an input in which people may be without identities.
+    """Options of an input that may lack identities.
 
     Reading the input
     -----------------
-    associate : Who is who: auto, where the file has no identities; always, forgetting those it has; repair,
-        parting and joining the tracks it has where they are wrong; never.
+    associate : Data association: auto, if the file has no identities; always, discarding existing identities;
+        repair, splitting and joining existing tracks where they are wrong; never.
     """
 
     _associate: ClassVar[Literal["auto", "never"]] = "auto"
@@ -240,7 +238,7 @@ class SceneReading(CameraReading):
     associate: Literal["auto", "never", "always", "repair"] = "auto"
 
     def rows(self, path: Path) -> tuple[Rows, bool]:
-        """The rows of a file, and whether it has to be found out whose they are."""
+        """Return the rows of a file, and True if they need data association."""
         from graphtrack.association.associate import has_detections
         from graphtrack.io.read_write import rows_of_file
 
@@ -250,12 +248,12 @@ class SceneReading(CameraReading):
 
 @dataclass(frozen=True)
 class Showing:
-    """Options that say where a view goes.
+    """Options for the destination of a view.
 
-    Where it is shown; by default in a window that opens
-    ----------------------------------------------------
+    Destination; by default a new window
+    ------------------------------------
     save : Write a recording (.rrd), for 'rerun FILE'.
-    connect : Show it in a viewer that runs, such as rerun+http://127.0.0.1:9876/proxy.
+    connect : Show it in a running viewer, such as rerun+http://127.0.0.1:9876/proxy.
     """
 
     save: Path | None = None
@@ -268,18 +266,18 @@ class Showing:
         found = Target(self.save, self.connect)
         found.check()
         if self.connect is not None:
-            # A viewer that does not answer is one error, without the lines of Rerun's own log before it.
+            # Report a viewer that does not answer in one line, without Rerun's log.
             os.environ.setdefault("RUST_LOG", "off")
         return found
 
 
 def option_name(name: str) -> str:
-    """An option as it is written, from the name of its field."""
+    """Return the command-line spelling of an option from its field name."""
     return "--class" if name == "classes" else f"--{name.replace('_', '-')}"
 
 
 def documented(*texts: str | None) -> tuple[str, dict[str, tuple[str, str]]]:
-    """The text of docstrings before their sections, and parameter → title of its section and text."""
+    """Return the text of docstrings before their sections, and parameter → section title and text."""
     about, found = "", dict[str, tuple[str, str]]()
     for text in texts:
         before, *parts = re.split(r"\n*^(.+)\n-+\n", inspect.cleandoc(text or ""), flags=re.MULTILINE)
@@ -292,7 +290,7 @@ def documented(*texts: str | None) -> tuple[str, dict[str, tuple[str, str]]]:
 
 
 def _parts(hint: Any) -> tuple[Any, Any]:
-    """The type of a parameter, and what is declared of its option or argument."""
+    """Return the type of a parameter, and the declaration of its option or argument."""
     if get_origin(hint) is Annotated:
         return get_args(hint)[:2]
     if get_origin(hint) in (Union, types.UnionType):
@@ -302,7 +300,7 @@ def _parts(hint: Any) -> tuple[Any, Any]:
 
 
 def _parameters(given: Mapping[str, tuple[Any, Any]], *texts: str | None) -> Iterator[inspect.Parameter]:
-    """Parameters as typer takes them, from name → hint and default, and the docstrings that tell of them."""
+    """Return parameters for typer, from name → hint and default, and the docstrings that describe them."""
     _, said = documented(*texts)
     for name, (hint, default) in given.items():
         kind, info = _parts(hint)
@@ -318,10 +316,10 @@ def _parameters(given: Mapping[str, tuple[Any, Any]], *texts: str | None) -> Ite
 
 
 def command_of(function: Callable[..., None]) -> Callable[..., None]:
-    """The function as a command for typer: its options by its signature, their help by its docstring.
+    """Return the function as a typer command: options from its signature, help from its docstring.
 
-    A parameter that is a dataclass stands for an option for each of its fields. A section of a docstring
-    other than "Parameters" is a group of options in the help.
+    A dataclass parameter becomes one option for each field. A docstring section other than "Parameters" is a
+    group of options in the help.
     """
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
@@ -356,7 +354,7 @@ def _show_version(wanted: bool) -> None:
 
 
 def program_of(name: str, about: str, commands: Mapping[str, Callable[..., None]]) -> typer.Typer:
-    """A program of commands; ``--version`` tells that of the package."""
+    """Create a program of commands; ``--version`` prints the package version."""
     program = typer.Typer(
         name=name, help=about, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
     )
@@ -385,12 +383,12 @@ def check_outputs(
     table: Path | None = None,
     to_make: Iterable[Path] = (),
 ) -> None:
-    """Refuse, before anything is read, what could not be written in the end, or not without a loss.
+    """Refuse outputs that could not be written, or would overwrite an input, before anything is read.
 
     Parameters
     ----------
-    outputs, inputs, folders, to_make : as in `check_distinct`, by the names of their options
-    table : the output that is a file with tracks, whose format is chosen by its name
+    outputs, inputs, folders, to_make : as in `check_distinct`, by option name
+    table : output file with tracks, whose name determines the format
     """
     from graphtrack.io.atomic import check_distinct
 
@@ -402,27 +400,27 @@ def check_outputs(
 
 
 def refuse(given: Mapping[str, object], where: str, expected: str) -> None:
-    """Refuse options that mean nothing here."""
+    """Refuse options that do not apply."""
     for name, value in given.items():
         if value not in (None, False, []):
             raise InputError(f"{name} {where}", expected)
 
 
 def model_file(model: str | None) -> Path | None:
-    """The file that ``--model`` names, if it is not a preset."""
+    """Return the file that ``--model`` names, if it is not a preset."""
     return Path(model) if model is not None and model.endswith(".toml") else None
 
 
 def files_in(folder: Path | None, names: Iterable[str]) -> list[Path]:
-    """The files of those names in a folder; none where it is still to be made."""
+    """Return the files of those names in a folder; none if the folder does not exist yet."""
     return [folder / name for name in names] if folder is not None and folder.is_dir() else []
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder for results, unless it is there."""
+    """Create a folder for results, unless it exists."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{error.strerror or error} when making the folder", "a place that can be written to", path=path
+            f"{error.strerror or error} when creating the folder", "a writable path", path=path
         ) from error

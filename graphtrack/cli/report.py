@@ -1,4 +1,4 @@
-"""`graphtrack report` and `graphtrack view`: tracks as a page, and in Rerun."""
+"""Commands `graphtrack report` and `graphtrack view`: tracks as an HTML page, and in Rerun."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ def report(
     forecast: Path | None = None,
     title: str = "Tracks",
 ) -> None:
-    """Write the HTML report of tracks that are there already, with groups, looks and forecasts.
+    """Write an HTML report of existing tracks, with groups, gaze and forecasts.
 
     Parameters
     ----------
     output : Page to write (.html).
     title : At the top of the page.
 
-    What is shown beside the tracks
-    -------------------------------
-    observations : What the tracks were estimated from; repeat for more files.
-    groups : What 'graphtrack groups' wrote.
-    attention : What 'graphtrack attention' wrote.
-    places : The places that 'graphtrack attention' was given.
-    forecast : What 'graphtrack forecast' wrote.
+    Shown with the tracks
+    ---------------------
+    observations : Observations from which the tracks were estimated; repeat for more files.
+    groups : Output of 'graphtrack groups'.
+    attention : Output of 'graphtrack attention'.
+    places : File of gaze targets given to 'graphtrack attention'.
+    forecast : Output of 'graphtrack forecast'.
     """
     from graphtrack.report.page import write_report
 
@@ -76,18 +76,18 @@ def view(
     forecast: Annotated[str | None, typer.Option(metavar="FILE|SECONDS")] = None,
     person: Annotated[int | None, typer.Option(metavar="ID")] = None,
 ) -> None:
-    """Show tracks in Rerun: ground, video and series of one person on one time line.
+    """Show tracks in Rerun: ground, video and time series of one person on one time line.
 
-    With - as the file, the answers of `graphtrack track -` are shown as they come on standard input.
+    With - as the file, answers of `graphtrack track -` on standard input are shown as they arrive.
 
-    What is shown beside the tracks
-    -------------------------------
-    video : The video, or a folder of images, whose frames the tracks count.
-    boxes : People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default those of the input,
-        where it has any.
-    groups : What 'graphtrack groups' wrote, or find: they are found now.
-    forecast : What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.
-    person : Whose series are drawn; by default theirs who have most rows.
+    Shown with the tracks
+    ---------------------
+    video : Video, or folder of images, with the frame numbers of the tracks.
+    boxes : People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default the boxes of the
+        input, if any.
+    groups : Output of 'graphtrack groups', or find: detect them now.
+    forecast : Output of 'graphtrack forecast', or a horizon in seconds: predict now.
+    person : Person whose time series are drawn; by default the person with most rows.
     """
     from graphtrack.forecasting.recorded import forecast as predict
     from graphtrack.interaction.groups import groups as find_groups
@@ -127,10 +127,10 @@ def _show_stream(showing: options.Showing, person: int | None, given: Mapping[st
     """Show answers on standard input."""
     from graphtrack.viewer.live import show_stream
 
-    options.refuse(given, "with -", "answers of graphtrack track -, as they are")
+    options.refuse(given, "with -", "unmodified answers of graphtrack track -")
     target = showing.target()
     options.check_outputs({"--save": showing.save})
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream ends in its own way, and then this does
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream handles the signal and ends; then this ends
     show_stream(sys.stdin.fileno(), target, person)
 
 
@@ -144,7 +144,7 @@ def _number(text: str | None) -> float | None:
 def _boxes(
     inputs: list[Path], given: Path | None, reading: options.SceneReading, video: Path | None
 ) -> PersonBoxes | None:
-    """Boxes with the ids of the tracks: of the file that is named, or of the input."""
+    """Return boxes with the ids of the tracks, from the given file or the input."""
     from graphtrack.viewer.pictures import boxes_of
 
     if given is None and (video is None or len(inputs) != 1):

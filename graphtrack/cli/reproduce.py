@@ -1,4 +1,4 @@
-"""`graphtrack reproduce`, the papers' experiments, and `graphtrack demo`."""
+"""Commands `graphtrack reproduce`, the papers' experiments, and `graphtrack demo`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def reproduce(
     data: Annotated[Path | None, typer.Option(envvar="GRAPHTRACK_DATA")] = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Run an experiment of the papers again: tables with their numbers beside ours, and a page of figures.
+    """Reproduce an experiment of the papers: tables of published and own numbers, and a page of figures.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def reproduce(
         meetings, strangers, unseen-people, or all.
     out : Folder for figures (PNG) and tables (JSON).
     quick : Few tracks, for a first look.
-    data : Folder with mocap, salsa and caviar in it; else ../shared/data if that is there.
+    data : Folder with mocap, salsa and caviar; by default ../shared/data, if it exists.
     """
     from graphtrack.experiments import Settings, all_experiments
 
@@ -83,7 +83,7 @@ def write(found: Reproduction, folder: Path, quick: str = "") -> None:
 
     Parameters
     ----------
-    quick : how few people were judged, where it ran quickly
+    quick : description of the reduced number of people, if it ran quickly
     """
     for table in found.tables:
         print_table(table.title, table.records())
@@ -92,7 +92,7 @@ def write(found: Reproduction, folder: Path, quick: str = "") -> None:
     if found.figure is None:
         return
     if quick:
-        emit(f"  --quick: {quick}. So few prove nothing: it shows that it runs.")
+        emit(f"  --quick: {quick}. So few prove nothing; this is a functional check.")
     save_figure(found.figure, folder / f"{found.name}.png")
     write_json(folder / f"{found.name}.json", [table.to_dict() for table in found.tables])
 

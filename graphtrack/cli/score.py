@@ -1,4 +1,4 @@
-"""`graphtrack score`: tracks, tables of forecasts and of groups judged by the truth."""
+"""Command `graphtrack score`: tracks, tables of forecasts and of groups scored against the truth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def are_forecasts(inputs: Sequence[Path]) -> bool:
     files = [path for path in inputs if path.is_file()]
     found = [is_forecast(path) for path in files]
     if any(found) and not (all(found) and len(files) == len(inputs)):
-        raise InputError("tables of forecasts beside other inputs", "tables of forecasts alone, or none")
+        raise InputError("tables of forecasts among other inputs", "tables of forecasts alone, or none")
     return bool(found) and all(found)
 
 
@@ -40,7 +40,7 @@ def score_forecasts(
     reading: options.CameraReading,
     json_path: Path | None,
 ) -> None:
-    """Judge forecasts, say how good they are, and write it."""
+    """Score forecasts, print the scores and write them."""
     from graphtrack.evaluation.forecasts import judge_forecasts
     from graphtrack.forecasting.recorded import read_forecasts
     from graphtrack.io.read_write import paired_files
@@ -52,9 +52,7 @@ def score_forecasts(
             found[name] = judge_forecasts(read_forecasts(table), reading.tracks([true]))
         except InputError as error:
             raise InputError(error.found, error.expected, path=error.path or table) from error
-    print_table(
-        "Forecasts, and how they compare", [row for name, one in found.items() for row in _rows(name, one)]
-    )
+    print_table("Forecasts compared", [row for name, one in found.items() for row in _rows(name, one)])
     if len(found) > 1:
         print_table("Errors over those of constant velocity, mean of the recordings", [_mean_ratio(found)])
     for name, one in found.items():
@@ -64,7 +62,7 @@ def score_forecasts(
         drawn = "; best of 20 drawn from the table's Gaussian, for it has no samples" if one.drawn else ""
         emit(
             f"{name}: {counted(one.forecasts, 'forecast')} judged, {one.left_out} left out because the truth "
-            f"does not reach{drawn}"
+            f"is too short{drawn}"
         )
     write_json(json_path, _finite({name: one.to_dict() for name, one in found.items()}))
 
@@ -106,7 +104,7 @@ def _shown(values: Mapping[str, float]) -> dict[str, object]:
 
 
 def _finite(content: Any) -> Any:
-    """Numbers that are not finite as null, and keys as text, as JSON has them."""
+    """Convert non-finite numbers to null and keys to text, for JSON."""
     if isinstance(content, Mapping):
         return {str(key): _finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
@@ -123,19 +121,19 @@ def score(
     json_path: options.Json = None,
     report: Path | None = None,
 ) -> None:
-    """Judge tracks against the truth: HOTA, IDF1, MOTA, switches; errors of states, and if intervals hold.
+    """Score tracks against the truth: HOTA, IDF1, MOTA, switches, state errors and interval coverage.
 
-    Errors of position, velocity, body and head are those of people with the same track_id in both. Tables of
-    forecasts and of groups are judged, too.
+    Errors of position, velocity, body and head are for people with the same track_id in both. Tables of
+    forecasts and of groups are scored too.
 
-    The names of files, without their endings, are those of the sequences.
+    Sequences are named by their files, without the endings.
 
     Parameters
     ----------
     inputs : Files with estimated tracks, one a sequence, or a folder of them.
-    truth : File with the true tracks, or a folder of files named as the estimates are; repeat for more files.
-    metres : How far apart on the ground a match may be; 1 by default.
-    iou : Match boxes in the image instead, that overlap so much (intersection over union, such as 0.5).
+    truth : File with the true tracks, or a folder of files named like the estimates; repeat for more files.
+    metres : Largest distance of a match on the ground; 1 by default.
+    iou : Match boxes in the image instead, from this intersection over union (such as 0.5).
     report : Write an HTML report too: figures, replay, and a timeline with every switch; of one sequence, on
         the ground.
     """
@@ -151,12 +149,12 @@ def score(
         return
     if are_forecasts(inputs):
         unused |= {"--select": reading.select}
-        options.refuse(unused, "with forecasts", "what is for tracks with tracks alone")
+        options.refuse(unused, "with forecasts", "this option with tracks only")
         score_forecasts(inputs, truth, reading, json_path)
         return
     threshold = threshold_of(metres, iou)
     if report is not None and threshold.measure == "iou":
-        raise InputError("--report and --iou", "one of them: the report shows places on the ground")
+        raise InputError("--report and --iou", "one of them: the report shows positions on the ground")
     outputs = {"--json": json_path, "--report": report}
     options.check_outputs(outputs, reading.inputs([*inputs, *truth]))
     pairs = paired_files(inputs, truth)
@@ -183,7 +181,7 @@ def _read(
 ) -> Iterator[Pair]:
     """Read and compare each pair of files, with the errors of the people in both.
 
-    Of one pair the tracks are kept.
+    The tracks are kept if there is one pair.
     """
     from graphtrack.evaluation.matching import boxes, estimated_detections, true_detections
     from graphtrack.evaluation.metrics import track_errors
@@ -203,7 +201,7 @@ def _read(
 
 
 def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: TrackSet) -> None:
-    """The figures, and the tracks beside the truth."""
+    """Write the figures, and the tracks against the truth."""
     from graphtrack.evaluation.identities import COUNTS, HEADINGS, SHARES
     from graphtrack.evaluation.identity_events import judge_events
     from graphtrack.report.content import Card, DataTable, Section
@@ -220,8 +218,8 @@ def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: Tr
     )
     page = tracking_report(
         judged.tracks,
-        title="Tracks beside the truth",
-        subtitle="Errors are those of rows that match somebody of the truth.",
+        title="Tracks against the truth",
+        subtitle="Errors are those of rows that match a person of the truth.",
         cards=tuple(cards),
         sections=(Section("Score", tables),),
         events=judged.events,
@@ -231,7 +229,7 @@ def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: Tr
 
 
 def _boxes(path: Path, reading: options.CameraReading) -> Rows:
-    """Read boxes, and say what was read."""
+    """Read boxes, and print their summary."""
     import numpy as np
 
     from graphtrack.io.read_write import read_boxes
@@ -244,7 +242,7 @@ def _boxes(path: Path, reading: options.CameraReading) -> Rows:
 
 
 def print_score(found: TrackingScore) -> None:
-    """The figures as two tables on standard output: shares, and counts."""
+    """Print the figures as two tables: shares, and counts."""
     from graphtrack.evaluation.identities import COUNTS, SHARES
 
     def rows(names: tuple[str, ...]) -> list[dict[str, object]]:
@@ -257,17 +255,17 @@ def print_score(found: TrackingScore) -> None:
 
 
 def print_states(found: StateScore) -> None:
-    """Errors and whether intervals hold, as a table on standard output."""
+    """Print errors and interval coverage as a table."""
 
     def shown(row: dict[str, Any]) -> dict[str, object]:
         numbers = {"RMSE": row["rmse"], "MAE": row["mae"], "median": row["median"]}
         line = {"": row["quantity"], "unit": row["unit"], "tracks": row["tracks"], "frames": row["frames"]}
         line |= {name: f"{value:.3g}" for name, value in numbers.items()}
         if row["coverage_95"] is not None:
-            line |= {"95 % holds": f"{100.0 * row['coverage_95']:.0f} %"}
+            line |= {"95 % covers": f"{100.0 * row['coverage_95']:.0f} %"}
         if row["nees"] is not None:
             band = f"{row['nees_low']:.2f}–{row['nees_high']:.2f}"
-            line |= {"NEES / dof": f"{row['nees']:.2f}", "1 if honest, within": band}
+            line |= {"NEES / dof": f"{row['nees']:.2f}", "1 if consistent, within": band}
         return line
 
     if found.rows:

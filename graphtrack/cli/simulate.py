@@ -1,4 +1,4 @@
-"""`graphtrack simulate` and `graphtrack add-noise`."""
+"""Commands `graphtrack simulate` and `graphtrack add-noise`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graphtrack.tracks.display import counted
 
 @dataclass(frozen=True)
 class Noise:
-    """Options of noise that is added to what is exact.
+    """Options of noise that is added to exact values.
 
     Noise
     -----
@@ -32,7 +32,7 @@ class Noise:
 
     @property
     def given(self) -> dict[str, float | None]:
-        """As `graphtrack.simulation.degrade.add_noise` and `detector.detect` take it."""
+        """Return the noise for `graphtrack.simulation.degrade.add_noise` and `detector.detect`."""
         return {
             "position_std": self.position_noise,
             "body_kappa": self.body_kappa,
@@ -65,16 +65,16 @@ def simulate(
     Parameters
     ----------
     model : A preset or a model file (.toml).
-    tracks : People.
-    steps : Frames of each.
+    tracks : Number of people.
+    steps : Frames of each person.
     fps : Frames a second.
-    missing : Share of frames unseen.
-    pace : How fast people go, m/s, the median; 0: as the model has it, ever faster.
-    glances : How often a minute people look aside.
-    scenario : The demo's six scripted people instead, who need no model.
-    scene : A party instead: people in conversations and alone, who look at each other, without noise.
-    groups : Write who is in conversation at the party (.csv).
-    looks : Write who looks at whom at the party (.csv); -1: nobody.
+    missing : Share of unobserved frames.
+    pace : Median walking speed, m/s; 0: the model's random walk, whose speed grows without bound.
+    glances : Glances to the side a minute.
+    scenario : The demo's six scripted people instead, without a model.
+    scene : A party instead: people in conversations and alone, with gaze between them, without noise.
+    groups : Write the conversation groups of the party (.csv).
+    looks : Write the gaze targets of the party (.csv); -1: nobody.
     """
     import numpy as np
 
@@ -85,7 +85,7 @@ def simulate(
     outputs = {"--output": output, "--groups": groups, "--looks": looks}
     options.check_outputs(outputs, {"--model": options.model_file(model)}, table=output)
     if scene is None and (groups is not None or looks is not None):
-        raise InputError("--groups or --looks without --scene party", "the scene that has them")
+        raise InputError("--groups or --looks without --scene party", "that scene, which has them")
     if scene is not None and scenario:
         raise InputError("--scene and --scenario", "one of them")
     rng = np.random.default_rng(seed)
@@ -132,21 +132,21 @@ def add_noise(
     truth_output: Path | None = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Take exact tracks as the truth and write noisy observations of them, the truth beside.
+    """Take exact tracks as the truth, and write noisy observations of them together with the truth.
 
-    False detections are tracks of their own, of one row each, with the label "false".
+    Each false detection is a separate track of one row with the label "false".
 
-    What a detector gets wrong
-    --------------------------
-    every : Seconds between frames: the recording is sampled so, straight on between its rows.
+    Errors of a detector
+    --------------------
+    every : Seconds between frames: the recording is resampled, linearly between its rows.
     missed : Probability that a person is missed in a frame.
     occlude_share : Share of the people who are hidden once, at a random time.
-    occlude_seconds : For how long.
-    clutter : False detections a frame, anywhere in the box around all people.
-    clutter_count : So many on average (poisson), or in each frame (fixed).
-    anonymous : Leave out who is who and what is true, and shuffle each frame; --truth-output keeps the truth.
+    occlude_seconds : Duration of the occlusion.
+    clutter : False detections a frame, uniform in the bounding box of all people.
+    clutter_count : Poisson: that mean number a frame; fixed: that number in each frame.
+    anonymous : Leave out identities and truth, and shuffle each frame; --truth-output keeps the truth.
         Written as .csv, .parquet or .ndjson.
-    truth_output : Write where everybody is in the same frames here, for 'graphtrack score'.
+    truth_output : Write the true positions in the same frames to this file, for 'graphtrack score'.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""`graphtrack smooth`: tracks in memory, or a Parquet data set that is streamed."""
+"""Command `graphtrack smooth`: tracks in memory, or a streamed Parquet data set."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 LARGE = 512 * 2**20
-"""Bytes of a Parquet file from which it is streamed without being asked to."""
+"""Bytes of a Parquet file from which it is streamed by default."""
 
 
 def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: str | None) -> bool:
-    """Return True if an input is streamed: asked for, on a cluster, of a folder or of a large file."""
+    """Return True if an input is streamed: on request, on a cluster, or a folder or large file."""
     from graphtrack.io.formats.ros_bag import is_bag
 
     if asked is not None:
@@ -48,12 +48,12 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
         raise InputError(f"the file name {output.name!r}", "the ending .parquet, when streaming", path=output)
     given = next((name for name, value in unused.items() if value), None)
     if given is not None:
-        raise InputError(f"{given} when streaming", "it left out, or --no-stream")
+        raise InputError(f"{given} when streaming", "no such option, or --no-stream")
     return inputs[0]
 
 
 def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
-    """Smooth a data set, and print what became of it; ends with status 2 if a track failed."""
+    """Smooth a data set, and print the outcome; exit with status 2 if a track failed."""
     from graphtrack.inference.chain.batch import is_large
     from graphtrack.inference.warm import make_solver_ready
     from graphtrack.scale import open_dataset, smooth_dataset
@@ -105,15 +105,15 @@ def smooth(
 
     Parameters
     ----------
-    engine : auto takes chain, which is compiled, where it can; isam2 and fixed-lag are for track.
-    fill : Estimate the frames between a person's rows that the table leaves out. [default: fill]
-    resample : Estimates at so many frames a second.
-    jobs : Tracks at a time: threads (chain; by default one for each processor) or processes (gtsam).
-    report : Write an HTML report here too.
+    engine : auto: chain, which is compiled, if the model allows it; isam2 and fixed-lag are for track.
+    fill : Estimate the missing frames between a person's rows. [default: fill]
+    resample : Frames a second of the estimates.
+    jobs : Tracks in parallel: threads (chain; by default one for each processor) or processes (gtsam).
+    report : Write an HTML report too.
 
     Data sets larger than memory
     ----------------------------
-    stream : Parquet track by track, in bounded memory, as folders and files of 512 MB are.
+    stream : Read Parquet track by track in bounded memory; default for folders and files from 512 MB.
     batch_frames : Person-frames held at a time when streaming.
     cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
@@ -197,7 +197,7 @@ def smooth(
 
 
 def _without_gaps(tracks: TrackSet) -> TrackSet:
-    """Insert missing frames, and report how many there are."""
+    """Insert missing frames, and report their number."""
     from graphtrack.tracks.gaps import LONGEST_FILLED, filled, unfilled_gaps
 
     found = filled(tracks)

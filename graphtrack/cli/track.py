@@ -1,4 +1,4 @@
-"""`graphtrack track` and `graphtrack serve`: files, a stream on standard input, and a service of streams."""
+"""Commands `graphtrack track` and `graphtrack serve`: files, standard input, and a network service."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ def track(
     places: options.Places = None,
     walkable: options.Walkable = None,
 ) -> None:
-    """Track online: the estimate at each frame from what came before it alone.
+    """Track online: estimate each frame from the observations up to it.
 
     Parameters
     ----------
     input : File with tracks, or - for NDJSON rows on standard input.
     output : File to write: .csv, .csv.gz, .parquet, .ndjson, .txt (MOT), .nc and others (graphtrack formats);
-        with -, none.
+        none with -.
     engine : chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; isam2: GTSAM's incremental
         smoother; auto: chain where it can be.
-    lag : History that is kept open, to be estimated anew; none: all of it, with isam2.
+    lag : Length of the history that is re-estimated; none: all of it, with isam2.
 
     Streams: with - as the input
     ----------------------------
-    state : Keep in this file what going on takes, and go on from it. A row is in it before it is answered.
-    save_every : Seconds between flushings of --state to the disk: what is lost if the power fails. A kill
-        loses nothing.
-    forecast : Tell where people will be, every 0.4 s up to so many seconds ahead.
-    groups : Tell who stands in conversation, or walks, with whom.
-    attention : Tell who looks at whom, and at which --places.
-    places : CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).
+    state : Save the state in this file, and resume from it. A row is saved before it is answered.
+    save_every : Seconds between flushes of --state to disk, the most that a power failure loses. A killed
+        process loses nothing.
+    forecast : Predict positions every 0.4 s up to this many seconds ahead.
+    groups : Report conversation groups and people walking together.
+    attention : Report gaze targets: people and --places.
+    places : CSV of other gaze targets: name and x, y, radius, or name and polygon (x y x y …).
     """
     from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.inference.online import OnlineSmoother
@@ -75,7 +75,7 @@ def track(
     chosen = Model.named(model)
     kept = _seconds(lag)
     if reading.associate == "repair":
-        raise InputError("--associate repair", "graphtrack smooth: to repair tracks is to look ahead")
+        raise InputError("--associate repair", "graphtrack smooth: repairing tracks needs future frames")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
         if walkable is not None:
@@ -99,7 +99,7 @@ def track(
     if output is None:
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
-        raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
+        raise InputError("--state with a file", "- as the input: only a stream can be resumed")
     rows, are_detections = reading.rows(place_of(input))
     if are_detections:
         if reading.select:
@@ -137,7 +137,7 @@ def _track_detections(
     lag: float | None,
     walkable: Path | None,
 ) -> None:
-    """Track the detections of a file online, and write what was said at once."""
+    """Track the detections of a file online, and write the estimates without revision."""
     from graphtrack.association.tracker import track_rows
     from graphtrack.cli.console import print_summary
     from graphtrack.inference.engines import online_engine
@@ -168,7 +168,7 @@ def _seconds(lag: str) -> float | None:
 
 
 def horizon_of(forecast: float | None) -> tuple[float, float] | None:
-    """The horizon and step of forecasts; InputError for what is none."""
+    """Return the horizon and step of forecasts; raise InputError if they are invalid."""
     if forecast is None:
         return None
     from graphtrack.forecasting.forecaster import times_ahead
@@ -180,9 +180,9 @@ def horizon_of(forecast: float | None) -> tuple[float, float] | None:
 
 
 def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None:
-    """The groups and looks that are told; None: neither."""
+    """Return the settings of reported groups and gaze; None: neither."""
     if places is not None and not attention:
-        raise InputError("--places alone", "--attention beside it: who looks at them")
+        raise InputError("--places alone", "--attention too, which reports gaze at them")
     if not (groups or attention):
         return None
     from graphtrack.interaction.places import read_places
@@ -213,17 +213,17 @@ def _track_stream(
 
     def went_on(row: int, line: int, again: int) -> None:
         lines = "" if line == row else f" (the last is line {line})"
-        last = f"; the answer to row {row} is given again" if again else ""
+        last = f"; the answer to row {row} is repeated" if again else ""
         if again > 1:
-            last = f"; the answers to rows {row - again + 1} to {row} are given again"
-        emit(f"going on from {state}, after {counted(row, 'row')}{lines}{last}")
+            last = f"; the answers to rows {row - again + 1} to {row} are repeated"
+        emit(f"resuming from {state}, after {counted(row, 'row')}{lines}{last}")
 
     rows, wrong = track_stream(
         answers,
         state=state,
         save_every=save_every,
         names=StreamNames() if layout is None else StreamNames.of(layout),
-        # Rows that are kept one by one are given again one by one.
+        # Rows that were saved one by one are replayed one by one.
         listener=Listener(
             lambda text: emit(f"note: {text}"),
             went_on,
@@ -270,30 +270,30 @@ def serve(
     ----------
     host : Address to listen on.
     port : Port to listen on; 0: any that is free.
-    engine : As of graphtrack track.
-    lag : History that is kept open.
+    engine : As in graphtrack track.
+    lag : Length of the history that is re-estimated.
     fps : Frames a second, for rows without a time.
     homography : File with 3×3 numbers: image → ground in metres.
-    forecast : Tell where people will be, every 0.4 s up to so many seconds ahead.
-    groups : Tell who stands in conversation, or walks, with whom.
-    attention : Tell who looks at whom, and at which --places.
-    state : Folder in which streams are kept, to be gone on with; made if it is not there.
-    save_every : As of graphtrack track.
+    forecast : Predict positions every 0.4 s up to this many seconds ahead.
+    groups : Report conversation groups and people walking together.
+    attention : Report gaze targets: people and --places.
+    state : Folder for saved streams, which can be resumed; created if missing.
+    save_every : As in graphtrack track.
 
     Clients
     -------
-    token_file : File with the clients' token, else GRAPHTRACK_TOKEN; needed beyond the loopback.
+    token_file : File with the clients' token, else GRAPHTRACK_TOKEN; required unless --host is loopback.
     allow_host : Name in clients' URLs, besides localhost and --host; '*': any. Repeatable.
     allow_origin : Web pages that may use the service, as https://site.example; '*': any. Repeatable.
 
     Limits
     ------
-    max_streams : Open at once.
-    max_people : With identities, at once in a stream.
-    max_rate : Rows a second of a stream; who is faster is slowed down.
-    max_line : Bytes of a message.
-    forget_after : Seconds without a row until a person is forgotten.
-    patience : Seconds that answers may stay unread, or a client silent to pings.
+    max_streams : Most open streams.
+    max_people : Most people with identities in a stream at one time.
+    max_rate : Most rows a second of a stream; faster clients are throttled.
+    max_line : Most bytes of a message.
+    forget_after : Seconds without a row until a person is dropped.
+    patience : Seconds that answers may stay unread, or pings unanswered.
     """
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.engines import check_lag, online_engine
@@ -325,22 +325,22 @@ def serve(
     limits = Limits(max_streams, max_rate, max_line, patience)
     token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)
     if token == "":
-        raise InputError("an empty token", "some characters, or none at all", path=token_file)
+        raise InputError("an empty token", "a non-empty token, or no token file", path=token_file)
     if token is not None and not all("!" <= character <= "~" for character in token):
         expected = "printable ASCII characters without spaces, which a header can hold"
         raise InputError("a token with other characters", expected, path=token_file)
     if token is None and not is_loopback(host):
-        expected = f"--token-file, or the variable {TOKEN}: other machines reach that address"
+        expected = f"--token-file, or the variable {TOKEN}: other machines can reach that address"
         raise InputError(f"--host {host} without a token", expected)
     clients = clients_of(host, allow_host or [], allow_origin or [])
     if not allow_host and is_wildcard(host):
-        emit("note: requests are taken for localhost alone; --allow-host NAME adds a name")
+        emit("note: only requests for localhost are accepted; --allow-host NAME adds a name")
     run(Service(answers, limits, state, token, clients, save_every), host, port, emit)
 
 
 def _read_token(path: Path) -> str:
     with path.open("rb") as file:
-        content = file.read(_LONGEST_TOKEN + 1)  # of a device there may be no end
+        content = file.read(_LONGEST_TOKEN + 1)  # a device file may be endless
     if len(content) > _LONGEST_TOKEN:
         raise InputError(f"more than {_LONGEST_TOKEN} bytes", "a token in one line", path=path)
     try:

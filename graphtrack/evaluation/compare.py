@@ -49,9 +49,9 @@ class Method(Protocol):
     Attributes
     ----------
     name : short and unique
-    online : whether each estimate uses only what came before it; online and offline methods are not compared
-        with each other
-    information : what it uses, in words, such as "positions, body, head; past only"
+    online : True if each estimate uses only the past; online and offline methods are not compared with each
+        other
+    information : description of the observations used, such as "positions, body, head; past only"
     """
 
     @property
@@ -60,19 +60,19 @@ class Method(Protocol):
 
     @property
     def online(self) -> bool:
-        """True if each estimate uses only what came before it."""
+        """True if each estimate uses only the past."""
 
     @property
     def information(self) -> str:
-        """The information that the method uses, in words."""
+        """Description of the observations that the method uses."""
 
     def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """Estimates from observations, one for each frame; None in channels that are not estimated."""
+        """Return estimates, one for each frame; None in channels that are not estimated."""
 
 
 @dataclass(frozen=True)
 class FunctionMethod:
-    """A method made of a function of a track, a model and a camera."""
+    """Method that wraps a function of a track, a model and a camera."""
 
     name: str
     online: bool
@@ -81,12 +81,12 @@ class FunctionMethod:
     function: Callable[[Track, Model, GroundCamera | None], Track]
 
     def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """The function's estimates."""
-        return self.function(track, self.model, camera)  # type: ignore[arg-type]  # those without take any
+        """Return the function's estimates."""
+        return self.function(track, self.model, camera)  # type: ignore[arg-type]  # camera may be unused
 
 
 def channels(model: Model) -> str:
-    """The observations that a model uses, in words."""
+    """Describe the observations that a model uses."""
     used = ["positions", *(["body"] if model.has_body else []), *(["head"] if model.has_head else [])]
     return ", ".join(used)
 
@@ -94,13 +94,13 @@ def channels(model: Model) -> str:
 def _method(
     name: str, function: Callable[..., Track], uses: str = "", *, online: bool = True
 ) -> Callable[[Model], Method]:
-    """A factory of a method that uses some channels, by default those of its model."""
+    """Return a factory of a method that uses some channels, by default those of its model."""
     when = "past only" if online else "past and future"
     return lambda model: FunctionMethod(name, online, f"{uses or channels(model)}; {when}", model, function)
 
 
 def _own(name: str) -> Callable[[Model], Method]:
-    """A factory of Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has no model."""
+    """Return a factory of Baxter et al.'s filter (eq. 2–6), which counts time in frames and has no model."""
     information = "positions, head; past only; parameters of its paper, a frame is a step"
     return lambda model: FunctionMethod(
         f"intentional-{name}",
@@ -153,12 +153,12 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         "fixed-lag": _online("fixed-lag"),
     }
 )
-"""Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.
+"""Name → factory of the method for a model. All use its parameters; kf and rts its linear part.
 
 ``intentional`` is Baxter et al.'s tracker in continuous time; ``intentional-printed`` and
-``intentional-consistent`` are its own filter (eq. 2–6) with its own parameters, whatever the model.
+``intentional-consistent`` are the published filter (eq. 2–6) with its published parameters for every model.
 ``particle`` is Chen et al.'s filter and ``ffbs`` its smoother; ``particle-modes`` is the filter with the
-modes of the couplings that its own model, ``full``, has."""
+coupling modes of the model ``full``."""
 
 
 _OWN = {
@@ -173,12 +173,12 @@ _OWN = {
 
 
 def own_model(name: str) -> Model:
-    """The best preset that a method of `registry` has; the graph's engines have `BEST_PRESET`."""
+    """Return the best preset of a method of `registry`; `BEST_PRESET` for the graph's engines."""
     return Model(_OWN.get(name, BEST_PRESET))
 
 
 def make_method(method: Method | str, model: Model | str | Path | None = None) -> Method:
-    """A method from its name in `registry`, by default with its `own_model`; a method is returned as it is.
+    """Return the method of a name in `registry`, with its `own_model` by default, or a method unchanged.
 
     Raises
     ------
@@ -214,8 +214,8 @@ class TrackScore:
     method : name of the method
     frames : frames that were scored
     metrics : metric → value, in the units of `METRICS`; without those that the method does not estimate
-    calibration : quantity → NEES per degree of freedom, and how often intervals hold the truth
-    failure : why there is nothing; "" where there is
+    calibration : quantity → NEES per degree of freedom, and interval coverage
+    failure : reason of a failure, else ""
     """
 
     track_id: int
@@ -228,9 +228,9 @@ class TrackScore:
 
 
 def scored_frames(track: Track, window: BoolArray | None = None) -> BoolArray:
-    """The frames (n,) that count for every method: with a true position, from the first observed one on.
+    """Return the scored frames (n,): those with a true position, from the first observed position on.
 
-    Before the first position a filter knows nothing, so that nobody is judged there.
+    Before the first position a filter has no information, so these frames are not scored.
     """
     if track.true_position is None:
         return np.zeros(len(track), dtype=bool)
@@ -244,16 +244,16 @@ def scored_frames(track: Track, window: BoolArray | None = None) -> BoolArray:
 def score(
     method: Method, track: Track, camera: GroundCamera | None, window: BoolArray | None = None
 ) -> TrackScore:
-    """Run a method on a track and judge it; any exception it raises becomes the reason of its failure.
+    """Run a method on a track and score it; an exception is recorded as the reason of failure.
 
-    The method does not get to see the truth.
+    The truth is withheld from the method.
     """
     empty = TrackScore(track.track_id, track.label, method.name)
     blind = replace(track, true_position=None, true_body=None, true_head=None)
     start = time.perf_counter()
     try:
         estimate = method.estimate(blind, camera)
-    except Exception as error:  # one method's trouble must not keep the others from coming out
+    except Exception as error:  # a failing method must not stop the comparison
         text = getattr(error, "reason", "") or " ".join(str(error).split())[:200]
         return replace(empty, failure=text or type(error).__name__)
     elapsed = time.perf_counter() - start
@@ -292,7 +292,7 @@ def _trouble(estimate: Track, track: Track, mask: BoolArray) -> str:
 
 
 METHODS = ("chain", "isam2", "kf", "intentional", "intentional-printed", "particle", "smoother", "rts")
-"""Compared by default: the graph, Kalman's and the papers' filters, and the smoother of the Kalman filter."""
+"""Methods compared by default: graph engines, Kalman filter, the papers' filters, and the RTS smoother."""
 
 MethodGroup = Literal["online", "offline"]
 
@@ -308,18 +308,18 @@ class Comparison:
         and 84th percentile), ``mean``, ``n`` (tracks)
     differences : one a method, except the first of its group, and metric, the time a step left out:
         ``method``, ``group``, ``reference`` (the first method of the group), ``metric``, ``unit``,
-        ``difference`` (mean over the tracks of the method's value less the reference's on the same track),
+        ``difference`` (mean over the tracks of the method's value minus the reference's),
         ``low`` and ``high`` (95 % bootstrap interval, NaN for fewer than five tracks), ``n`` (tracks)
     calibration : one a method and quantity (position, velocity, body, head): ``method``, ``group``,
-        ``model``, ``quantity``, ``nees`` per degree of freedom (1 is right) and ``nees_error`` (twice its
+        ``model``, ``quantity``, ``nees`` per degree of freedom (ideally 1) and ``nees_error`` (twice its
         standard error), ``coverage_50``, ``coverage_90``, ``coverage_95`` (shares of the truth inside those
         intervals), ``confidence`` and ``coverage``: the same at many probabilities, ``tracks``
     per_track : every method on every track
-    information : method → what it used, in words
-    models : method → preset of its model; "" where a method of your own has none
-    caption : how to read the tables
+    information : method → description of the observations used
+    models : method → preset of its model; "" for a user's method without one
+    caption : notes on reading the tables
     occlude_seconds : length of the withheld windows; None: nothing was withheld
-    left_out : track_id → why the track was not compared at all
+    left_out : track_id → reason why the track was not compared
     """
 
     rows: tuple[Mapping[str, Any], ...]
@@ -349,15 +349,15 @@ class Comparison:
 
     @property
     def failures(self) -> tuple[TrackScore, ...]:
-        """The methods that failed on a track, with their reason in ``failure``."""
+        """Methods that failed on a track, with the reason in ``failure``."""
         return tuple(record for record in self.per_track if record.failure)
 
     def group(self, name: MethodGroup) -> tuple[Mapping[str, Any], ...]:
-        """The rows of the online or the offline methods."""
+        """Return the rows of the online or the offline methods."""
         return tuple(row for row in self.rows if row["group"] == name)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything in plain types, ready for JSON."""
+        """Return all results in plain types, ready for JSON."""
         return {
             "caption": self.caption,
             "information": dict(self.information),
@@ -382,21 +382,21 @@ def compare(
     occlude_seconds: float | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
-    """Run methods on the same tracks and judge them against the truth.
+    """Run methods on the same tracks and score them against the truth.
 
-    All get the same observations and the model's parameters, and are judged at the same frames: those with a
-    true position, from the first observed position on. The tables pool the tracks on which every method that
-    gave any result gave one.
+    All use the same observations and model parameters, and are scored in the same frames: those with a true
+    position, from the first observed position on. The tables pool the tracks on which every method with any
+    result succeeded.
 
     Parameters
     ----------
     tracks : observations, in any form that `solve` takes, with ``true_position`` and, for angular errors,
         ``true_body`` and ``true_head``
-    methods : names in `graphtrack.evaluation.compare.registry`, or methods of your own
-    model : a `Model`, a preset's name or a model file, for all methods; by default each has the best preset
-        that it can, and the rows and the caption say which. Then methods differ by their models, too.
-    occlude_seconds : withhold position and body for so long around everybody's sharpest turn, and judge only
-        there
+    methods : names in `graphtrack.evaluation.compare.registry`, or user-defined methods
+    model : a `Model`, a preset's name or a model file, for all methods; by default each uses its best
+        preset, listed in the rows and the caption; methods then differ in their models too.
+    occlude_seconds : withhold position and body for this long around each person's sharpest turn, and score
+        only there
 
     progress : called with the number of person-frames of each finished track
 
@@ -412,8 +412,8 @@ def compare(
     if not with_truth:
         raise InputError(
             "no true positions",
-            "columns true_x and true_y; if the positions are exact, add noise to them, which keeps the exact "
-            "ones as truth",
+            "columns true_x and true_y; if the positions are exact, add noise with add-noise, "
+            "which keeps them as truth",
         )
     left_out = {track.track_id: "no true positions" for track in tracks if not track.has_truth}
     unseen = {track.track_id: "no position was observed" for track in with_truth if not _located(track)}
@@ -449,7 +449,7 @@ def compare(
 
 
 def common_tracks(records: Sequence[TrackScore]) -> list[TrackScore]:
-    """The records of those tracks on which every method succeeded, methods that never did left aside."""
+    """Return the records of tracks on which every method succeeded, without methods that never did."""
     succeeded: dict[str, set[int]] = {}
     for record in records:
         if not record.failure:
@@ -463,15 +463,15 @@ def _make(methods: Sequence[str | Method], model: Model | None) -> tuple[Method,
     made = tuple(make_method(method, model) for method in listed)
     names = [method.name for method in made]
     if not names:
-        raise InputError("no methods", f"some of {', '.join(METHODS)}")
+        raise InputError("no methods", f"one or more of {', '.join(METHODS)}")
     if len(set(names)) != len(names):
         raise InputError(f"methods {', '.join(names)}", "each method once")
-    # Online methods stand together, for they are compared with each other alone.
+    # Online methods are listed together: they are compared only with each other.
     return tuple(sorted(made, key=lambda method: not method.online))
 
 
 def _located(track: Track) -> bool:
-    """True if it was observed anywhere, on the ground or in the image."""
+    """Return True if any position was observed, on the ground or in the image."""
     seen = bool(np.isfinite(track.position).all(axis=1).any())
     return seen or (track.pixel is not None and bool(np.isfinite(track.pixel).all(axis=1).any()))
 
@@ -483,7 +483,7 @@ def _require_room(hidden: Occlusion, seconds: float) -> None:
 
 
 def _rehearse(methods: Sequence[Method], track: Track, camera: GroundCamera | None) -> None:
-    """Run every method on a few frames, so that what is compiled or loaded first counts as nobody's time."""
+    """Run every method on a few frames, to exclude compiling and loading from the times."""
     begin = int(np.argmax(np.isfinite(track.position).all(axis=1)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -513,7 +513,7 @@ def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[
 
 
 def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
-    """Of each method from the first of its group that has results, on the same tracks."""
+    """Return paired differences of each method from the first of its group with results."""
     values = {(record.method, record.track_id): record.metrics for record in records}
     ids = sorted({record.track_id for record in records})
     rng = np.random.default_rng(0)
@@ -549,32 +549,32 @@ def _caption(
     left_out: Mapping[int, str],
 ) -> str:
     n = len({record.track_id for record in pooled})
-    parts = [f"Median over {counted(n, 'track')}; figures and JSON have the 16th and 84th percentile, too."]
+    parts = [f"Median over {counted(n, 'track')}; figures and JSON have the 16th and 84th percentiles too."]
     if occlude_seconds is not None:
         parts.append(
-            f"Position and body were withheld for {occlude_seconds:g} s around everybody's sharpest turn, "
-            "the head was not; only the frames in there count."
+            f"Position and body, but not the head, were withheld for {occlude_seconds:g} s around "
+            "each person's sharpest turn; only these frames are scored."
         )
     used = {
         group: "; ".join(f"{m.name} ({m.information})" for m in methods if _group(m) == group)
         for group in ("online", "offline")
     }
     if used["online"]:
-        parts.append(f"Online, each estimate from the past alone: {used['online']}.")
+        parts.append(f"Online, each estimate from the past only: {used['online']}.")
     if used["offline"]:
         parts.append(f"Offline, from the whole track: {used['offline']}.")
     if used["online"] and used["offline"]:
-        parts.append("Compare online methods with online ones and offline with offline.")
+        parts.append("Compare online methods only with online ones, and offline with offline.")
     if max(sum(_group(m) == group for m in methods) for group in ("online", "offline")) > 1:
         parts.append(
-            "Differences are paired: mean over the tracks of a method's value less that of the first method "
+            "Differences are paired: mean over the tracks of a method's value minus that of the first method "
             "of its group, with a 95 % bootstrap interval over five tracks or more."
         )
     parts += _models_in_words(methods)
     failed = sum(bool(record.failure) for record in records)
     if failed:
         parts.append(
-            f"{failed} of {len(records)} runs failed; their tracks count for no method that gave results."
+            f"{failed} of {len(records)} runs failed; their tracks are excluded for all methods with results."
         )
     if left_out:
         verb = "is" if len(left_out) == 1 else "are"
@@ -592,4 +592,4 @@ def _models_in_words(methods: Sequence[Method]) -> list[str]:
     if not names:
         return []
     each = "; ".join(f"{preset} for {', '.join(found)}" for preset, found in names.items())
-    return [f"Each method has its best model: {each}. To compare methods alone, give all the same."]
+    return [f"Each method has its best model: {each}. To compare methods only, give all the same model."]

@@ -17,35 +17,35 @@ from graphtrack.packages import spatial
 from graphtrack.tracks.track import Track, TrackSet
 
 SAMPLES = 20
-"""Paths of which the best counts."""
+"""Number of sampled paths for best-of-K errors."""
 
 MISS = 2.0
-"""Metres of error at the last time ahead from which a forecast is a miss (Argoverse; Chang et al. 2019)."""
+"""Error in metres at the last time ahead above which a forecast is a miss (Argoverse; Chang et al. 2019)."""
 
 COLLISION = 0.2
-"""Metres between two predicted people below which they collide (TrajNet++; Kothari et al. 2021)."""
+"""Distance in metres between two people below which they collide (TrajNet++; Kothari et al. 2021)."""
 
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
-"""Shares of the probability in the circles of the reliability curve."""
+"""Nominal probabilities of the circles of the reliability curve."""
 
 _LONGEST_GAP = 1.0
-"""Seconds between two true positions beyond which it is not known where somebody was in between."""
+"""Longest interval in seconds between two true positions that is interpolated."""
 
 
 @dataclass(frozen=True)
 class MethodScore:
-    """Metrics of one method's forecasts; NaN: not forecast.
+    """Metrics of one method's forecasts; NaN: not predicted.
 
     Attributes
     ----------
     ade, fde : mean error over all times ahead, and at the last, m
-    min_ade, min_fde : of the best of `SAMPLES` paths of each forecast, m
-    miss_rate : share of forecasts that are off by more than `MISS` at the last time ahead; of the best of
-        `SAMPLES` paths where there are such
-    collision_rate : share of forecasts whose mean path comes within `COLLISION` of another person's at the
-        same time, of those made for two people or more
+    min_ade, min_fde : errors of the best of `SAMPLES` paths of each forecast, m
+    miss_rate : share of forecasts with an error above `MISS` at the last time ahead; of the best of
+        `SAMPLES` paths if there are samples
+    collision_rate : share of forecasts, among those for two people or more, whose mean path comes within
+        `COLLISION` of another person's at the same time
     log_likelihood : mean over forecasts and times, nats: the logarithm of a density per m²
-    inside_50, inside_90 : shares of true positions in the circles that should hold 50 and 90 %
+    inside_50, inside_90 : shares of true positions in the circles of 50 and 90 % nominal probability
     """
 
     ade: float
@@ -61,17 +61,17 @@ class MethodScore:
 
 @dataclass(frozen=True)
 class ForecastScore:
-    """Forecasts of one recording, judged.
+    """Scores of the forecasts of one recording.
 
     Attributes
     ----------
-    forecasts : that were judged
-    left_out : whose person's truth is not known at all times ahead and a step before
-    methods : "forecast", "constant velocity", "Kalman filter"; of a truth that has true positions beside the
-        observed ones "constant velocity, true last step" too
+    forecasts : number of scored forecasts
+    left_out : number of forecasts without truth at all times ahead and one step before
+    methods : "forecast", "constant velocity", "Kalman filter"; if the truth has true in addition to observed
+        positions, "constant velocity, true last step" too
     by_ahead : a row for each time ahead
-    reliability : share that circles should hold → share that they do
-    drawn : whether the best of `SAMPLES` is of paths drawn from the table's Gaussian, for it has no samples
+    reliability : nominal coverage → observed coverage
+    drawn : True if the best-of-`SAMPLES` paths were drawn from the table's Gaussian, as it has no samples
     """
 
     forecasts: int
@@ -87,35 +87,35 @@ class ForecastScore:
 
 
 def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> ForecastScore:
-    """Judge a table of forecasts.
+    """Score a table of forecasts.
 
-    Constant velocity is that of the last step before the forecast, as long as the table's own first time
-    ahead. It and the Kalman filter, with the default parameters, get the positions that the forecast had: the
-    observed ones of the truth, where it has true ones beside. The true last step stands there by that name.
+    Constant velocity extrapolates the last step before the forecast, whose length is the table's first time
+    ahead. It and the Kalman filter, with default parameters, use the positions of the forecast: the observed
+    positions of the truth table, if it also has true positions. The true last step is scored separately.
 
     Parameters
     ----------
     table : columns (rows,) as `graphtrack.forecasting.recorded.read_forecasts` gives them
-    truth : true positions where it has them, else the positions
+    truth : table whose true positions, or else positions, are the truth
 
     Raises
     ------
     InputError
-        If forecasts differ in their times ahead, or none can be judged.
+        If forecasts differ in their times ahead, or none can be scored.
     """
     order = np.lexsort((table["ahead"], table["track_id"], table["t"]))
     ahead = np.unique(table["ahead"])
     shape = (len(order) // len(ahead), len(ahead))
     grid = {name: values[order] for name, values in table.items()}
     if len(order) % len(ahead) or (grid["ahead"].reshape(shape) != ahead).any():
-        raise InputError("forecasts for differing times ahead", "each one for the same times")
+        raise InputError("forecasts for differing times ahead", "the same times in all forecasts")
     grid = {name: values.reshape(shape) for name, values in grid.items()}
     people, made = grid["track_id"][:, 0].astype(int), grid["t"][:, 0]
     true, straight, informed, filtered = _references(truth, people, made, ahead)
     known = np.asarray(np.isfinite(np.stack([true, straight, informed])).all(axis=(0, 2, 3)))
     if not known.any():
         raise InputError(
-            f"{len(known)} forecasts, none of whose outcomes is known", "truth of the same people and times"
+            f"{len(known)} forecasts, none with known outcome", "truth of the same people and times"
         )
     grid = {name: values[known] for name, values in grid.items()}
     true, straight, informed, filtered = true[known], straight[known], informed[known], filtered[known]
@@ -126,7 +126,7 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
     spread[..., 0, 0], spread[..., 1, 1] = grid["x_std"] ** 2, grid["y_std"] ** 2
     spread[..., 0, 1] = spread[..., 1, 0] = grid["xy_cov"]
     if (np.linalg.det(spread) <= 0.0).any():
-        raise InputError("a covariance that is not positive definite", "x_std, y_std and xy_cov of one")
+        raise InputError("a covariance that is not positive definite", "valid x_std, y_std and xy_cov")
     paths, drawn = _paths(grid, mean, spread)
     best = np.linalg.norm(paths - true[:, None], axis=3)
     inside = {f"inside_{share}": error <= grid[f"radius_{share}"] for share in (50, 90)}
@@ -180,7 +180,7 @@ def _errors(error: FloatArray) -> tuple[float, float]:
 
 
 def _collision_rate(path: FloatArray, made: FloatArray) -> float:
-    """Share of paths (n, A, 2) made at times (n,) that meet another of the same time; NaN without others."""
+    """Return the share of paths (n, A, 2) from times (n,) that collide with another path, or NaN."""
     collides: list[NDArray[np.bool_]] = []
     for rows in np.split(np.argsort(made, kind="stable"), np.unique(np.sort(made), return_index=True)[1][1:]):
         if len(rows) > 1:
@@ -192,9 +192,9 @@ def _collision_rate(path: FloatArray, made: FloatArray) -> float:
 
 
 def _shares_within(error: FloatArray, inner: FloatArray, outer: FloatArray) -> FloatArray:
-    """Share of the probability within each error: of the Weibull distribution with the two radii.
+    """Return the probability within each error of the Weibull distribution through the two radii.
 
-    With a power of 2 it is that of a Gaussian, with less it has heavier tails.
+    A power of 2 is a Gaussian's; smaller powers have heavier tails.
     """
     power = np.log(np.log(10.0) / np.log(2.0)) / np.log(np.maximum(outer / inner, 1.0 + 1e-9))
     shares: FloatArray = -np.expm1(-np.log(2.0) * (error / inner) ** power)
@@ -207,12 +207,12 @@ def _log_likelihood(off: FloatArray, spread: FloatArray) -> float:
 
 
 def _paths(grid: Mapping[str, FloatArray], mean: FloatArray, spread: FloatArray) -> tuple[FloatArray, bool]:
-    """`SAMPLES` paths (n, S, A, 2) of each forecast, and whether they had to be drawn."""
+    """Return `SAMPLES` paths (n, S, A, 2) of each forecast, and True if they were drawn."""
     if all(f"sample_{k}_{axis}" in grid for k in range(SAMPLES) for axis in "xy"):
         axes = [np.stack([grid[f"sample_{k}_{axis}"] for k in range(SAMPLES)], axis=1) for axis in "xy"]
         return np.stack(axes, axis=3), False
     random = np.random.default_rng(0)
-    # Whoever is fast stays fast: one draw for the whole path.
+    # Errors along a path are correlated: one draw for the whole path.
     draws = random.standard_normal((len(mean), SAMPLES, 2))
     found: FloatArray = mean[:, None] + np.einsum("naij,nsj->nsai", np.linalg.cholesky(spread), draws)
     return found, True
@@ -221,9 +221,9 @@ def _paths(grid: Mapping[str, FloatArray], mean: FloatArray, spread: FloatArray)
 def _references(
     truth: TrackSet, people: NDArray[np.int64], made: FloatArray, ahead: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """True positions (n, A, 2), and predictions of the filter (n, A, 3).
+    """Return true positions (n, A, 2), and predictions of the filter (n, A, 3).
 
-    Between them where people would be going straight on, by the last observed step and by the true one.
+    Between the two are constant-velocity positions, from the last observed and the last true step.
     """
     shape = (len(people), len(ahead))
     true, straight, informed = (np.full((*shape, 2), np.nan) for _ in range(3))
@@ -260,14 +260,14 @@ def _references(
 
 
 def _straight_on(t: FloatArray, position: FloatArray, made: FloatArray, ahead: FloatArray) -> FloatArray:
-    """Positions (n, A, 2) going on with the velocity of the last step, as long as the first time ahead."""
+    """Extrapolate positions (n, A, 2) with the velocity of the last step."""
     now, before = _between(t, position, made), _between(t, position, made - ahead[0])
     velocity = (now - before) / ahead[0]
     return np.asarray(now[:, None] + velocity[:, None] * ahead[:, None])
 
 
 def _between(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatArray:
-    """Positions (n, 2) at times (n,), between two that are not far apart; NaN elsewhere."""
+    """Interpolate positions (n, 2) at times (n,) within short intervals; NaN elsewhere."""
     after = np.clip(np.searchsorted(t, at - 1e-6), 1, len(t) - 1)
     before = after - 1
     share = (at - t[before]) / (t[after] - t[before])

@@ -55,10 +55,10 @@ if TYPE_CHECKING:
 
 
 MOSTLY_TRACKED, MOSTLY_LOST = 0.8, 0.2
-"""More than this share of somebody's rows is found, or less."""
+"""Shares of matched rows for mostly tracked and mostly lost people."""
 
 KEEPING = 1000.0
-"""Worth of a pair that stays together; more than all similarities of a frame."""
+"""Score of a pair kept from the previous frame; above the sum of all similarities of a frame."""
 
 NOBODY = -1
 
@@ -71,7 +71,7 @@ class ClearCounts(Summed):
     ----------
     matches, misses, false_positives : rows
     switches : rows of the truth matched to another track than the last time they were matched
-    fragmentations : times that somebody is found again after having been lost
+    fragmentations : number of times that a person is matched again after a loss
     mostly_tracked, partly_tracked, mostly_lost : people
     similarity : sum over the matches
     """
@@ -88,13 +88,13 @@ class ClearCounts(Summed):
 
     @property
     def mota(self) -> float:
-        """1 − (misses + false positives + switches) / rows of the truth; below zero where many are wrong."""
+        """1 − (misses + false positives + switches) / rows of the truth; negative with many errors."""
         wrong = self.false_positives + self.switches
         return (self.matches - wrong) / max(1, self.matches + self.misses)
 
     @property
     def motp(self) -> float:
-        """The mean similarity of the matches; 0 without any."""
+        """Mean similarity of the matches; 0 without matches."""
         return self.similarity / max(1, self.matches)
 
     @property
@@ -114,12 +114,12 @@ class FrameMatches:
 
     Attributes
     ----------
-    frame : its number
-    row : (k,) of the truth
+    frame : frame number
+    row : (k,) rows of the truth
     truth, estimates : (k,) people and tracks, numbered as in `SharedFrames`
     similarity : (k,)
-    before : (k,) the track that each of these people was matched with last; `NOBODY` at their first match
-    lost : (k,) whether they were without a match in the frame before that had both
+    before : (k,) last track matched with each person; `NOBODY` at the first match
+    lost : (k,) True without a match in the previous frame with truth and estimates
     """
 
     frame: int
@@ -132,12 +132,12 @@ class FrameMatches:
 
     @property
     def switched(self) -> BoolArray:
-        """(k,) whether another track has them than the last time."""
+        """(k,) True if the matched track changed."""
         return (self.before != NOBODY) & (self.before != self.estimates)
 
     @property
     def found_again(self) -> BoolArray:
-        """(k,) whether they had been lost, which ends a fragmentation."""
+        """(k,) True if the person had been lost: end of a fragmentation."""
         return (self.before != NOBODY) & self.lost
 
 
@@ -146,16 +146,16 @@ def clear_matches(frames: SharedFrames, threshold: float) -> Iterator[FrameMatch
 
     Parameters
     ----------
-    threshold : similarity from which on two rows can be matched
+    threshold : minimum similarity of a match
     """
     last = np.full(len(frames.truth_rows), NOBODY, dtype=np.int64)
     now = last.copy()
-    # As in TrackEval a frame without any truth or any estimates ends no stretch.
+    # As in TrackEval, a frame without truth or estimates does not end a tracked interval.
     for k in np.flatnonzero(frames.shared).tolist():
         here = slice(frames.start[k], frames.start[k + 1])
         row, column, similarity = frames.row[here], frames.column[here], frames.similarity[here]
         people, tracks = frames.truth[row], frames.estimates[column]
-        # Pairs of the frame before are kept, then similarity is highest.
+        # Keep pairs of the previous frame first, then maximise similarity.
         worth = np.where(
             similarity >= threshold - EPSILON, KEEPING * (tracks == now[people]) + similarity, 0.0
         )
@@ -168,7 +168,7 @@ def clear_matches(frames: SharedFrames, threshold: float) -> Iterator[FrameMatch
 
 
 def matched_pairs(row: IntArray, column: IntArray, worth: FloatArray) -> IntArray:
-    """Return the places of the pairs (p,) whose worth is greatest in sum, each row and column once."""
+    """Return the indices of the pairs (p,) with the greatest total score, each row and column once."""
     if not len(row):
         return np.zeros(0, np.int64)
     rows, i = np.unique(row, return_inverse=True)
@@ -182,7 +182,7 @@ def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
 
     Parameters
     ----------
-    threshold : similarity from which on two rows can be matched
+    threshold : minimum similarity of a match
     """
     found = np.zeros(len(frames.truth_rows), dtype=np.int64)
     matches, switches, fragmentations, total = 0, 0, 0, 0.0
@@ -209,12 +209,12 @@ def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
 
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
-"""(19,) the similarities from which on two rows can be matched: α = 0.05, 0.1 … 0.95."""
+"""(19,) minimum similarities of a match: α = 0.05, 0.1 … 0.95."""
 
 
 @dataclass(frozen=True, eq=False)
 class HotaCounts(Summed):
-    """Sums over the rows, (19,) each, one a value of `ALPHAS`.
+    """Sums over the rows, (19,) each, one for each value of `ALPHAS`.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ class HotaCounts(Summed):
     similarity: FloatArray
 
     def curves(self) -> dict[str, FloatArray]:
-        """The figures at each α, (19,) each: HOTA, DetA, AssA and what they are made of, and LocA."""
+        """Return the figures at each α, (19,) each: HOTA, DetA, AssA and their parts, and LocA."""
         matches = np.maximum(1.0, self.matches)
         rows = self.matches + self.misses
         detection = self.matches / np.maximum(1.0, rows + self.false_positives)
@@ -246,13 +246,13 @@ class HotaCounts(Summed):
             "DetPr": self.matches / np.maximum(1.0, self.matches + self.false_positives),
             "AssRe": self.association_recall / matches,
             "AssPr": self.association_precision / matches,
-            # Where nothing is matched, nothing is off.
+            # Without matches the localisation error is 0.
             "LocA": np.where(self.matches > 0.0, self.similarity / matches, 1.0),
         }
 
 
 def hota_counts(frames: SharedFrames) -> HotaCounts:
-    """Match truth and estimates, so that people stay with their tracks, and sum up for every α."""
+    """Match truth and estimates with consistent identities, and sum the counts for every α."""
     truth, estimates, similarity = _matches(frames)
     sums = [_sums(frames, truth, estimates, similarity, alpha) for alpha in ALPHAS]
     matches, *rest = np.array(sums).T
@@ -261,20 +261,20 @@ def hota_counts(frames: SharedFrames) -> HotaCounts:
 
 
 def _matches(frames: SharedFrames) -> tuple[IntArray, IntArray, FloatArray]:
-    """True person, track and similarity of everything that is matched at the lowest α, (k,) each.
+    """Return true person, track and similarity of all matches at the lowest α, (k,) each.
 
-    In each frame the sum of similarities is highest, each weighted by how alike the two are over the whole
-    sequence: with the one matching for all α that TrackEval makes of it.
+    In each frame the matching maximises the sum of similarities, each weighted by the alignment of the two
+    over the whole sequence. As in TrackEval, one matching serves all α.
     """
     found = matched_pairs(frames.row, frames.column, _alike(frames) * frames.similarity)
     return frames.truth[frames.row[found]], frames.estimates[frames.column[found]], frames.similarity[found]
 
 
 def _alike(frames: SharedFrames) -> FloatArray:
-    """Similarity over the whole sequence, from 0 to 1, of the person and the track of each pair (p,).
+    """Return the alignment over the whole sequence, from 0 to 1, of person and track of each pair (p,).
 
-    The rows that they may have in common over the rows of both. In a frame a pair counts by its similarity
-    over all similarities of either of them, so that a crowd gives nobody more than one row.
+    It is the number of potentially shared rows over the rows of both. In a frame a pair counts by its
+    similarity over all similarities of either of them, so that a crowd contributes at most one row to each.
     """
     row, column, similarity = frames.row, frames.column, frames.similarity
     of_rows, of_columns = np.bincount(row, similarity), np.bincount(column, similarity)
@@ -287,7 +287,7 @@ def _alike(frames: SharedFrames) -> FloatArray:
 def _sums(
     frames: SharedFrames, truth: IntArray, estimates: IntArray, similarity: FloatArray, alpha: float
 ) -> tuple[float, ...]:
-    """Number of matches at one α, and the sums of `HotaCounts` over them."""
+    """Return the number of matches at one α, and the sums of `HotaCounts` over them."""
     close = similarity >= alpha - EPSILON
     pair, rows = np.unique(truth[close] * len(frames.estimate_rows) + estimates[close], return_counts=True)
     person, track = np.divmod(pair, max(1, len(frames.estimate_rows)))
@@ -311,12 +311,12 @@ class IdentityCounts(Summed):
 
     @property
     def idp(self) -> float:
-        """The share of the estimates that is paired rightly."""
+        """Share of correctly paired estimates."""
         return self.true_positives / max(1, self.true_positives + self.false_positives)
 
     @property
     def idr(self) -> float:
-        """The share of the truth that is paired rightly."""
+        """Share of correctly paired rows of the truth."""
         return self.true_positives / max(1, self.true_positives + self.misses)
 
     @property
@@ -327,14 +327,13 @@ class IdentityCounts(Summed):
 
 
 def identity_counts(frames: SharedFrames, threshold: float) -> IdentityCounts:
-    """Pair every true person with one track at most, for the whole sequence, and count.
+    """Pair each true person with at most one track for the whole sequence, and count.
 
-    Pairs with as few misses and false positives as possible have as many rows in common as
-    possible: each such row is one of either less.
+    Minimising misses and false positives maximises the shared rows: each shared row removes one of both.
 
     Parameters
     ----------
-    threshold : similarity from which on two rows can be the same person's
+    threshold : minimum similarity of two rows of the same person
     """
     person, track, common, _ = frames.common((frames.similarity >= threshold).astype(float))
     paired = int(common[matched_pairs(person, track, common)].sum())
@@ -365,7 +364,7 @@ class GospaCounts(Summed):
 
 
 def gospa_counts(frames: SharedFrames) -> GospaCounts:
-    """Pair truth and estimates in each frame so that GOSPA is least; beyond the cutoff similarity is 0."""
+    """Pair truth and estimates in each frame to minimise GOSPA; beyond the cutoff similarity is 0."""
     squared = np.square(1.0 - frames.similarity)
     found = matched_pairs(frames.row, frames.column, 1.0 - squared)
     rows = int(frames.truth_rows.sum() + frames.estimate_rows.sum())
@@ -397,21 +396,21 @@ HEADINGS = {
     "partly_tracked": "partly",
     "mostly_lost": "mostly lost",
 }
-"""Figure → what tables call it."""
+"""Figure → heading in tables."""
 
 SHARES, COUNTS = tuple(HEADINGS)[:12], tuple(HEADINGS)[12:]
-"""The figures of which 1 is best, and those that are numbers of rows, events and people."""
+"""Figures with 1 as best value, and counts of rows, events and people."""
 
 IN_SHORT = ("hota", "det_a", "ass_a", "idf1", "mota", "precision", "recall", "switches", "fragmentations")
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """The largest distance or least overlap of two detections of the same person.
+    """Largest distance or smallest overlap of two matching detections.
 
     Attributes
     ----------
-    measure : "metres", the distance on the ground at most, or "iou", the overlap of boxes at least
+    measure : "metres", largest distance on the ground, or "iou", smallest overlap of boxes
     value : in metres, or from 0 to 1
     """
 
@@ -420,11 +419,11 @@ class Threshold:
 
     @property
     def similarity(self) -> float:
-        """The similarity from which on two detections can match; on the ground 0 is twice the distance."""
+        """Minimum similarity of a match; on the ground, similarity is 0 at twice the distance."""
         return 0.5 if self.measure == "metres" else self.value
 
     def distance(self, similarity: float) -> float | None:
-        """The distance in metres that a similarity stands for; None in the image."""
+        """Return the distance in metres of a similarity; None in the image."""
         return 2.0 * self.value * (1.0 - similarity) if self.measure == "metres" else None
 
     def __str__(self) -> str:
@@ -437,21 +436,21 @@ class SequenceScore:
 
     Attributes
     ----------
-    name : of the sequence
-    frames : those with anybody in the truth or the estimates
+    name : name of the sequence
+    frames : number of frames with a person in the truth or the estimates
     people, tracks : identities of the truth and of the estimates
     rows, estimated_rows : detections of each
-    hota, det_a, ass_a, loc_a : HOTA and its parts, means over the 19 demands α of ``curves``
-    idf1, idp, idr : of the best lasting pairing of people and tracks
-    mota : below 0 where errors outnumber people
+    hota, det_a, ass_a, loc_a : HOTA and its parts, means over the 19 thresholds α of ``curves``
+    idf1, idp, idr : scores of the best pairing of people and tracks over the sequence
+    mota : negative if errors outnumber people
     motp : mean similarity of the matches
     gospa : root mean square over frames, in metres, with twice the threshold as the cutoff; None in the image
-    mean_distance : of the matches, in metres; None in the image, and where nothing matches
+    mean_distance : mean over the matches, in metres; None in the image, and without matches
     precision, recall : shares of the estimates and of the truth that are matched
     matches, misses, false_positives : rows
-    switches, fragmentations : how often a person's track changes, and is found again after having been lost
-    mostly_tracked, partly_tracked, mostly_lost : people found in more than 80 % of their frames, in between,
-        and in less than 20 %
+    switches, fragmentations : numbers of track changes, and of matches regained after a loss
+    mostly_tracked, partly_tracked, mostly_lost : people matched in more than 80 % of their frames, in
+        between, and in less than 20 %
     curves : "alpha", "HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA" → 19 values
     """
 
@@ -485,7 +484,7 @@ class SequenceScore:
     curves: Mapping[str, tuple[float, ...]]
 
     def shown(self, names: tuple[str, ...] = tuple(HEADINGS)) -> dict[str, Any]:
-        """Some of the figures by what tables call them."""
+        """Return some of the figures by their table headings."""
         return {HEADINGS[name]: getattr(self, name) for name in names}
 
 
@@ -495,10 +494,10 @@ class TrackingScore:
 
     Attributes
     ----------
-    sequences : each by itself
-    together : of the sums over all sequences
-    threshold : how close two detections have to be
-    notes : what was left out, one sentence each
+    sequences : metrics of each sequence
+    together : metrics of the sums over all sequences
+    threshold : condition for a match of two detections
+    notes : omitted data, one sentence each
     """
 
     sequences: tuple[SequenceScore, ...]
@@ -521,11 +520,11 @@ class TrackingScore:
         return html_table(repr(self), header, rows, max(0, len(lines) - MOST - 1))
 
     def lines(self) -> tuple[SequenceScore, ...]:
-        """The lines of a table: the sequences and, of several, all together."""
+        """Return the lines of a table: each sequence and, if there are several, all together."""
         return self.sequences if len(self.sequences) == 1 else (*self.sequences, self.together)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything in plain types, ready for JSON."""
+        """Return all metrics in plain types, ready for JSON."""
         return {
             "measure": self.threshold.measure,
             "threshold": self.threshold.value,
@@ -537,7 +536,7 @@ class TrackingScore:
 
 @dataclass(frozen=True)
 class Counts(Summed):
-    """All that is counted in one sequence, or in several."""
+    """All counts of one sequence, or of several."""
 
     frames: int
     people: int
@@ -549,7 +548,7 @@ class Counts(Summed):
 
 
 def count(frames: SharedFrames, threshold: Threshold) -> Counts:
-    """Count all that figures are made of in one sequence."""
+    """Compute the counts of one sequence."""
     return Counts(
         frames=len(frames),
         people=len(frames.truth_rows),
@@ -562,7 +561,7 @@ def count(frames: SharedFrames, threshold: Threshold) -> Counts:
 
 
 def figures(name: str, counts: Counts, threshold: Threshold) -> SequenceScore:
-    """The figures that follow from what was counted."""
+    """Compute the figures from the counts."""
     clear, identity, curves = counts.clear, counts.identity, counts.hota.curves()
     means = {"hota": "HOTA", "det_a": "DetA", "ass_a": "AssA", "loc_a": "LocA"}
     alike: dict[str, Any] = {key: float(curves[curve].mean()) for key, curve in means.items()}
@@ -595,7 +594,7 @@ def _cell(value: float) -> str:
 
 
 METRES = 1.0
-"""Within which positions can be the same person's where nothing else is said, as in MOTChallenge 3D."""
+"""Default largest distance of a match in metres, as in MOTChallenge 3D."""
 
 Pair = tuple[str, Detections, Detections]
 """Name of a sequence, its estimates and its truth."""
@@ -609,16 +608,16 @@ def score(
     Parameters
     ----------
     estimates, truth : of one sequence, tracks in any form that `smooth` takes; of several, two folders or two
-        lists of files, with files of the same names. With ``iou``, files of a format that holds boxes. Of a
-        truth with true positions (``true_x``, ``true_y``) these are compared, else its positions.
-    metres : how far apart on the ground a match may be; 1 m if ``iou`` is not given either
-    iou : how much boxes must overlap to match, as intersection over union
+        lists of files, with files of the same names. With ``iou``, files of a format that holds boxes. A
+        truth is compared by its true positions (``true_x``, ``true_y``) if any, else by its positions.
+    metres : largest distance of a match on the ground; 1 m if ``iou`` is not given either
+    iou : smallest intersection over union of matching boxes
 
     Raises
     ------
     InputError
-        For both demands at once, or one out of range; files that do not pair up or cannot be read; a truth in
-        which nobody is anywhere, or that has no frame in common with the estimates.
+        For both thresholds at once, or one out of range; files that do not pair up or cannot be read; a truth
+        without positions, or without a frame in common with the estimates.
     """
     threshold = threshold_of(metres, iou)
     files, true_files = _paths(estimates), _paths(truth)
@@ -630,7 +629,7 @@ def score(
 
 
 def threshold_of(metres: float | None = None, iou: float | None = None) -> Threshold:
-    """The demand on a match: a distance on the ground, unless an overlap in the image is asked for.
+    """Return the match threshold: a distance on the ground, unless an overlap in the image is given.
 
     Raises
     ------
@@ -647,7 +646,7 @@ def threshold_of(metres: float | None = None, iou: float | None = None) -> Thres
 
 
 def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
-    """Compare the sequences one by one, and sum up.
+    """Score the sequences one by one, and sum the counts.
 
     Raises
     ------
@@ -668,15 +667,15 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
 
 
 def similarity_of(threshold: Threshold) -> Similarity:
-    """The similarity of two detections for a threshold."""
+    """Return the similarity function for a threshold."""
     if threshold.measure == "iou":
         return box_similarity
-    # Zero at twice the distance: then a similarity of one half stands for the distance itself.
+    # Zero at twice the distance, so that a similarity of one half is the distance itself.
     return partial(ground_similarity, zero_distance=2.0 * threshold.value)
 
 
 def _paths(given: Given) -> list[Path] | None:
-    """The paths, where that is what is given."""
+    """Return the paths, if paths are given."""
     several = given if isinstance(given, list | tuple) else [given]
     found = [Path(one) for one in several if isinstance(one, str | Path)]
     return found if found and len(found) == len(several) else None

@@ -1,4 +1,4 @@
-"""When and where identities went wrong: the switches and fragmentations that the score counts, one by one."""
+"""Identity errors one by one: the time and place of each switch and fragmentation that the score counts."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class IdentityEvent:
-    """Somebody has another track than before, or is found again after having been lost, or both.
+    """Change of a person's track, a match regained after a loss, or both.
 
     Attributes
     ----------
-    frame : in which the track ``after`` has them
+    frame : frame of the match with the track ``after``
     person : identity in the truth
-    before, after : the track that they were matched with last, and the one that has them now
-    switch : whether these differ
-    found_again : whether nobody had them in the frame before, which is a fragmentation
+    before, after : previous and new matched track
+    switch : True if these differ
+    found_again : True if unmatched in the previous frame, which is a fragmentation
     """
 
     frame: int
@@ -39,12 +39,12 @@ class IdentityEvent:
 
 @dataclass(frozen=True, eq=False)
 class JudgedTracks:
-    """Tracks beside the truth.
+    """Tracks matched with the truth.
 
     Attributes
     ----------
-    tracks : the estimates; ``true_position`` is that of whom each row is matched with, NaN where nobody is
-    events : in the order of time
+    tracks : the estimates; ``true_position`` is that of the matched person, NaN without a match
+    events : in temporal order
     """
 
     tracks: TrackSet
@@ -52,12 +52,12 @@ class JudgedTracks:
 
 
 def judge_events(estimates: Given, truth: Given, *, metres: float | None = None) -> JudgedTracks:
-    """The switches and fragmentations that `score` counts, when and between whom.
+    """Return the switches and fragmentations that `score` counts, with times and people.
 
     Parameters
     ----------
-    estimates, truth : of one sequence, as in `score`
-    metres : how far apart on the ground a match may be; 1 m by default
+    estimates, truth : tracks of one sequence, as in `score`
+    metres : largest distance of a match on the ground; 1 m by default
 
     Raises
     ------
@@ -68,7 +68,7 @@ def judge_events(estimates: Given, truth: Given, *, metres: float | None = None)
     found, true = estimated_detections(tracks), true_detections(tracks_of(truth))
     shared = share_frames(true, found, similarity_of(threshold))
     people, ids = np.unique(true.track_id), np.unique(found.track_id)
-    # Frame, track and place of every match.
+    # Frame, track and position of every match.
     rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     events: list[IdentityEvent] = []
     for matched in clear_matches(shared, threshold.similarity):
@@ -90,7 +90,7 @@ def judge_events(estimates: Given, truth: Given, *, metres: float | None = None)
 
 
 def _beside_the_truth(tracks: TrackSet, rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> TrackSet:
-    """The tracks with the places (k, 2) of those whom their rows are matched with, by frame and track."""
+    """Return the tracks with the true positions (k, 2) of the matched people, by frame and track."""
     if not rows:
         return tracks
     frame, identity, place = (np.concatenate(parts) for parts in zip(*rows, strict=True))

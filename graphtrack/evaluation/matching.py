@@ -22,13 +22,13 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Rows with an identity, n of them, by frame and within a frame by identity.
+    """n rows with identities, sorted by frame and within a frame by identity.
 
     Attributes
     ----------
     track_id, frame : (n,)
     place : (n, 2) metres on the ground, or (n, 4) left, top, width and height of a box in pixels; all finite
-    missing : rows that were left out, because they have no place
+    missing : number of rows left out for lack of a position or box
     """
 
     track_id: IntArray
@@ -41,42 +41,42 @@ class Detections:
 
 
 def known_detections(track_id: IntArray, frame: IntArray, place: FloatArray) -> Detections:
-    """The rows whose place (n, k) is known, in the order of `Detections`."""
+    """Return the rows with a finite position or box (n, k), in the order of `Detections`."""
     order = np.lexsort((track_id, frame))
     order = order[np.isfinite(place[order]).all(axis=1)]
     return Detections(track_id[order], frame[order], place[order], len(frame) - len(order))
 
 
 def true_detections(tracks: TrackSet) -> Detections:
-    """Detections of the truth: the true positions where any are known, else the positions.
+    """Return detections of the truth: its true positions if any are known, else its positions.
 
     Raises
     ------
     InputError
-            If nobody is anywhere, or positions rest on a guess.
+            If there are no positions, or they rest on a guessed scale.
     """
     _require_ground(tracks, "the truth")
     known = any(track.has_truth for track in tracks)
     found = _detections(tracks, "true_position" if known else "position")
     if not len(found):
-        raise InputError("no position in the truth", "where people are, in one frame at least")
+        raise InputError("no position in the truth", "a position in at least one frame")
     return found
 
 
 def estimated_detections(tracks: TrackSet) -> Detections:
-    """Detections of the estimates: their positions.
+    """Return detections of the estimates: their positions.
 
     Raises
     ------
     InputError
-        If those rest on a guess.
+        If they rest on a guessed scale.
     """
     _require_ground(tracks, "the estimates")
     return _detections(tracks, "position")
 
 
 def boxes(rows: Rows) -> Detections:
-    """The boxes of a file that has any.
+    """Return the boxes of a file.
 
     Raises
     ------
@@ -85,22 +85,22 @@ def boxes(rows: Rows) -> Detections:
     """
     found = known_detections(rows.track_id, rows.frame, rows.channels["box"])
     if not len(found):
-        raise InputError("no boxes", "a box in one row at least", path=rows.path)
+        raise InputError("no boxes", "a box in at least one row", path=rows.path)
     return found
 
 
 def missing_in_words(truth: Detections, estimates: Detections) -> tuple[str, ...]:
-    """Numbers of rows that were left out, in words."""
+    """Describe the numbers of omitted rows."""
     both = (("truth", truth), ("estimates", estimates))
     return tuple(
-        f"{counted(of.missing, 'row')} of the {name} without a place: left out"
+        f"{counted(of.missing, 'row')} of the {name} without a position: left out"
         for name, of in both
         if of.missing
     )
 
 
 def _require_ground(tracks: TrackSet, side: str) -> None:
-    """Refuse positions by a scale that a reader took from the boxes: it is another one for every file."""
+    """Refuse positions whose scale a reader guessed from the boxes: it differs between files."""
     if any(note.startswith(NO_CAMERA) for note in tracks.summary.notes):
         raise InputError(
             f"no camera for {side}, whose positions are pixels",
@@ -137,7 +137,7 @@ EPSILON = float(np.finfo(float).eps)
 def ground_similarity(truth: Detections, estimates: Detections, zero_distance: float) -> Pairs:
     """max(0, 1 − d / zero_distance) of positions in metres.
 
-    That of MOTChallenge 3D, where it is zero from 2 m on, so that 0.5 stands for 1 m.
+    As in MOTChallenge 3D, where it is zero from 2 m on, so that 0.5 means 1 m.
     """
     i, j = _near_pairs(truth, estimates, truth.place / zero_distance, estimates.place / zero_distance, 2.0)
     distance = np.linalg.norm(truth.place[i] - estimates.place[j], axis=1)
@@ -146,7 +146,7 @@ def ground_similarity(truth: Detections, estimates: Detections, zero_distance: f
 
 def box_similarity(truth: Detections, estimates: Detections) -> Pairs:
     """Intersection over union of boxes, left, top, width and height in pixels."""
-    # Boxes overlap where their centres are less than a box apart along either axis.
+    # Boxes overlap if their centres are less than a box apart along both axes.
     largest = np.max([side.place[:, 2:].max(axis=0, initial=1.0) for side in (truth, estimates)], axis=0)
     here, there = ((side.place[:, :2] + 0.5 * side.place[:, 2:]) / largest for side in (truth, estimates))
     i, j = _near_pairs(truth, estimates, here, there, np.inf)
@@ -162,11 +162,11 @@ def box_similarity(truth: Detections, estimates: Detections) -> Pairs:
 def _near_pairs(
     truth: Detections, estimates: Detections, first: FloatArray, second: FloatArray, norm: float
 ) -> tuple[IntArray, IntArray]:
-    """Rows of both sides in the same frame whose points (n, 2) and (m, 2) are at most 1 apart in a norm."""
+    """Return rows of the same frame whose points (n, 2) and (m, 2) are at most 1 apart in a norm."""
     if not len(truth) or not len(estimates):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     frames = np.unique(np.concatenate([truth.frame, estimates.frame]))
-    # Frames far apart on a third axis: one tree for all.
+    # One tree for all frames: they are far apart on a third axis.
     apart = [
         np.column_stack([points, 10.0 * np.searchsorted(frames, side.frame)])
         for side, points in ((truth, first), (estimates, second))
@@ -183,7 +183,7 @@ def _similar(i: IntArray, j: IntArray, similarity: FloatArray) -> Pairs:
 
 
 def _corners(box: FloatArray) -> FloatArray:
-    """Left, top, right and lower edge (n, 4)."""
+    """Return left, top, right and bottom edge (n, 4)."""
     return np.column_stack([box[:, :2], box[:, :2] + box[:, 2:]])
 
 
@@ -193,18 +193,18 @@ def _area(corners: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class SharedFrames:
-    """Truth and estimates side by side in every frame in which one of them has anybody, in order.
+    """Truth and estimates in every frame with a row of either, in order.
 
     People of either side are numbered from 0, in the order of their ids.
 
     Attributes
     ----------
-    numbers : (f,) of the frames
-    shared : (f,) whether both have somebody in the frame
+    numbers : (f,) frame numbers
+    shared : (f,) True if both have rows in the frame
     truth, estimates : the person of each row, (n,) and (m,)
-    row, column, similarity : rows of both, (p,), in one frame, whose similarity is above 0
-    start : (f + 1,) the first of these pairs in each frame
-    truth_rows, estimate_rows : of each person, the number of frames
+    row, column, similarity : (p,) pairs of rows in one frame with a similarity above 0
+    start : (f + 1,) index of the first pair of each frame
+    truth_rows, estimate_rows : number of frames of each person
     """
 
     numbers: IntArray
@@ -222,7 +222,7 @@ class SharedFrames:
         return len(self.numbers)
 
     def common(self, weight: FloatArray) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-        """Sums over the frames of weights of pairs: people, tracks, sums, and the place of each pair (p,)."""
+        """Sum pair weights over the frames; return people, tracks, sums, and the index of each pair (p,)."""
         tracks = max(1, len(self.estimate_rows))
         pair, place = np.unique(
             self.truth[self.row] * tracks + self.estimates[self.column], return_inverse=True
@@ -242,11 +242,11 @@ class Summed:
 def share_frames(
     truth: Detections, estimates: Detections, similarity: Similarity, name: str = ""
 ) -> SharedFrames:
-    """Put truth and estimates side by side, by the numbers of the frames.
+    """Align truth and estimates by frame number.
 
     Parameters
     ----------
-    name : of the sequence, for the error
+    name : name of the sequence, for the error
 
     Raises
     ------
@@ -256,7 +256,7 @@ def share_frames(
     if len(estimates) and not np.isin(estimates.frame, truth.frame).any():
         raise InputError(
             f"no frame in common: estimates in {_span(estimates)}, the truth in {_span(truth)}",
-            "the same numbers for the same frames",
+            "the same frame numbers in both",
             path=name or None,
         )
     frames = np.unique(np.concatenate([truth.frame, estimates.frame]))

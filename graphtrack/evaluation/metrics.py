@@ -1,7 +1,7 @@
 """Errors of estimates against the truth, their confidence intervals, and the calibration of covariances.
 
-Frames where the estimate or the truth is missing, and those outside the mask, do not count; a metric with no
-frame left is NaN. Intervals resample the people, paired: every method is applied to the same ones.
+Frames without estimate or truth, and those outside the mask, are not scored; a metric without frames is NaN.
+Intervals are paired bootstraps over people: every method uses the same samples.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ Angle = Literal["body", "head"]
 
 
 def true_velocity(truth: Track) -> FloatArray:
-    """Velocity (n, 2) in m/s of the true positions: central differences at the frame times.
+    """Return velocities (n, 2) in m/s of the true positions: central differences at the frame times.
 
-    They are of second order for uneven steps too, and one-sided at the ends; NaN beside a missing position.
-    No recording knows velocities themselves, so an estimate is judged against these.
+    They are of second order for uneven steps too, and one-sided at the ends; NaN next to a missing position.
+    Recordings do not contain true velocities, so estimates are scored against these.
     """
     if truth.true_position is None or len(truth) < 2:
         return np.full((len(truth), 2), np.nan)
@@ -37,21 +37,21 @@ def true_velocity(truth: Track) -> FloatArray:
 
 
 def position_rmse(estimate: Track, truth: Track, mask: BoolArray | None = None) -> float:
-    """Root mean squared distance in metres from the true positions, over the frames of ``mask`` (n,)."""
+    """Return the RMS position error in metres over the frames of ``mask`` (n,)."""
     if truth.true_position is None:
         return float("nan")
     return _rmse(estimate.position - truth.true_position, mask)
 
 
 def velocity_rmse(estimate: Track, truth: Track, mask: BoolArray | None = None) -> float:
-    """Root mean squared length in m/s of the velocity's error, against `true_velocity`."""
+    """Return the RMS velocity error in m/s, against `true_velocity`."""
     if estimate.velocity is None:
         return float("nan")
     return _rmse(estimate.velocity - true_velocity(truth), mask)
 
 
 def angular_error(estimate: Track, truth: Track, name: Angle, mask: BoolArray | None = None) -> float:
-    """Mean absolute error of body or head in **degrees**, the short way around the circle."""
+    """Return the mean absolute wrapped error of body or head in **degrees**."""
     angles, true_angles = getattr(estimate, name), getattr(truth, f"true_{name}")
     if angles is None or true_angles is None:
         return float("nan")
@@ -60,9 +60,9 @@ def angular_error(estimate: Track, truth: Track, name: Angle, mask: BoolArray | 
 
 
 def position_nees(estimate: Track, truth: Track) -> FloatArray:
-    """Normalised estimation error squared (n,) of the positions, eᵀ·P⁻¹·e with 2 degrees of freedom.
+    """Return the NEES (n,) of the positions, eᵀ·P⁻¹·e, with 2 degrees of freedom.
 
-    NaN where the error or its covariance is not known, or the covariance is not positive definite.
+    NaN if the error or its covariance is unknown, or the covariance is not positive definite.
     """
     if truth.true_position is None or estimate.covariance is None:
         return np.full(len(truth), np.nan)
@@ -70,7 +70,7 @@ def position_nees(estimate: Track, truth: Track) -> FloatArray:
 
 
 def velocity_nees(estimate: Track, truth: Track, velocity: FloatArray | None = None) -> FloatArray:
-    """The same of the velocities, against ``velocity`` (n, 2) in m/s; by default `true_velocity`."""
+    """Return the NEES (n,) of the velocities against ``velocity`` (n, 2) in m/s, or `true_velocity`."""
     if estimate.velocity is None or estimate.covariance is None:
         return np.full(len(truth), np.nan)
     known = true_velocity(truth) if velocity is None else velocity
@@ -81,7 +81,7 @@ def _plane_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
     found = np.full(len(error), np.nan)
     determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] * covariance[:, 1, 0]
     with np.errstate(invalid="ignore"):
-        # Beyond rounding: paths of particles that share an ancestor leave a covariance of rank 1 or 0.
+        # Particle paths that share an ancestor have a covariance of rank 1 or 0.
         definite = determinant > 1e-12 * covariance[:, 0, 0] * covariance[:, 1, 1]
         use = np.isfinite(error).all(axis=1) & definite & (covariance[:, 0, 0] > 0.0)
     weighted = np.linalg.solve(covariance[use], error[use, :, None])[..., 0]
@@ -90,9 +90,9 @@ def _plane_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def angle_nees(estimate: Track, truth: Track, name: Angle) -> FloatArray:
-    """Normalised squared error (n,) of body or head, wrapped, with 1 degree of freedom.
+    """Return the normalised wrapped squared error (n,) of body or head, with 1 degree of freedom.
 
-    An angle is Gaussian only while its 1-σ is small: beyond some 40° read it as a rough sign.
+    An angle is approximately Gaussian only for a small 1-σ; above 40° the value is a rough indication.
     """
     found = np.full(len(truth), np.nan)
     angles, true_angles = getattr(estimate, name), getattr(truth, f"true_{name}")
@@ -117,7 +117,7 @@ def _rmse(error: FloatArray, mask: BoolArray | None) -> float:
 RESAMPLES = 4000
 
 FEWEST = 5
-"""People below whom there is no interval: resampled, so few say little of anybody else."""
+"""Fewest people for a bootstrap interval."""
 
 
 @dataclass(frozen=True)
@@ -132,18 +132,18 @@ class Interval:
 def bootstrap(
     statistic: Callable[..., FloatArray], *samples: FloatArray, rng: np.random.Generator
 ) -> Interval:
-    """95 % percentile interval of a statistic of paired samples.
+    """Return the 95 % percentile bootstrap interval of a statistic of paired samples.
 
     Parameters
     ----------
-    statistic : of arrays (..., n), over the last axis
-    samples : (n,) each, one number a person; people with a NaN anywhere are left out
-    rng : source of the resampling
+    statistic : function of arrays (..., n), over the last axis
+    samples : (n,) each, one number a person; people with any NaN are left out
+    rng : generator of the resampling
 
     Returns
     -------
     Interval
-        All NaN without a person, and without bounds for fewer than `FEWEST`.
+        All NaN without people; bounds are NaN for fewer than `FEWEST`.
     """
     table = np.stack(samples)
     table = table[:, np.isfinite(table).all(axis=0)]
@@ -159,17 +159,17 @@ def bootstrap(
 
 
 def deviation(values: FloatArray) -> float:
-    """Standard deviation of the values (n,); NaN of a single one, which has none."""
+    """Return the standard deviation of the values (n,); NaN for a single value."""
     return float(np.std(values)) if len(values) > 1 else float("nan")
 
 
 def mean_difference(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Mean of first − second over the last axis."""
+    """Return the mean of first − second over the last axis."""
     return np.asarray(np.mean(first - second, axis=-1))
 
 
 def reduction(error: FloatArray, reference: FloatArray) -> FloatArray:
-    """1 − Σ error / Σ reference over the last axis: by what share the error is smaller."""
+    """Return the relative error reduction, 1 − Σ error / Σ reference, over the last axis."""
     return 1.0 - np.asarray(error.sum(axis=-1)) / np.asarray(reference.sum(axis=-1))
 
 
@@ -189,8 +189,8 @@ class TrackCalibration:
     Attributes
     ----------
     nees : mean over the frames of the squared error over its variance, per degree of freedom
-    coverage : for each of `CONFIDENCES` the share of frames whose truth lies in that interval
-    frames : that were judged
+    coverage : for each of `CONFIDENCES` the share of frames with the truth in that interval
+    frames : number of scored frames
     """
 
     nees: float
@@ -201,12 +201,12 @@ class TrackCalibration:
 def track_calibration(
     estimate: Track, truth: Track, mask: BoolArray | None = None, velocity: FloatArray | None = None
 ) -> dict[str, TrackCalibration]:
-    """The calibration of each quantity that is estimated and whose truth is known, over ``mask`` (n,).
+    """Return the calibration of each estimated quantity with known truth, over ``mask`` (n,).
 
     Parameters
     ----------
-    velocity : the true one (n, 2) in m/s; by default that of `metrics.true_velocity`, the mean over the
-        neighbouring frames, which at a low rate is not that of the moment
+    velocity : true velocity (n, 2) in m/s; by default `metrics.true_velocity`, the mean over the neighbouring
+        frames, which at a low frame rate differs from the instantaneous velocity
     """
     squared = {
         "position": position_nees(estimate, truth),
@@ -228,21 +228,20 @@ def track_calibration(
 
 
 def chi_square_band(dof: float, count: float) -> tuple[float, float]:
-    """Central 95 % of the mean of ``count`` independent χ² variables of ``dof`` degrees of freedom.
+    """Return the central 95 % interval of the mean of ``count`` χ² variables of ``dof`` degrees of freedom.
 
-    Errors of neighbouring frames are alike, so a track counts as one independent error, however many frames
-    it has. Its mean over the frames spreads less than a single error would: the band is wide rather than
-    narrow.
+    Errors of neighbouring frames are correlated, so a track counts as one independent error. Its mean over
+    frames varies less than a single error, so the band is conservative (too wide).
     """
     low, high = chdtri(dof * count, [0.975, 0.025]) / count
     return float(low), float(high)
 
 
 def pooled(parts: Sequence[TrackCalibration]) -> dict[str, Any]:
-    """Means over tracks: ``nees``, which should be 1, and ``coverage`` of each ``confidence``.
+    """Return means over tracks: ``nees``, which should be 1, and ``coverage`` of each ``confidence``.
 
-    Every track counts as much as any other. ``nees_error`` is twice the standard error of the mean over
-    tracks; None of one track.
+    All tracks have equal weight. ``nees_error`` is twice the standard error of the mean over
+    tracks; None for a single track.
     """
     nees = np.array([part.nees for part in parts])
     coverage = np.mean([part.coverage for part in parts], axis=0)
@@ -259,7 +258,7 @@ def pooled(parts: Sequence[TrackCalibration]) -> dict[str, Any]:
 
 
 def calibration_rows(tracks: Sequence[Mapping[str, TrackCalibration]]) -> Iterator[dict[str, Any]]:
-    """A row for each quantity of some tracks: ``quantity``, and `pooled`."""
+    """Return a row for each quantity of some tracks: ``quantity``, and `pooled`."""
     for quantity in DEGREES:
         known = [track[quantity] for track in tracks if quantity in track]
         if known:
@@ -269,7 +268,7 @@ def calibration_rows(tracks: Sequence[Mapping[str, TrackCalibration]]) -> Iterat
 UNITS = {"position": "m", "velocity": "m/s", "body": "°", "head": "°"}
 
 SAME_TIME = 0.1
-"""Share of the truth's median step by which the times of an estimate and of the truth may differ."""
+"""Largest time difference of estimate and truth, as a share of the truth's median step."""
 
 
 @dataclass(frozen=True)
@@ -278,63 +277,63 @@ class StateScore:
 
     Attributes
     ----------
-    rows : for position, velocity, body and head, as far as both files have them: ``quantity``, ``unit``,
-        ``tracks``, ``frames``; ``rmse``, ``mae`` and ``median`` over the frames, of distances, and of angles
-        the short way around the circle; ``coverage_95``, the share of the frames whose truth is in the 95 %
+    rows : for position, velocity, body and head, if both files have them: ``quantity``, ``unit``,
+        ``tracks``, ``frames``; ``rmse``, ``mae`` and ``median`` over the frames, of distances and
+        wrapped angle errors; ``coverage_95``, the share of frames with the truth in the 95 %
         interval (for positions and velocities the ellipse), mean over the tracks; ``nees`` per degree of
-        freedom, mean over the tracks, and ``nees_low`` and ``nees_high``, where it lies with a probability of
-        95 % if covariances are honest. None where no uncertainty is stated.
-    notes : what was not scored, and why
+        freedom, mean over the tracks, and ``nees_low`` and ``nees_high``, its 95 %
+        band if covariances are consistent. None without uncertainty.
+    notes : omitted quantities, with reasons
     """
 
     rows: tuple[dict[str, Any], ...]
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON-able data."""
+        """Return JSON-able data."""
         return {"rows": list(self.rows), "notes": list(self.notes)}
 
 
 @dataclass(frozen=True)
 class TrackErrors:
-    """One person's errors, by quantity: errors (n,) in the units of `UNITS`, and how their intervals hold."""
+    """One person's errors, by quantity: errors (n,) in the units of `UNITS`, and interval coverage."""
 
     errors: dict[str, FloatArray]
     calibration: dict[str, TrackCalibration]
 
 
 def score_states(estimates: Given, truth: Given) -> StateScore:
-    """Errors of estimated states against the truth, and the calibration of their uncertainties.
+    """Compute errors of estimated states against the truth, and the calibration of their uncertainties.
 
-    Only people who have the same ``track_id`` in both are compared, in the frames whose times agree to a
-    tenth of the truth's step.
+    Only people with the same ``track_id`` in both are compared, in frames whose times agree to a tenth of the
+    truth's step.
 
     Parameters
     ----------
-    estimates, truth : tracks in any form that `smooth` takes. Of the truth, true values (``true_x`` …) are
-        taken where there are any, else its positions, velocities and angles. Without velocities these are the
-        differences of the true positions of the frames beside.
+    estimates, truth : tracks in any form that `smooth` takes. The truth's true values (``true_x`` …) are
+        used if there are any, else its positions, velocities and angles. Missing velocities are central
+        differences of the true positions.
     """
     return summary(track_errors(tracks_of(estimates), tracks_of(truth)))
 
 
 def track_errors(estimates: TrackSet, truth: TrackSet) -> list[TrackErrors]:
-    """The errors of each person of the truth who has estimates."""
+    """Return the errors of each person of the truth with estimates."""
     known = {track.track_id: track for track in truth}
     pairs = ((track, known[track.track_id]) for track in estimates if track.track_id in known)
     return [found for pair in pairs if (found := _errors(*pair)) is not None]
 
 
 def summary(parts: Iterable[TrackErrors]) -> StateScore:
-    """The errors of all people together."""
+    """Pool the errors of all people."""
     tracks = list(parts)
     if not tracks:
-        return StateScore((), ("errors of the states: nobody has the same track_id and times in both",))
+        return StateScore((), ("errors of the states: no person has the same track_id and times in both",))
     rows, notes = [], []
     for quantity, degrees in DEGREES.items():
         errors = [track.errors[quantity] for track in tracks if quantity in track.errors]
         if not errors:
-            notes.append(f"{quantity}: not in both, the estimates and the truth")
+            notes.append(f"{quantity}: not in both estimates and truth")
             continue
         every = np.concatenate(errors)
         row: dict[str, Any] = {
@@ -353,13 +352,13 @@ def summary(parts: Iterable[TrackErrors]) -> StateScore:
             row |= {name: pooled(stated)[name] for name in ("coverage_95", "nees")}
             row |= {"nees_low": low / degrees, "nees_high": high / degrees}
         else:
-            notes.append(f"{quantity}: the estimates state no uncertainty, so that only errors are scored")
+            notes.append(f"{quantity}: no uncertainty in the estimates; only errors are scored")
         rows.append(row)
     return StateScore(tuple(rows), tuple(notes))
 
 
 def _errors(estimate: Track, truth: Track) -> TrackErrors | None:
-    """One person's errors; None where no time is in both."""
+    """Return one person's errors; None if no times match."""
     here, there = _same_times(estimate.t, truth.t)
     if not len(here):
         return None
@@ -383,14 +382,14 @@ def _errors(estimate: Track, truth: Track) -> TrackErrors | None:
 
 
 def _as_truth(track: Track) -> Track:
-    """A track whose true values are its own where it has none."""
+    """Return a track with missing true values filled from its own values."""
     if track.has_truth:
         return track
     return replace(track, true_position=track.position, true_body=track.body, true_head=track.head)
 
 
 def _same_times(t: FloatArray, truth: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows of either with the same times; each of the truth is the nearest one."""
+    """Return rows of both with matching times; each row of the truth is the nearest in time."""
     step = float(np.median(np.diff(truth))) if len(truth) > 1 else 1e-3
     after = np.minimum(np.searchsorted(truth, t), len(truth) - 1)
     before = np.maximum(after - 1, 0)

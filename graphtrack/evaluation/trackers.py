@@ -1,9 +1,9 @@
 """Trackers of many people behind one protocol, and their comparison on the same detections.
 
 The peers, ByteTrack (Zhang et al. 2022, ECCV) and OC-SORT (Cao et al. 2023, CVPR), track boxes in an image;
-their code is the package ``trackers`` (Roboflow), which is not installed with this one: see `load`.
+their code is the package ``trackers`` (Roboflow), which is installed separately: see `load`.
 ``python -m graphtrack.evaluation.trackers hungarian bytetrack ocsort`` prints the best parameters of trackers
-on simulated crowds, so that none is tuned on the recordings that judge it.
+on simulated crowds, so that no tracker is tuned on the test recordings.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PeerName = Literal["bytetrack", "ocsort"]
 
 INSTALL = (
     "pip install 'graphtrack[peers]', then pip install --no-deps 'trackers>=2.6': "
-    "the opencv-python that it asks for would overwrite opencv-python-headless"
+    "its dependency opencv-python would overwrite opencv-python-headless"
 )
 
 
@@ -53,11 +53,11 @@ class PeerParameters:
 
     Attributes
     ----------
-    side : of the square that stands for a person where detections are points on the ground, m
-    scale : pixels a metre of the map that those squares are drawn on; the peers' noise is in pixels
-    minimum_iou : overlap with the prediction from which on a box can be a person's
-    minimum_frames : detections in a row that make a person
-    longest_gap : seconds after which a person who is not seen is given up
+    side : side of the square for a person if detections are points on the ground, m
+    scale : pixels per metre of the map of these squares; the peers' noise is in pixels
+    minimum_iou : smallest overlap of a box with the prediction
+    minimum_frames : consecutive detections that confirm a track
+    longest_gap : seconds without detection after which a track is deleted
     """
 
     side: float = number(2.0, 0.01, 100.0, "m")
@@ -79,23 +79,23 @@ TUNED: dict[PeerName, PeerParameters] = {
 _CLASSES: dict[PeerName, str] = {"bytetrack": "ByteTrackTracker", "ocsort": "OCSORTTracker"}
 
 BoxTracker = Any
-"""Has ``update(boxes)``, where boxes have ``xyxy`` (n, 4) and ``data["row"]`` (n,); gives boxes back, in any
-order, with ``tracker_id`` (n,), −1 for nobody's."""
+"""Has ``update(boxes)``, where boxes have ``xyxy`` (n, 4) and ``data["row"]`` (n,); returns boxes, in any
+order, with ``tracker_id`` (n,), −1 without a track."""
 
 MakeTracker = Callable[[PeerParameters, float], BoxTracker]
-"""From parameters and frames a second to a tracker that has seen nothing."""
+"""Factory of a new tracker from parameters and frames a second."""
 
 MakeBoxes = Callable[[FloatArray], Any]
-"""From corners (n, 4), left, top, right and bottom, to what a tracker takes."""
+"""Conversion of corners (n, 4), left, top, right and bottom, to a tracker's input."""
 
 
 def load(name: PeerName) -> tuple[MakeTracker, MakeBoxes]:
-    """A tracker of the package ``trackers``, and the boxes that it takes.
+    """Return a tracker of the package ``trackers``, and the conversion of its boxes.
 
     Raises
     ------
     InputError
-        If the package is not there, with what to install.
+        If the package is not installed, with the command to install it.
     """
     try:
         tracker = getattr(import_module("trackers"), _CLASSES[name])
@@ -105,7 +105,7 @@ def load(name: PeerName) -> tuple[MakeTracker, MakeBoxes]:
 
     def make(parameters: PeerParameters, fps: float) -> BoxTracker:
         return tracker(
-            # In frames at 30 Hz, whatever the rate is.
+            # In frames at 30 Hz at every frame rate.
             lost_track_buffer=round(30.0 * parameters.longest_gap),
             frame_rate=fps,
             minimum_consecutive_frames=parameters.minimum_frames,
@@ -115,7 +115,7 @@ def load(name: PeerName) -> tuple[MakeTracker, MakeBoxes]:
     def boxes_of(corners: FloatArray) -> Any:
         return boxes(
             xyxy=corners,
-            # A detector's own confidences are on no common scale.
+            # Confidences of detectors have no common scale.
             confidence=np.ones(len(corners), np.float32),
             data={"row": np.arange(len(corners))},
         )
@@ -124,7 +124,7 @@ def load(name: PeerName) -> tuple[MakeTracker, MakeBoxes]:
 
 
 def corners_of(detections: Detections, parameters: PeerParameters) -> FloatArray:
-    """Left, top, right and bottom (n, 4) of the boxes in the image, or of squares around points."""
+    """Return left, top, right and bottom (n, 4) of the boxes in the image, or of squares around points."""
     box = detections.channels.get("box")
     if box is not None:
         return np.column_stack([box[:, :2], box[:, :2] + box[:, 2:]])
@@ -135,13 +135,13 @@ def corners_of(detections: Detections, parameters: PeerParameters) -> FloatArray
 def track_boxes(
     detections: Detections, parameters: PeerParameters, make: MakeTracker, boxes_of: MakeBoxes
 ) -> TrackSet:
-    """Give the detections to a tracker of boxes, frame by frame; each is where it was detected.
+    """Run a tracker of boxes on detections, frame by frame; positions are the detected ones.
 
     Returns
     -------
     TrackSet
-        The detections that the tracker says somebody's, as it said when they came. Frames in which it is
-        silent have no row.
+        The detections that the tracker assigned, with the identities assigned online. Frames without output
+        have no row.
     """
     corners = corners_of(detections, parameters)
     tracker = make(parameters, 1.0 / detections.step_seconds)
@@ -166,7 +166,7 @@ PLACES = (
     Place(width=20.0, depth=10.0, arrivals=0.8, pairs=0.5),
     Place(speed=1.0, sway=0.25, stops=0.3),
 )
-"""The places of the crowds of `made_up_scenes`, one each."""
+"""Scenes of the crowds of `made_up_scenes`."""
 
 FAULTS = Detector(missed=0.15, occluded_share=0.5, occluded_seconds=2.0, clutter=1.0, clutter_count="fixed")
 
@@ -190,19 +190,19 @@ GRIDS: dict[str, Mapping[str, Sequence[Any]]] = {
     },
 }
 GRIDS["ocsort"] = GRIDS["bytetrack"]
-"""Method → parameter → the values that are tried."""
+"""Method → parameter → values of the search grid."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Detections without identities, and where everybody was."""
+    """Detections without identities, and true positions."""
 
     detections: Detections
     truth: TrackSet
 
 
 def made_up_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[Scene, ...]:
-    """A crowd in each of `PLACES` at 2.5 Hz, detected with a noise of 0.1 m and `FAULTS`."""
+    """Simulate a crowd in each of `PLACES` at 2.5 Hz, detected with a noise of 0.1 m and `FAULTS`."""
     scenes = []
     for k, place in enumerate(PLACES):
         rng = np.random.default_rng([seed, k])
@@ -214,12 +214,12 @@ def made_up_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[Scene, ...]
 
 
 def worth(score: SequenceScore) -> float:
-    """The objective that is maximised: the mean of HOTA, IDF1 and MOTA."""
+    """Return the objective, which is maximised: the mean of HOTA, IDF1 and MOTA."""
     return (score.hota + score.idf1 + score.mota) / 3.0
 
 
 def judged(track: Callable[[Detections], TrackSet], scenes: Sequence[Scene]) -> SequenceScore:
-    """The figures of a tracker on all scenes together, within 1 m."""
+    """Return the metrics of a tracker on all scenes together, within 1 m."""
     pairs = (
         (str(k), estimated_detections(track(scene.detections)), true_detections(scene.truth))
         for k, scene in enumerate(scenes)
@@ -233,14 +233,14 @@ def tuned(
     value: Callable[[Parameters], float],
     report: Callable[[Parameters, float], None] = lambda parameters, value: None,
 ) -> Parameters:
-    """The parameters from which no step along one of them leads to a greater value.
+    """Return parameters at a local maximum of coordinate search.
 
     Parameters
     ----------
     start : a frozen dataclass
-    grid : field → the values that are tried; combinations that it refuses are passed over
-    value : of parameters
-    report : is told of each improvement
+    grid : field → values to try; combinations that the dataclass refuses are skipped
+    value : objective, a function of parameters
+    report : called at each improvement
     """
     best, highest = start, value(start)
     improved = True
@@ -262,7 +262,7 @@ def tuned(
 
 
 def _runner(name: str) -> tuple[Any, Callable[[Any, Detections], TrackSet]]:
-    """The parameters that a method starts from, and how it runs."""
+    """Return the initial parameters of a method, and the function that runs it."""
     if name == "hungarian":
         return HungarianParameters(), lambda parameters, detections: track_detections(detections, parameters)
     if name not in TUNED:
@@ -274,7 +274,7 @@ def _runner(name: str) -> tuple[Any, Callable[[Any, Detections], TrackSet]]:
 
 
 def main(names: Sequence[str]) -> None:
-    """Print the best parameters of methods, and what they are worth on crowds that were not used."""
+    """Print the best parameters of methods, and their scores on held-out crowds."""
     scenes, others = made_up_scenes(0), made_up_scenes(1)
     for name in names:
         start, run = _runner(name)
@@ -289,7 +289,7 @@ def main(names: Sequence[str]) -> None:
 
 
 TRACKERS = ("associate", "online", "hungarian")
-"""Those that need no other package."""
+"""Methods that need no other package."""
 
 
 class TrackingMethod(Protocol):
@@ -298,8 +298,8 @@ class TrackingMethod(Protocol):
     Attributes
     ----------
     name : short and unique
-    online : whether it says of a frame who is who before it sees the next one, and never changes that
-    information : what it does, in words
+    online : True if identities of a frame are assigned before the next frame, and never revised
+    information : description of the method
     """
 
     @property
@@ -315,12 +315,12 @@ class TrackingMethod(Protocol):
         """A description in words."""
 
     def track(self, detections: Detections) -> TrackSet:
-        """The people, from detections of a whole recording, which an online method reads frame by frame."""
+        """Return tracks from detections of a recording, which an online method reads frame by frame."""
 
 
 @dataclass(frozen=True)
 class FunctionTracker:
-    """A tracker made of a function of detections."""
+    """Tracker that wraps a function of detections."""
 
     name: str
     online: bool
@@ -328,17 +328,17 @@ class FunctionTracker:
     function: Callable[[Detections], TrackSet]
 
     def track(self, detections: Detections) -> TrackSet:
-        """The function's tracks."""
+        """Return the function's tracks."""
         return self.function(detections)
 
 
 def _associate(model: Model) -> FunctionTracker:
-    """`associate`, then the smoother, as `graphtrack smooth` has them one after the other."""
+    """Return `associate` followed by the smoother, as in `graphtrack smooth`."""
 
     def track(detections: Detections) -> TrackSet:
         try:
             found = associated(_rows(detections), model.scene)
-        except InputError:  # of detections, which have places and times: nobody is there
+        except InputError:  # detections have positions and times, so no track was found
             return TrackSet(())
         return smoothed(found, model)
 
@@ -346,7 +346,7 @@ def _associate(model: Model) -> FunctionTracker:
 
 
 def _online(model: Model) -> FunctionTracker:
-    """`OnlineTracker`, as `graphtrack track` has it: its first answers."""
+    """Return `OnlineTracker`, as in `graphtrack track`, with its first answers."""
 
     def track(detections: Detections) -> TrackSet:
         try:
@@ -354,11 +354,11 @@ def _online(model: Model) -> FunctionTracker:
         except InputError:  # nobody was reported
             return TrackSet(())
 
-    return FunctionTracker("online", True, "past only; predicted while probably there", track)
+    return FunctionTracker("online", True, "past only; predicted while probably present", track)
 
 
 def _hungarian(model: Model) -> FunctionTracker:
-    """Our plain Kalman filter and Hungarian method."""
+    """Return the baseline of a Kalman filter and the Hungarian method."""
     parameters = HungarianParameters()
     information = f"past only; predicted for up to {parameters.coasting:g} s"
     track = partial(track_detections, parameters=parameters)
@@ -366,7 +366,7 @@ def _hungarian(model: Model) -> FunctionTracker:
 
 
 def _peer(name: PeerName) -> FunctionTracker:
-    """A tracker of the package ``trackers``; an `InputError` when it runs where that is not installed."""
+    """Return a tracker of the package ``trackers``; running it without the package raises `InputError`."""
 
     def track(detections: Detections) -> TrackSet:
         return track_boxes(detections, TUNED[name], *load(name))
@@ -375,7 +375,7 @@ def _peer(name: PeerName) -> FunctionTracker:
 
 
 def _rows(detections: Detections) -> Rows:
-    """Detections as a reader makes them."""
+    """Return detections in the form of a reader."""
     seen = {"t": detections.t, "position": detections.position}
     channels = {name: values for name, values in detections.channels.items() if name != "box"}
     nobody = np.full(len(detections), -1)
@@ -391,7 +391,7 @@ def _rows(detections: Detections) -> Rows:
 
 
 def smoothed(tracks: TrackSet, model: Model) -> TrackSet:
-    """Tracks smoothed, their gaps filled; one that cannot be smoothed stays as it is."""
+    """Smooth tracks and fill their gaps; a track that cannot be smoothed stays unchanged."""
     found = solve(tracks, model)
     return tracks.with_tracks(
         one.track if isinstance(one, Solution) else track for one, track in zip(found, tracks, strict=True)
@@ -407,11 +407,11 @@ registry: Mapping[str, Callable[[Model], TrackingMethod]] = MappingProxyType(
         "ocsort": lambda model: _peer("ocsort"),
     }
 )
-"""Name → factory of the method, for the model that smooths. Another method is another line here."""
+"""Name → factory of the method, for the model that smooths. To add a method, add a line."""
 
 
 def make_tracker(method: TrackingMethod | str, model: Model) -> TrackingMethod:
-    """A method from its name in `registry`; a method is returned as it is.
+    """Return a method by its name in `registry`; a method is returned unchanged.
 
     Raises
     ------
@@ -428,7 +428,7 @@ def make_tracker(method: TrackingMethod | str, model: Model) -> TrackingMethod:
 FIGURES = ("hota", "idf1", "mota", "switches", "precision", "recall", "fragmentations")
 
 REHEARSED = 5
-"""Frames that every method sees once before its time counts, so that what is loaded first is nobody's."""
+"""Warm-up frames of every method before it is timed, to exclude loading."""
 
 
 @dataclass(frozen=True)
@@ -437,11 +437,11 @@ class TrackerResult:
 
     Attributes
     ----------
-    method : its name
-    online : whether it used the past alone
-    information : what it does, in words
-    seconds : that it took
-    score : of its tracks
+    method : name of the method
+    online : True if it used the past only
+    information : description of the method
+    seconds : run time
+    score : metrics of its tracks
     """
 
     method: str
@@ -452,11 +452,11 @@ class TrackerResult:
 
     @property
     def group(self) -> str:
-        """Online and offline methods are not compared with each other."""
+        """Group of the method: online and offline methods are not compared with each other."""
         return "online" if self.online else "offline"
 
     def to_dict(self) -> dict[str, Any]:
-        """The figures in plain types."""
+        """Return the figures in plain types."""
         told = {"method": self.method, "group": self.group, "information": self.information}
         figures = {name: getattr(self.score, name) for name in FIGURES}
         return told | figures | {"tracks": self.score.tracks, "seconds": self.seconds}
@@ -468,11 +468,11 @@ class TrackerComparison:
 
     Attributes
     ----------
-    results : one a method, online methods first
-    threshold : how close an estimate has to be
-    detections, frames : that all were given; frames between the first and the last
-    filled : whether the gaps of all methods' tracks were filled by the smoother
-    notes : what was left out, one sentence each
+    results : one for each method, online methods first
+    threshold : condition for a match
+    detections, frames : numbers in the common input; frames between the first and the last
+    filled : True if the gaps of all methods' tracks were filled by the smoother
+    notes : omitted data, one sentence each
     """
 
     results: tuple[TrackerResult, ...]
@@ -483,7 +483,7 @@ class TrackerComparison:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything in plain types, ready for JSON."""
+        """Return all results in plain types, ready for JSON."""
         return {
             "measure": self.threshold.measure,
             "threshold": self.threshold.value,
@@ -506,31 +506,31 @@ def compare_trackers(
     model: Model | str | Path | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> TrackerComparison:
-    """Run trackers on the same detections, and judge who they say is who.
+    """Run trackers on the same detections, and score their identities.
 
     Parameters
     ----------
-    detections : of a whole recording; a channel ``box`` (n, 4), left, top, width and height in pixels, is
-        what trackers of boxes are given, where it is known
+    detections : all detections of a recording; trackers of boxes use its channel ``box`` (n, 4), left, top,
+        width and height in pixels, if known
     truth : tracks of the same frames
-    methods : names in `graphtrack.evaluation.trackers.registry`, or methods of your own
-    metres : how far apart on the ground a match may be; 1 m by default
-    fill : smooth the tracks of online methods too, and fill their gaps, from past and future: then all that
-        differs is who is who
-    model : with which is smoothed, as in `graphtrack smooth`
+    methods : names in `graphtrack.evaluation.trackers.registry`, or user-defined methods
+    metres : largest distance of a match on the ground; 1 m by default
+    fill : smooth the tracks of online methods too, and fill their gaps, from past and future; methods then
+        differ only in identities
+    model : model of the smoother, as in `graphtrack smooth`
     progress : called with 1 for each finished method
 
     Raises
     ------
     InputError
         For a method that is unknown, named twice or not installed, no frame in common, or
-        nobody in the truth.
+        an empty truth.
     """
     chosen = Model.named(model)
     made = [make_tracker(method, chosen) for method in methods]
     names = [method.name for method in made]
     if not names or len(set(names)) != len(names):
-        raise InputError(f"methods {', '.join(names) or '(none)'}", "each method once, one at least")
+        raise InputError(f"methods {', '.join(names) or '(none)'}", "at least one method, each once")
     threshold, true = threshold_of(metres), true_detections(truth)
     few = _first_frames(detections, REHEARSED)
     results, notes = [], []
@@ -563,7 +563,7 @@ def _first_frames(detections: Detections, count: int) -> Detections:
 
 
 def _as_observed(track: Any) -> Any:
-    """An online track as if it had been observed: what was only predicted is a gap."""
+    """Return an online track as observations, with gaps where it was only predicted."""
     position = track.position
     if track.observed is not None:
         position = np.where(track.observed[:, None] > 0.0, position, np.nan)
@@ -571,12 +571,12 @@ def _as_observed(track: Any) -> Any:
 
 
 def read_detections(path: Path, format: str | None, options: ReadOptions) -> tuple[Detections, ReadSummary]:
-    """The detections of a file that does not say who is who, with their boxes, where it has any.
+    """Read detections without identities, with their boxes if the file has any.
 
     Raises
     ------
     InputError
-        If the file cannot be read, has identities (unless the options forget them), or no detection has a
+        If the file cannot be read, has identities (unless the options discard them), or no detection has a
         position.
     """
     rows = rows_of_file(path, format, options)
@@ -588,10 +588,10 @@ def read_detections(path: Path, format: str | None, options: ReadOptions) -> tup
     box = _boxes(rows, path, format, options)
     if box is not None:
         channels["box"] = box
-        rows = rows.with_notes("trackers of boxes are given the boxes of the file")
+        rows = rows.with_notes("trackers of boxes use the boxes of the file")
     summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
     if not len(rows):
-        raise InputError("no detections with a position", "one at least", path=path)
+        raise InputError("no detections with a position", "at least one", path=path)
     return Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels), summary
 
 

@@ -1,1 +1,1 @@
-"""Predicted paths of people, with calibrated spread."""
+"""Predicted paths of people, with calibrated uncertainty."""

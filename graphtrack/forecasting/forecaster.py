@@ -1,4 +1,4 @@
-"""`Forecaster`: predict people's positions online, from the frames seen so far."""
+"""`Forecaster`: predict people's positions online, from the frames so far."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _WALKING = 0.3  # speed, m/s, at which people half count as walking
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """The parts of a forecast of n people at A times: for `Forecaster`, and for learning."""
+    """Components of a forecast of n people at A times, for `Forecaster` and for learning."""
 
     mean: ComplexArray  # (n, A)
     direction: ComplexArray  # (n,) of motion, of unit length
     speed: FloatArray  # (n,) m/s
-    estimate: FloatArray  # (n, A) variance on each axis of where people would be going straight on, m²
-    weight: FloatArray  # (n, A) of what was seen in the place
-    square: FloatArray  # (n, A) of that about the mean, m² on each axis
+    estimate: FloatArray  # (n, A) variance on each axis of the constant-velocity prediction, m²
+    weight: FloatArray  # (n, A) weight of the observations in the place
+    square: FloatArray  # (n, A) their mean square about the mean, m² on each axis
 
 
 def together(
     position: ComplexArray, velocity: ComplexArray, others: NDArray[np.int64], parameters: ForecastParameters
 ) -> ComplexArray:
-    """Velocities (n,) of people who keep together with those of ``others`` (m,) who are near and go alike."""
+    """Return velocities (n,), averaged with those of ``others`` (m,) nearby with similar velocities."""
     near, alike = parameters.companion_distance, parameters.companion_velocity
     points, ways = (np.ascontiguousarray(one).view(float).reshape(-1, 2) for one in (position, velocity))
     found = kernel_means(points, ways, others, near, alike, parameters.companion_weight)
@@ -60,7 +60,7 @@ def spreads(
 def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
     """Return the angle (n,) by which the motion will turn to the head, radians.
 
-    ``angle``: (n,) from the motion to the head; ``sure``: (n,) 1: seen and still, 0: not seen
+    ``angle``: (n,) from the motion to the head; ``sure``: (n,) 1: observed and steady, 0: not observed
     """
     counts = sure * np.exp(-((angle / parameters.head_limit) ** 2))
     turn: FloatArray = parameters.head_share * counts * angle
@@ -68,24 +68,24 @@ def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) ->
 
 
 def mean_turn(ahead: FloatArray, parameters: ForecastParameters) -> FloatArray:
-    """Of a turn that is approached exponentially, the mean up to each time (A,), as a share of it."""
+    """Return the mean share, up to each time (A,), of a turn that is approached exponentially."""
     x = ahead / parameters.head_seconds
     mean: FloatArray = 1.0 + np.expm1(-x) / x
     return mean
 
 
 def between_lags(ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights (A, G) of `LAGS` for each time, and by what to multiply: 0 now, on and on after the last."""
+    """Return interpolation weights (A, G) of `LAGS` for each time, and factors for extrapolation."""
     inner = np.clip(ahead, LAGS[0], LAGS[-1])
     weights = np.stack([np.interp(inner, LAGS, one) for one in np.eye(len(LAGS))], axis=1)
     return weights, ahead / inner
 
 
-LONGEST_HORIZON = 60.0  # seconds ahead beyond which nothing of a person's motion is left to forecast from
+LONGEST_HORIZON = 60.0  # longest useful time ahead in seconds
 MOST_TIMES = 1000  # times ahead of one forecast
-_FORGOTTEN = 10.0  # seconds after which people who were not seen again are forgotten
+_FORGOTTEN = 10.0  # seconds without observation after which people are dropped
 _HEAD_SECONDS = 0.3  # time constant over which directions of the head are averaged
-JUDGED = 2.8  # seconds that somebody must have been seen for, for an outcome to tell about others
+JUDGED = 2.8  # seconds of observation for a person's outcome to calibrate other forecasts
 _OF_A_PLACE = (
     *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
     *("_moved", "_looked", "_now", "_variance", "_seen"),
@@ -103,7 +103,7 @@ class Forecast:
     ahead : (A,) seconds from t
     position : (n, A, 2) means, m
     covariance : (n, A, 2, 2) m²
-    radius_50, radius_90 : (n, A) of circles about the mean that hold 50 and 90 % of the probability, m
+    radius_50, radius_90 : (n, A) radii of circles about the mean with 50 and 90 % of the probability, m
     samples : (n, S, A, 2) of paths, m
     """
 
@@ -118,7 +118,7 @@ class Forecast:
 
 
 def times_ahead(horizon: float, step: float) -> FloatArray:
-    """Every ``step`` seconds up to ``horizon``.
+    """Return times every ``step`` seconds up to ``horizon``.
 
     Raise InputError if there is none, or too many.
     """
@@ -134,13 +134,13 @@ def times_ahead(horizon: float, step: float) -> FloatArray:
 
 
 class Forecaster:
-    """Forecasts for the people of a scene, which it sees frame by frame.
+    """Forecasts for the people of a scene, processed frame by frame.
 
-    What it knows is bounded: a filter for each person seen in the last seconds, and the scene's places.
+    Memory is bounded: a filter for each person observed in the last seconds, and the scene's anchors.
 
     Parameters
     ----------
-    parameters : by default those learned
+    parameters : by default the learned parameters
     walkable : area that no predicted path leaves: a file of GeoJSON or well-known text, or a polygon
 
     Examples
@@ -165,12 +165,12 @@ class Forecaster:
         self._filters = MotionFilters(0)
         self._numbers = 0
         self.t = -math.inf
-        # Of each place: whose it is, when the person was first and last seen, where, how often, and the head.
+        # For each slot: identity, when the person was first and last seen, where, how often, and the head.
         self._id, self._number = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._first, self._last, self._anchored = np.zeros(0), np.zeros(0), np.zeros(0)
         self._count = np.zeros(0, np.int64)
         self._position, self._head = np.zeros(0, complex), np.zeros(0, complex)
-        # What was worked out of each place, and for which time.
+        # Cached predictions of each slot, and their time.
         self._moved, self._looked = np.zeros(0), np.zeros(0)
         self._now, self._variance = np.zeros((0, 2), complex), np.zeros((0, 3))
         self._seen = np.zeros((0, 3, len(LAGS)), complex)
@@ -183,15 +183,15 @@ class Forecaster:
         std: FloatArray | None = None,
         head: FloatArray | None = None,
     ) -> None:
-        """People are seen.
+        """Process the observed people of a frame.
 
         Parameters
         ----------
         t : seconds, after those of the update before
         track_id : (n,) each once
         position : (n, 2) metres
-        std : (n,) 1-σ of each axis of the positions, where they say so; NaN: they do not
-        head : (n,) radians; NaN: not seen
+        std : (n,) 1-σ of each axis of the positions; NaN: not given
+        head : (n,) radians; NaN: not observed
 
         Raises
         ------
@@ -223,7 +223,7 @@ class Forecaster:
         self._anchor(t, at)
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as arrays and numbers in dictionaries; see `from_state`."""
+        """Return the state to resume from, as arrays and numbers in dictionaries; see `from_state`."""
         return {
             "t": self.t if math.isfinite(self.t) else None,
             "numbers": self._numbers,
@@ -237,7 +237,7 @@ class Forecaster:
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], parameters: ForecastParameters | None = None) -> Forecaster:
-        """A forecaster that goes on where `state` was taken, given the same parameters.
+        """Restore a forecaster from `state`, given the same parameters.
 
         Raises
         ------
@@ -257,16 +257,16 @@ class Forecaster:
         return found
 
     def people(self, history: float = 0.0) -> NDArray[np.int64]:
-        """Ids of those who are seen now, were seen before, and for so many seconds; in their order.
+        """Return ids of people observed now and before, for at least these seconds, in ascending order.
 
-        Somebody seen in n frames has been seen for n times the time between two of them.
+        A person in n frames has been observed for n frame intervals.
         """
         at = np.flatnonzero((self._count >= 2) & (self._last == self.t))
         span = (self._last - self._first)[at] * (self._count[at] / (self._count[at] - 1))
         return np.sort(self._id[at[span >= history - 1e-6]])
 
     def known(self, track_id: Sequence[int]) -> NDArray[np.int64]:
-        """Those of some people who were seen twice, in the last seconds."""
+        """Select people observed at least twice, in the last seconds."""
         known = [one for one in track_id if one in self._of and self._count[self._of[one]] >= 2]
         return np.array(known, np.int64)
 
@@ -283,19 +283,19 @@ class Forecaster:
         Parameters
         ----------
         ahead : (A,) seconds after the last update
-        track_id : whose; None: all `people`
-        samples : paths to draw
-        random : for drawing them
+        track_id : people to predict; None: all `people`
+        samples : number of paths to sample
+        random : generator of the samples
 
         Raises
         ------
         InputError
-            For somebody who was not seen in the last seconds.
+            For a person who was not observed in the last seconds.
         """
         ids = self.people() if track_id is None else np.asarray(track_id, np.int64)
         unknown = [one for one in ids.tolist() if one not in self._of]
         if unknown:
-            raise InputError(f"track {unknown[0]}", "somebody seen in the last seconds")
+            raise InputError(f"track {unknown[0]}", "a person observed in the last seconds")
         at = self._at(ids)
         times = np.asarray(ahead, float)
         expected = self._expected(at, times)
@@ -329,11 +329,11 @@ class Forecaster:
         return Forecast(self.t, ids, times, mean, covariance, inner, outer, drawn_paths)
 
     def expected(self, track_id: NDArray[np.int64], ahead: FloatArray) -> Expected:
-        """The parts of a forecast of people who were seen in the last seconds."""
+        """Return the components of a forecast of people observed in the last seconds."""
         return self._expected(self._at(track_id), ahead)
 
     def going(self, track_id: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Positions, velocities and mean directions of the head (0: not seen) of such people, (n,)."""
+        """Return positions, velocities and mean head directions (0: not observed) of such people, (n,)."""
         at = self._at(track_id)
         position, velocity, _ = self._going(at)
         return position, velocity, self._head[at]
@@ -382,7 +382,7 @@ class Forecaster:
         self._head[at] = keep * self._head[at] + (1.0 - keep) * now
 
     def _anchor(self, t: float, at: NDArray[np.int64]) -> None:
-        """Make anchors of people whose last one was long enough ago."""
+        """Create anchors for people whose last anchor is old enough."""
         at = at[t - self._anchored[at] >= EVERY - 1e-3]
         if not len(at):
             return

@@ -1,8 +1,8 @@
-"""Parameters of forecasts, and Kalman filters under several beliefs about the noise of positions.
+"""Parameters of forecasts, and Kalman filters under several hypotheses of the position noise.
 
-For each person a filter (white-noise acceleration) runs under each of `BELIEFS`, weighed by how well it
-predicted (a static multiple model: Magill, IEEE TAC 10(4), 1965), since annotators' splines and detectors'
-jitter differ by two orders of magnitude. Points of the plane are complex: both axes share their gains.
+For each person a filter (white-noise acceleration) runs under each of `BELIEFS`, weighted by its predictive
+likelihood (static multiple model: Magill, IEEE TAC 10(4), 1965), since the noise of annotations and detectors
+differs by two orders of magnitude. Points of the plane are complex: both axes share their gains.
 """
 
 from __future__ import annotations
@@ -28,26 +28,25 @@ TABLE = "forecast"
 
 @dataclass(frozen=True)
 class ForecastParameters:
-    """Parameters of forecasts; the defaults are learned (docs/forecast.md says on what).
+    """Parameters of forecasts; the defaults are learned (training data: docs/forecast.md).
 
     Attributes
     ----------
     stop_speed : speeds well below it count as standing, m/s
-    companion_weight : how much a companion's velocity counts beside one's own, at most
-    companion_distance, companion_velocity : how near in position (m) and velocity (m/s) companions are
-    head_share : of the angle from the direction of motion to the visible head, how much the motion follows
-    head_seconds : time constant of that, s
-    head_limit : angles well beyond it lead nowhere, rad
-    place_distance, place_velocity : how near in position (m) and velocity (m/s) somebody earlier must have
-        been for what they did there to count
-    place_prior : people without news that what was seen in a place is weighed against
-    spread_standing, spread_walking : 1-σ a second ahead, on each axis, of what people do that nobody could
-        know: at rest (m), and for each m/s of speed (m)
-    spread_power : the power of time with which it grows
-    spread_along : the spread along the direction of motion over that across it, for people who walk
-    spread_prior : people that the spread seen in a place is weighed against
-    tail_share, tail_scale : share of people who do something else altogether, and how much wider they spread
-    scene_prior : forecasts whose outcome is known that it takes to trust the scene's own errors half
+    companion_weight : largest weight of a companion's velocity relative to one's own
+    companion_distance, companion_velocity : kernel widths of companions in position (m) and velocity (m/s)
+    head_share : share of the angle from the direction of motion to the head by which the motion turns
+    head_seconds : time constant of that turn, s
+    head_limit : angle well beyond which the head has no effect, rad
+    place_distance, place_velocity : kernel widths of earlier people in position (m) and velocity (m/s)
+    place_prior : prior weight of zero deviation, in people, against observations in a place
+    spread_standing, spread_walking : unpredictable 1-σ on each axis one second ahead: at rest (m), and for
+        each m/s of speed (m)
+    spread_power : exponent of its growth with time
+    spread_along : ratio of the spread along and across the direction of motion, for walking people
+    spread_prior : prior weight of the spread, in people, against that observed in a place
+    tail_share, tail_scale : share of outlying motion, and factor of its spread
+    scene_prior : forecasts with known outcome at which the scene's own errors have weight one half
     """
 
     stop_speed: float = number(0.3, 0.0, 1.0, "m/s")
@@ -73,16 +72,16 @@ class ForecastParameters:
         check_numbers(self)
 
     def save(self, path: str | Path) -> None:
-        """Write a parameter file (TOML), whole or not at all."""
+        """Write a parameter file (TOML), atomically."""
         content = tomli_w.dumps({TABLE: asdict(self)})
         with atomic_path(path) as temporary:
             Path(temporary).write_text(content, encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | Path) -> ForecastParameters:
-        """Read a parameter file; what it does not have is as by default.
+        """Read a parameter file; missing keys have the defaults.
 
-        Raise InputError with the file and the key that cannot be used.
+        Raise InputError with the file and the invalid key.
         """
         expected = f"a file of graphtrack fit --forecast, with a table [{TABLE}]"
         content = read_toml(path, expected)
@@ -99,15 +98,15 @@ ComplexArray = NDArray[np.complex128]
 BELIEFS = np.array([(s, q) for s in (0.003, 0.02, 0.06, 0.2) for q in (0.005, 0.05)])
 """(K, 2): 1-σ of positions on each axis, m, and the density q of the acceleration, m²/s³."""
 
-_SPEED_VARIANCE = 1.0  # of a velocity that nothing is known of, on each axis, (m/s)²
-_EVIDENCE_SECONDS = 10.0  # after which what was learned of a person's noise has faded to 1/e
+_SPEED_VARIANCE = 1.0  # prior variance of a velocity on each axis, (m/s)²
+_EVIDENCE_SECONDS = 10.0  # time constant of forgetting a person's noise evidence
 _FARTHEST = 25.0  # squared distance, in variances, beyond which a position is a jump and not an error
-_HABIT_PRIOR = 2.0  # people that a belief about a scene is worth before anybody was seen there
+_HABIT_PRIOR = 2.0  # prior weight of a scene's hypotheses, in people
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Positions and velocities of n people, all beliefs together."""
+    """Positions and velocities of n people, mixed over all hypotheses."""
 
     position: ComplexArray  # (n,) m
     velocity: ComplexArray  # (n,) m/s
@@ -115,14 +114,14 @@ class Motion:
 
 
 def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:
-    """Velocities (n,) of which those well below a speed count little: slow motion is mostly swaying."""
+    """Return velocities (n,), shrunk below a speed, as slow motion is mostly sway."""
     speed2 = np.abs(velocity) ** 2
     found: ComplexArray = velocity * speed2 / (speed2 + stop_speed**2 + 1e-12)
     return found
 
 
 class MotionFilters:
-    """The filters of people in numbered places; who sits where is the caller's business."""
+    """Filters of people in numbered slots; the caller assigns the slots."""
 
     def __init__(self, places: int) -> None:
         size = (places, len(BELIEFS))
@@ -132,7 +131,7 @@ class MotionFilters:
         self._habit = np.zeros(len(BELIEFS))
 
     def grow(self, places: int) -> None:
-        """Make room for so many people."""
+        """Allocate slots for this many people."""
         more = places - len(self._position)
         for name in ("_position", "_velocity", "_variance", "_evidence"):
             values = getattr(self, name)
@@ -140,16 +139,16 @@ class MotionFilters:
             setattr(self, name, np.concatenate([values, wider]))
 
     def state(self) -> dict[str, Any]:
-        """Everything that is known, as arrays; see `restore`."""
+        """Return the state as arrays; see `restore`."""
         return {name: np.array(values) for name, values in vars(self).items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state` was taken."""
+        """Restore from `state`."""
         for name in vars(self):
             setattr(self, name, state[name])
 
     def begin(self, at: NDArray[np.int64], position: ComplexArray, std: FloatArray) -> None:
-        """Somebody new in each of the places ``at`` (n,), seen at ``position`` (n,), give or take ``std``."""
+        """Start new people in the slots ``at`` (n,), observed at ``position`` (n,) with 1-σ ``std``."""
         self._position[at], self._velocity[at] = position[:, None], 0.0
         self._variance[at] = 0.0
         self._variance[at, :, 0] = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
@@ -157,7 +156,7 @@ class MotionFilters:
         self._evidence[at] = 0.0
 
     def update(self, at: NDArray[np.int64], dt: FloatArray, position: ComplexArray, std: FloatArray) -> None:
-        """See the people of the places ``at`` again, after ``dt`` seconds (n,)."""
+        """Update the people of the slots ``at`` with new observations after ``dt`` seconds (n,)."""
         step = dt[:, None]
         noise = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
         own, cross, speed = self._predicted(at, step)
@@ -166,7 +165,7 @@ class MotionFilters:
         error = position[:, None] - predicted
         expected = own + noise
         distance = np.abs(error) ** 2 / expected
-        # Who jumped, or was mistaken for somebody, is seen anew: under no belief is that noise.
+        # Restart the filter after a jump or an identity switch, which no noise hypothesis explains.
         lost = distance.min(axis=1) > _FARTHEST
         gain, gain_speed = own / expected, cross / expected
         mean = predicted + gain * error
@@ -196,7 +195,7 @@ class MotionFilters:
         return own, cross + step * speed + density * step**2 / 2.0, speed + density * step
 
     def learn(self, at: NDArray[np.int64], share: float) -> None:
-        """Shift the scene's prior over beliefs towards those of the people of the places ``at``."""
+        """Shift the scene's prior over hypotheses towards that of the people in the slots ``at``."""
         self._habit += share * self._weights(at).sum(axis=0)
 
     def _weights(self, at: NDArray[np.int64]) -> FloatArray:
@@ -206,7 +205,7 @@ class MotionFilters:
         return total
 
     def motion(self, at: NDArray[np.int64], ahead: FloatArray) -> Motion:
-        """The people of the places ``at`` so many seconds (n,) after they were last seen."""
+        """Predict the people of the slots ``at`` to this many seconds (n,) after their last observation."""
         weights, step = self._weights(at), ahead[:, None]
         velocities = self._velocity[at]
         positions = self._position[at] + step * velocities

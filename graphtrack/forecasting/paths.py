@@ -1,8 +1,8 @@
 """Paths of a scene, learned online: deviations of earlier people of the same place and velocity.
 
-Every so often a person's position and velocity become an anchor, which is filled with where the person went
-instead of straight on. A forecast is corrected by the anchors near it (kernel regression: Nadaraya, Theory
-Probab. Appl. 9(1), 1964), weighed against people who went straight on.
+At regular intervals a person's position and velocity become an anchor, which records the later deviation from
+constant velocity. A forecast is corrected by the anchors near it (kernel regression: Nadaraya, Theory
+Probab. Appl. 9(1), 1964), shrunk towards zero deviation.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
 
 _LEAST = -25.0
-"""Logarithm of the least weight: all that is further counts for less than rounding, beside a few people."""
+"""Logarithm of the smallest weight; smaller weights are below rounding next to a few people."""
 
 
 @allocating
 def kernel_sums(
     here: NDArray[np.float32], there: NDArray[np.float32], values: NDArray[np.float32], count: int
 ) -> FloatArray:
-    """(n, G) sums of the values of points there, by a Gaussian kernel of width 1 about points here.
+    """Return (n, G) sums of the values at points ``there``, by a Gaussian kernel of width 1 about ``here``.
 
     Parameters
     ----------
-    here, there : (d, n), (d, m) points; of those there the first ``count`` are known
+    here, there : (d, n), (d, m) points; the first ``count`` of ``there`` are known
     values : (m, G)
     """
     size, kinds = here.shape[1], values.shape[1]
@@ -62,14 +62,14 @@ def kernel_means(
     alike: float,
     most: float,
 ) -> FloatArray:
-    """(n, 2) velocities, averaged with those of others who are near and go the same way.
+    """Return (n, 2) velocities, averaged with those of nearby people with similar velocities.
 
     Parameters
     ----------
     position, velocity : (n, 2)
-    others : (m,) which of them count as others
+    others : (m,) indices of the other people
     near, alike : widths of the kernels, of positions and velocities
-    most : weight of another in the same place with the same velocity, where one's own is 1
+    most : weight of a person with the same position and velocity, relative to one's own
     """
     found = np.empty((len(position), 2))
     for i in range(len(position)):
@@ -91,18 +91,18 @@ LAGS: FloatArray = 0.4 * np.arange(1.0, 13.0)
 EVERY = 0.4
 """Seconds between two anchors of a person."""
 
-_CAPACITY = 4096  # anchors that are kept; when there are more, new ones take the places of any
+_CAPACITY = 4096  # most anchors; beyond it new anchors replace random ones
 _OF_ALL = ("_position", "_velocity", "_outcome")
 _OF_OPEN = ("_t", "_owner", "_next", "_expected", "_spread")
-_LONGEST_GAP = 1.0  # seconds without a person beyond which nobody knows where the person was in between
+_LONGEST_GAP = 1.0  # longest gap in seconds that is interpolated
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
     """Deviations of earlier people near n people, at each of `LAGS`."""
 
-    weight: FloatArray  # (n, G) how many anchors count
-    deviation: ComplexArray  # (n, G) complex, their mean deviation from going straight on, m
+    weight: FloatArray  # (n, G) effective number of anchors
+    deviation: ComplexArray  # (n, G) complex, their mean deviation from constant velocity, m
     square: FloatArray  # (n, G) their mean squared deviation, m²
 
 
@@ -111,7 +111,7 @@ class Places:
 
     Parameters
     ----------
-    judge : is told of errors over the expected spread, beside the numbers of their `LAGS`
+    judge : called with errors over the expected spread, and the indices of their `LAGS`
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Places:
         return min(self._count, _CAPACITY)
 
     def state(self) -> dict[str, Any]:
-        """Everything that is known, as arrays and numbers; see `restore`."""
+        """Return the state as arrays and numbers; see `restore`."""
         kept = {name: getattr(self, name)[: len(self)].copy() for name in _OF_ALL}
         still_open = {name: getattr(self, name)[self._active] for name in _OF_OPEN}
         random = self._random.bit_generator.state
@@ -163,14 +163,14 @@ class Places:
         expected: ComplexArray,
         spread: FloatArray,
     ) -> None:
-        """New anchors.
+        """Add anchors.
 
         Parameters
         ----------
-        owner : (n,) numbers of the people, of whom nobody else ever has the same
+        owner : (n,) unique numbers of the people
         position, velocity : (n,)
-        expected : (n, G) deviations that were forecast for them at `LAGS`
-        spread : (n, G) and their 1-σ; NaN: not to be judged
+        expected : (n, G) predicted deviations at `LAGS`
+        spread : (n, G) their 1-σ; NaN: not scored
         """
         free = np.arange(self._count, self._count + len(owner))
         over = free >= _CAPACITY
@@ -190,7 +190,7 @@ class Places:
         was: ComplexArray,
         position: ComplexArray,
     ) -> None:
-        """Open anchors of people ``owner`` (n,) learn where they went, from ``was`` to now."""
+        """Record in the open anchors of people ``owner`` (n,) their motion from ``was`` to now."""
         active = self._active
         if not len(active) or not len(owner):
             return

@@ -1,4 +1,4 @@
-"""Forecasts for recorded tracks, each from the frames before it, and their tables."""
+"""Forecasts for recorded tracks, each from the frames up to it, and their tables."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MOST_ROWS = 20_000_000
 
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
-    """People seen in a frame at ``t`` seconds, as `Forecaster.update` takes them."""
+    """Observed people of a frame at ``t`` seconds, as for `Forecaster.update`."""
 
     t: float
     frame: int
@@ -52,9 +52,9 @@ class Forecasts:
     Attributes
     ----------
     columns : name → (rows,): ``track_id, frame, t, ahead, x, y, x_std, y_std, xy_cov, radius_50, radius_90``;
-        ``sample_<k>_x, sample_<k>_y`` where samples were asked for
-    people : how many were forecast
-    too_short : ids of those who were never seen for long enough
+        ``sample_<k>_x, sample_<k>_y`` if samples were requested
+    people : number of predicted people
+    too_short : ids of people whose history is too short
     """
 
     columns: dict[str, NDArray[np.float64] | NDArray[np.int64]]
@@ -74,14 +74,14 @@ class Forecasts:
         return pd.DataFrame(self.columns)
 
     def write(self, path: str | Path) -> None:
-        """Write the table; the ending says as what (.csv, .csv.gz, .parquet, .ndjson)."""
+        """Write the table in the format of the ending (.csv, .csv.gz, .parquet, .ndjson)."""
         from graphtrack.io.read_write import write_table
 
         write_table(self.columns, path)
 
 
 def frames_of(tracks: TrackSet | list[Track]) -> Iterator[SeenFrame]:
-    """Return the people seen, time by time; rows without a position are left out."""
+    """Return the observed people, time by time; rows without a position are left out."""
     parts: list[tuple[FloatArray, ...]] = []
     for track in tracks:
         seen = np.isfinite(track.position).all(axis=1)
@@ -124,24 +124,24 @@ def forecast(
     seed: int = 0,
     walkable: AreaLike | None = None,
 ) -> Forecasts:
-    """Forecast everybody at each time from the frames until then.
+    """Predict all people at each time from the frames up to it.
 
     Parameters
     ----------
-    tracks : of one scene, with positions as they were seen. Tracks that were smoothed offline know their
-        future, and so would the forecasts.
-    horizon, step : forecasts are for every ``step`` seconds up to ``horizon``
-    every : seconds between the times at which forecasts are made; None: at each frame
-    history : seconds that somebody must have been seen for; None: in two frames
-    samples : paths to draw for each
-    parameters : or the file that they are in; by default those learned
-    seed : of the samples
+    tracks : tracks of one scene, with observed positions. Tracks smoothed offline contain information from
+        the future, which would leak into the forecasts.
+    horizon, step : predictions are for every ``step`` seconds up to ``horizon``
+    every : seconds between forecasts; None: one at each frame
+    history : shortest observed history in seconds; None: two frames
+    samples : paths to sample for each forecast
+    parameters : parameters or their file; by default the learned parameters
+    seed : seed of the samples
     walkable : area that no predicted path leaves: a file of GeoJSON or well-known text, or a polygon
 
     Raises
     ------
     InputError
-        For settings that make no sense, and where nobody was seen for long enough.
+        For invalid settings, and if no person was observed for long enough.
     """
     ahead = times_ahead(horizon, step)
     check_positive("every", every, _LONGEST)
@@ -172,12 +172,12 @@ def forecast(
     short = tuple(track.track_id for track in tracks if track.track_id not in told)
     if not made:
         needed = "two frames" if history is None else f"{history:g} s, the history"
-        raise InputError(f"nobody among {len(tracks)} who was seen for {needed}", "longer tracks")
+        raise InputError(f"none of {len(tracks)} people observed for {needed}", "longer tracks")
     return Forecasts(columns_of(made), len(told), short)
 
 
 def columns_of(made: list[tuple[int, Forecast]]) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
-    """The table of forecasts and the frames at which they were made."""
+    """Return the table of forecasts and their frames."""
     parts = [_columns(frame, one) for frame, one in made]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
@@ -205,14 +205,14 @@ def _columns(frame: int, made: Forecast) -> dict[str, NDArray[Any]]:
 
 
 COLUMNS = ("track_id", "frame", "t", "ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90")
-"""Of a table of forecasts; ``sample_<k>_x`` and ``sample_<k>_y`` may follow."""
+"""Columns of a table of forecasts; ``sample_<k>_x`` and ``sample_<k>_y`` may follow."""
 
 _TELLING = ("track_id", "t", "ahead", "radius_50", "radius_90")
 _PARQUET = b"PAR1"
 
 
 def is_forecast(path: Path) -> bool:
-    """Return whether a file is a table of forecasts.
+    """Return True if a file is a table of forecasts.
 
     Raise InputError if it cannot be read at all.
     """
@@ -220,9 +220,9 @@ def is_forecast(path: Path) -> bool:
 
 
 def read_forecasts(path: Path) -> dict[str, FloatArray]:
-    """The columns (rows,) of a table of forecasts.
+    """Return the columns (rows,) of a table of forecasts.
 
-    Raise InputError with the line and the column that cannot be used.
+    Raise InputError with the invalid line and column.
     """
     import pandas as pd
 

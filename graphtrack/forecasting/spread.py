@@ -1,8 +1,8 @@
 """Spread of forecasts: a mixture of an elliptical Gaussian and a wider one, and its calibration.
 
-Of every forecast whose outcome was seen, the error over the expected spread is counted by time ahead,
-together with what is expected of `ForecastParameters.scene_prior` forecasts. The quantiles of both stretch
-the circles (conformal prediction with a prior).
+For each forecast with a known outcome, the error over the expected spread is counted by time ahead, together
+with the prior expectation of `ForecastParameters.scene_prior` forecasts. The quantiles of both scale the
+circles (conformal prediction with a prior).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ANGLES = (np.arange(64) + 0.5) * np.pi / 64
 
 
 def shares_and_scales(parameters: ForecastParameters) -> tuple[FloatArray, FloatArray]:
-    """Shares of the two Gaussians, and their spreads relative to that of both together."""
+    """Weights of the two Gaussians, and their spreads relative to the mixture's."""
     share, wide = parameters.tail_share, parameters.tail_scale
     narrow = 1.0 / np.sqrt(1.0 - share + share * wide**2)
     return np.array([1.0 - share, share]), np.array([narrow, narrow * wide])
@@ -49,7 +49,7 @@ def _table(level: float, share: float, wide: float) -> FloatArray:
 def radius(
     level: float, longer: FloatArray, shorter: FloatArray, parameters: ForecastParameters
 ) -> FloatArray:
-    """Radius of the circle about the mean that holds the share ``level``, given 1-σ along both axes."""
+    """Return the radius of the circle with probability ``level``, given 1-σ along both axes."""
     table = _table(level, float(parameters.tail_share), float(parameters.tail_scale))
     relative: FloatArray = np.interp(shorter / longer, _RATIOS, table)
     return relative * longer
@@ -62,7 +62,7 @@ def log_density(
     std_across: FloatArray,
     parameters: ForecastParameters,
 ) -> FloatArray:
-    """Logarithm of the density at a point off the mean, of any one shape; metres."""
+    """Return the log density at an offset from the mean, elementwise; metres."""
     shares, scales = shares_and_scales(parameters)
     distance = (along / std_along) ** 2 + (across / std_across) ** 2
     parts = [
@@ -81,9 +81,9 @@ def offsets(
     parameters: ForecastParameters,
     random: np.random.Generator,
 ) -> NDArray[np.complex128]:
-    """Samples (n, count, A) of offsets from the mean, given 1-σ (n, A) along and across ``direction`` (n,).
+    """Sample offsets (n, count, A) from the mean, given 1-σ (n, A) along and across ``direction`` (n,).
 
-    Whoever is fast stays fast.
+    Offsets of a path are fully correlated over time.
     """
     size = (len(direction), count)
     shares, scales = shares_and_scales(parameters)
@@ -97,13 +97,13 @@ def offsets(
 
 
 _EDGES = np.linspace(np.log(0.01), np.log(50.0), 121)
-"""Of classes of the logarithm of the error over the spread."""
+"""Bin edges of the logarithm of the error over the spread."""
 
 
 class Calibration:
     """Counts of a scene's errors.
 
-    ``parameters``: what is expected of them, and how firmly
+    ``parameters``: their prior expectation and its weight
     """
 
     def __init__(self, parameters: ForecastParameters) -> None:
@@ -125,14 +125,14 @@ class Calibration:
         self._counts, self._factors = state, None
 
     def see(self, lag: NDArray[np.int64], relative: FloatArray) -> None:
-        """Errors (n,) over their spreads, at the numbers of their `LAGS`."""
+        """Count errors (n,) over their spreads, at the indices of their `LAGS`."""
         logs = np.log(np.clip(relative, 0.0101, 49.9))
         np.add.at(self._counts, (lag, np.searchsorted(_EDGES, logs) - 1), 1.0)
         self._factors = None
 
     @property
     def factors(self) -> FloatArray:
-        """(levels, G) by what to multiply the radii of circles, at each of `LAGS`."""
+        """Return (levels, G) factors of the radii of circles, at each of `LAGS`."""
         if self._factors is None:
             found = np.array([_quantiles(one) for one in self._counts]) / self._usual
             self._factors = np.clip(found.T, 0.1, 10.0)

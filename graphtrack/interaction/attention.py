@@ -1,4 +1,4 @@
-"""Visual attention: how probably each person looks at each other one, at a place, or at nothing of these."""
+"""Visual attention: probabilities of each person's gaze targets: people, places or none of these."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
 
-_EXACT = 200.0  # concentration of a head that comes with none
+_EXACT = 200.0  # concentration of a head observed without one
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class AttentionParameters:
 
     Attributes
     ----------
-    look_std : radians, 1-σ of where a head points about what is looked at
-    nothing : share of looks at nothing of what is known
-    distance : metres at which a person draws half the looks that one near does
-    fellows : how many times more a fellow member of a conversation draws looks than another person there
-    switching : 1/s at which a look ends
-    correlation_time : seconds over which a head's deviation from what it looks at persists
+    look_std : radians, 1-σ of the head direction about its target
+    nothing : share of gaze at no known target
+    distance : metres at which a person attracts half the gaze of a near person
+    fellows : factor of gaze at a fellow member of a conversation relative to another person there
+    switching : 1/s, rate at which gaze leaves its target
+    correlation_time : correlation time of a head's deviation from its target, s
     """
 
     look_std: float = number(0.3, 0.01, 3.0, "rad")
@@ -50,21 +50,21 @@ class AttentionParameters:
         check_numbers(self)
 
     def to_array(self) -> FloatArray:
-        """(6,) in the order that `looking` reads them."""
+        """Return (6,) parameters in the order of `looking`."""
         return np.array(astuple(self))
 
 
 @dataclass(frozen=True, eq=False)
 class Attention:
-    """Targets of one person's looks.
+    """Gaze targets of one person.
 
     Attributes
     ----------
-    track_id : whose looks
+    track_id : the looking person
     frame, t : (n,)
-    people : (p,) ids of the others who are ever near
+    people : (p,) ids of other people who are near at any time
     places : names
-    probability : (n, p + places + 1); the last is nothing of these. NaN where the position is unknown
+    probability : (n, p + places + 1); the last is none of these. NaN if the position is unknown
     """
 
     track_id: int
@@ -89,17 +89,17 @@ def attention(
     groups: Groups | None = None,
     online: bool = False,
 ) -> list[Attention]:
-    """Estimate the targets of everybody's looks.
+    """Estimate the gaze targets of all people.
 
-    Targets have a density each of where a head points that looks at them: about their bearing, as wide as
-    they are seen; "nothing" has the uniform one. That meets the head's whole posterior: all modes of class
-    likelihoods, or an angle with its concentration or covariance. Looks last (a chain over the targets).
+    Each target has a density of the head direction about its bearing, with its angular width; "nothing" has
+    the uniform density. It is integrated with the head's full posterior: all modes of class likelihoods, or
+    an angle with its concentration or covariance. Gaze persists (a Markov chain over the targets).
 
     Parameters
     ----------
     tracks : estimates or observations
-    groups : who is in conversation with whom; by default they are found
-    online : whether the past alone counts in each frame
+    groups : conversation groups; by default they are estimated
+    online : True to use only the past of each frame
     """
     chosen = AttentionParameters() if parameters is None else parameters
     everybody = sorted(tracks, key=lambda track: track.track_id)
@@ -144,7 +144,7 @@ def _of_one(
 def _others(
     one: Track, everybody: Sequence[Track], number: Mapping[int, IntArray]
 ) -> tuple[list[Track], FloatArray, np.ndarray]:
-    """Others who are ever near, their positions in the person's frames (n, p, 2), shared groups (n, p)."""
+    """Return other people who are near at any time, their positions (n, p, 2), and shared groups (n, p)."""
     found, where, fellow = [], [], []
     for other in everybody:
         if other is one or not len(other):
@@ -166,7 +166,7 @@ def _others(
 def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a head's von Mises mixture: weights, means and concentrations, (n, m) each.
 
-    NaN weights: nothing is known.
+    NaN weights: unknown.
     """
     if track.head is None and track.head_likelihood is not None:
         scores = track.head_likelihood
@@ -190,13 +190,13 @@ def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 LEAST = 0.01
-"""Targets that are less probable are left out of the table."""
+"""Smallest probability of a target in the table."""
 
 
 def attention_columns(found: Sequence[Attention]) -> dict[str, np.ndarray]:
-    """A row for each person, frame and target of at least `LEAST`, and one for nothing.
+    """Return a row for each person, frame and target of at least `LEAST`, and one for nothing.
 
-    Those of one person and frame sum to 1 but for what is left out.
+    Probabilities of one person and frame sum to 1 except for omitted targets.
     """
     names_of = ("frame", "t", "track_id", "kind", "target", "probability")
     parts: dict[str, list[np.ndarray]] = {name: [] for name in names_of}
@@ -213,13 +213,13 @@ def attention_columns(found: Sequence[Attention]) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class LookSummary:
-    """Expected seconds of looks."""
+    """Expected seconds of gaze."""
 
     people: tuple[int, ...]  # rows
     targets: tuple[str, ...]  # columns; the last one is nothing
-    matrix: FloatArray  # (people, targets) seconds that each looks at each target
-    mutual: dict[tuple[int, int], float]  # (a, b) → seconds in which both look at each other
-    # place → person → seconds, and the intervals (from, to) in which a look at it is likelier than not
+    matrix: FloatArray  # (people, targets) seconds of gaze at each target
+    mutual: dict[tuple[int, int], float]  # (a, b) → seconds of mutual gaze
+    # place → person → seconds, and intervals (from, to) with a probability above one half
     dwell: dict[str, dict[int, tuple[float, list[tuple[float, float]]]]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -238,7 +238,7 @@ class LookSummary:
 
 
 def summary_of(found: Sequence[Attention]) -> LookSummary:
-    """Add up what everybody looks at."""
+    """Sum the gaze of all people over time."""
     people = tuple(one.track_id for one in found)
     places = found[0].places if found else ()
     targets = (*map(str, people), *places, "nothing")
@@ -259,7 +259,7 @@ def summary_of(found: Sequence[Attention]) -> LookSummary:
 
 
 def frame_seconds(t: FloatArray) -> FloatArray:
-    """(n,) seconds that each frame stands for: half of those to its neighbours, gaps not counted."""
+    """Return (n,) seconds of each frame: half the intervals to its neighbours, without gaps."""
     if len(t) < 2:
         return np.zeros(len(t))
     gap = np.diff(t)
@@ -276,7 +276,7 @@ def _intervals(t: FloatArray, likely: np.ndarray, seconds: FloatArray) -> list[t
 
 
 def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
-    """Seconds in which two look at each other; their looks are taken as independent, given what is seen."""
+    """Return seconds of mutual gaze of two people, independent given the observations."""
     result: dict[tuple[int, int], float] = {}
     of = {one.track_id: one for one in found}
     for one in found:
@@ -292,22 +292,22 @@ def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
     return result
 
 
-_FORGOTTEN = 40.0  # looks that end on average, after which nothing is left of what somebody looked at
+_FORGOTTEN = 40.0  # mean gaze durations after which a person's last target is dropped
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """Targets of the looks of a frame's people.
+    """Gaze targets of the people of a frame.
 
     Attributes
     ----------
-    frame, t : of all; 0 and NaN where there is nobody
-    track_id : (n,) who looks, ascending
-    first : (n + 1,) first of each one's targets among the people
-    target : (k,) ids of the people who are near enough to be looked at, ascending for each who looks
+    frame, t : frame number and time; 0 and NaN without people
+    track_id : (n,) ids of the observers, ascending
+    first : (n + 1,) index of each observer's first target
+    target : (k,) ids of people near enough to be gaze targets, ascending for each observer
     person : (k,) probabilities of these
     places : names
-    place : (n, places + 1) probabilities of the places, and of nothing of all these
+    place : (n, places + 1) probabilities of the places, and of no target
     """
 
     frame: int
@@ -338,7 +338,7 @@ class Looks:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """State of p people when each was last seen; see also `Looks`."""
+    """State of p people at their last observation; see also `Looks`."""
 
     track_id: IntArray
     t: FloatArray  # (p,) seconds
@@ -351,7 +351,7 @@ class _Known:
     place: FloatArray
 
     def of(self, rows: IntArray) -> _Known:
-        """Some of the people, in another order."""
+        """Return a selection of the people, in the given order."""
         size = np.diff(self.first)[rows]
         first = np.append(0, np.cumsum(size))
         flat = np.arange(first[-1]) + np.repeat(self.first[:-1][rows] - first[:-1], size)
@@ -363,7 +363,7 @@ class _Known:
         )
 
     def with_others(self, other: _Known) -> _Known:
-        """The people of both, who are others, by identity."""
+        """Merge two disjoint sets of people, by identity."""
         joined = {name: np.concatenate([values, getattr(other, name)]) for name, values in vars(self).items()}
         joined["first"] = np.append(self.first, self.first[-1] + other.first[1:])
         both = _Known(**joined)
@@ -371,7 +371,7 @@ class _Known:
 
 
 _OF_TARGETS = ("target", "bearing", "person")
-"""Fields of `_Known` with a value for each target; others have one for each person."""
+"""Fields of `_Known` with a value for each target; other fields have one for each person."""
 
 
 def _nobody(places: int) -> _Known:
@@ -382,13 +382,13 @@ def _nobody(places: int) -> _Known:
 
 
 class OnlineAttention:
-    """Targets of looks, frame by frame: `attention` with ``online=True``.
+    """Gaze targets, frame by frame: `attention` with ``online=True``.
 
-    What is kept is bounded: of each who was seen in the last 100 s (40 looks), what they looked at then.
+    Memory is bounded: the last targets of people observed in the last 100 s (40 mean gaze durations).
 
     Parameters
     ----------
-    places : what else may be looked at
+    places : other gaze targets
     parameters : by default those of `AttentionParameters`
 
     Examples
@@ -413,17 +413,17 @@ class OnlineAttention:
         return f"OnlineAttention({len(self.places)} places, {len(self._known.track_id)} people known)"
 
     def update(self, t: float, people: Told, groups: Groups) -> Looks:
-        """Take in the people of a frame; what each of them looks at.
+        """Process the people of a frame, and return the gaze targets of each.
 
         Parameters
         ----------
         t, people : as in `OnlineGroups.update`
-        groups : what that says of them, since people look at those whom they talk with
+        groups : its result for the frame, since people look at their conversation partners
 
         Raises
         ------
         InputError
-            If time does not increase, somebody is told of twice, or the groups are of others.
+            If time does not increase, a person is given twice, or the groups are of other people.
         """
         return self.take(people_told(t, people), groups)
 
@@ -432,7 +432,7 @@ class OnlineAttention:
         names = tuple(place.name for place in self.places)
         ids = people.ids[people.person]
         if not np.array_equal(groups.track_id, ids):
-            raise InputError("groups of others", "those of the people of this frame")
+            raise InputError("groups of other people", "groups of the people of this frame")
         if not len(people):
             none = _nobody(len(self.places))
             return Looks(0, math.nan, ids, none.first, none.target, none.person, names, none.place)
@@ -447,7 +447,7 @@ class OnlineAttention:
         angle = direction(people.head)
         seen = np.array([place.seen_from(people.position) for place in self.places]).reshape(-1, 3, len(ids))
         bearing, half, far = np.ascontiguousarray(seen.transpose(1, 2, 0))
-        before = list(vars(known).values())[1:]  # in the order in which the step takes them
+        before = list(vars(known).values())[1:]  # in the order of the step's arguments
         head, first, target, bearing_now, person, place = looks_of_frame(
             *(t, ids, people.position, angle, kappa, length > 0.0, groups.group),
             *(bearing, half, far, was, *before, parameters),
@@ -461,7 +461,7 @@ class OnlineAttention:
         return Looks(int(people.frame[0]), t, ids, first, target, person, names, place)
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        """Return the state to resume from, as JSON-able data; see `from_state`."""
         whole = ("track_id", "first", "target")
         numbers = {
             name: values.tolist() if name in whole else to_text(values)
@@ -476,7 +476,7 @@ class OnlineAttention:
         places: Sequence[Place] = (),
         parameters: AttentionParameters | None = None,
     ) -> OnlineAttention:
-        """Attention that goes on where `state` was taken, to the last bit, given the same places.
+        """Restore attention from `state`, bit for bit, given the same places.
 
         Raises
         ------
@@ -498,7 +498,7 @@ class OnlineAttention:
 
 
 def make_behaviour_ready(*, groups: bool = True, forecasts: bool = False) -> None:
-    """Compile or load what groups and attention, or forecasts, call; the log reports a long wait."""
+    """Compile or load the kernels of groups and attention, or forecasts; the log reports a long wait."""
     rehearsals = [Rehearsal("groups and looks", _rehearse, 12.0)] * groups
     rehearsals += [Rehearsal("forecasts", _rehearse_forecast, 1.0)] * forecasts
     make_ready(", ".join(one.name for one in rehearsals), *rehearsals)

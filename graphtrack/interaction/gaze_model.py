@@ -13,25 +13,25 @@ from graphtrack.kernels.compilation import allocating, compiled
 IntArray = np.ndarray
 
 REACH = 15.0
-"""Metres: people further away are not looked at, and cover nothing; places are looked at from anywhere."""
+"""Largest distance in metres of people as gaze targets and occluders; places have no limit."""
 SHOULDERS = 0.25
-"""Metres, half the width of a person who is looked at or stands in between."""
+"""Half the width in metres of a person as gaze target or occluder."""
 LOOK_STD, NOTHING, DISTANCE, FELLOWS, SWITCHING, CORRELATION = range(6)
-"""Places in an array of `AttentionParameters`."""
-_NARROW = 0.26  # radians, a little more than half the angle under which somebody a metre away is seen
+"""Indices in an array of `AttentionParameters`."""
+_NARROW = 0.26  # radians, slightly more than half the angular width of a person at 1 m
 _NOISY_SECONDS = 1.5
 _UNIFORM = 1.0 / (2.0 * math.pi)
 
 
 @compiled
 def turn(angle: float) -> float:
-    """An angle within ±π."""
+    """Wrap an angle to ±π."""
     return angle - 2.0 * math.pi * np.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @allocating
 def half_angle(radius: float, far: FloatArray) -> FloatArray:
-    """Half the angle, radians, under which a disc is seen from (n,) metres; π from inside it."""
+    """Return half the angular width, radians, of a disc from (n,) metres; π from inside it."""
     found = np.empty(len(far))
     for k in range(len(far)):
         found[k] = math.asin(radius / far[k]) if far[k] > radius else math.pi
@@ -40,11 +40,11 @@ def half_angle(radius: float, far: FloatArray) -> FloatArray:
 
 @allocating
 def see(own: FloatArray, others: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray) -> None:
-    """Fill how somebody sees others from where they are.
+    """Fill bearing, half angular width and distance of other people.
 
     Parameters
     ----------
-    own, others : (2,), (n, 2) metres; NaN: not there
+    own, others : (2,), (n, 2) metres; NaN: absent
     bearing, half, far : (n,) radians, radians and metres
     """
     for j in range(len(others)):
@@ -55,7 +55,7 @@ def see(own: FloatArray, others: FloatArray, bearing: FloatArray, half: FloatArr
 
 @compiled
 def concentration_of(variance: float) -> float:
-    """The von Mises κ of the mean resultant length e^(−variance/2); Fisher (1993), eq. 4.40."""
+    """Return the von Mises κ of the mean resultant length e^(−variance/2); Fisher (1993), eq. 4.40."""
     r = math.exp(-0.5 * max(variance, 1e-6))
     if r < 0.53:
         return 2.0 * r + r**3 + 5.0 * r**5 / 6.0
@@ -75,13 +75,13 @@ def concentration(variance: FloatArray) -> FloatArray:
 
 @compiled
 def _covered(apart: float, half: float, of_target: float) -> float:
-    """The angle that somebody covers of a target, or less than 0."""
+    """Return the angle of a target occluded by a person; negative without overlap."""
     return min(apart + half, of_target) - max(apart - half, -of_target)
 
 
 @compiled
 def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray) -> float:
-    """Share of the angle of a target that nobody nearer covers.
+    """Return the visible share of a target's angle, not occluded by nearer people.
 
     ``around``, ``wide``: (3, k) bearing, half the angle and distance of people: of all by their bearing,
     three times round, and of those who cover more than `_NARROW` to either side
@@ -101,7 +101,7 @@ def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray,
 
 @allocating
 def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """People as `_share_in_sight` looks through them."""
+    """Return people in the form of `_share_in_sight`."""
     near = np.flatnonzero(far < REACH)
     near = near[np.argsort(bearing[near])]
     count = len(near)
@@ -129,13 +129,13 @@ def prior_of_looks(
     parameters: FloatArray,
     prior: FloatArray,
 ) -> None:
-    """Fill (targets + 1,) with how probably somebody looks at each whose head nobody has seen.
+    """Fill (targets + 1,) prior probabilities of gaze targets without a head observation.
 
     Parameters
     ----------
-    bearing, half : (targets,) radians, as they are seen; people come first
-    far : (targets,) metres; NaN: not there
-    fellow : (people,) whether they are in one group with whom looks
+    bearing, half : (targets,) radians, bearing and half angular width; people come first
+    far : (targets,) metres; NaN: absent
+    fellow : (people,) True in the observer's group
     """
     around, wide = _in_the_way(bearing[:people], half[:people], far[:people])
     total = 0.0
@@ -152,7 +152,7 @@ def prior_of_looks(
     if total > 1e-12:
         prior[:-1] *= (1.0 - parameters[NOTHING]) / total
         prior[-1] = parameters[NOTHING]
-    else:  # where nobody is in sight, all looks are at nothing
+    else:  # without a visible person, gaze is at nothing
         prior[:-1] = 0.0
         prior[-1] = 1.0
 
@@ -167,19 +167,19 @@ def densities(
     look_std: float,
     found: FloatArray,
 ) -> None:
-    """Fill (targets + 1,) with the density at which a head, as it is known, looks at each target.
+    """Fill (targets + 1,) likelihoods of gaze at each target, given the head's posterior.
 
-    Two von Mises densities are integrated, that of the head and that of looks at the target; "nothing" has
-    the uniform one.
+    The product of two von Mises densities is integrated, of the head and of gaze at the target; "nothing" has
+    the uniform density.
 
-    ``weights``, ``means``, ``kappas``: (modes,) of the head; a NaN weight: nothing is known
+    ``weights``, ``means``, ``kappas``: (modes,) of the head; a NaN weight: unknown
     """
     scale = np.empty(len(kappas))
     for m in range(len(kappas)):
         scale[m] = kappas[m] + log_i0e(kappas[m])
     found[-1] = _UNIFORM
     for j in range(len(bearing)):
-        # A disc or a polygon is seen over an interval, whose variance adds up with that of looks.
+        # A disc or a polygon covers an interval, whose variance adds to that of gaze.
         of_target = concentration_of(look_std**2 + min(half[j], math.pi) ** 2 / 3.0)
         of_scale = of_target + log_i0e(of_target)
         total = 0.0
@@ -201,18 +201,18 @@ def carry(
     anew: FloatArray,
     held: FloatArray,
 ) -> None:
-    """Fill a frame's likelihood of a new look, ``anew``, which is changed, and of one that goes on, ``held``.
+    """Fill a frame's likelihoods of gaze at a new target, ``anew`` (in place), and at the same one, ``held``.
 
-    The deviation from a target is autoregressive. A look at nothing goes somewhere, too, and stays there:
-    what is known of it is where the head was. Where heads have several modes or are known less surely than
-    that, frames closer than `_NOISY_SECONDS` carry the same evidence again.
+    The deviation from a target is autoregressive. Gaze at nothing has a persistent direction as well, which
+    is the previous head direction. If heads have several modes or are less certain than that, frames closer
+    than `_NOISY_SECONDS` repeat the same evidence.
 
     Parameters
     ----------
     gap : seconds from the frame before; infinite for the first
-    head, before : direction, rad, and its variance, rad², infinite where it is unknown or has several modes;
-        in this frame and in the one before
-    bearing, bearing_before : (targets,) radians; NaN: not there
+    head, before : direction, rad, and its variance, rad², infinite if unknown or with several modes;
+        in this frame and the previous one
+    bearing, bearing_before : (targets,) radians; NaN: absent
     anew, held : (targets + 1,)
     """
     memory = math.exp(-gap / parameters[CORRELATION]) if parameters[CORRELATION] > 0.0 else 0.0
@@ -244,11 +244,11 @@ def go_on(
     before: FloatArray,
     found: FloatArray,
 ) -> None:
-    """A step of the chain over targets: a look stays, or is drawn anew from the frame's prior.
+    """Step of the chain over targets: the target stays, or is redrawn from the frame's prior.
 
     Parameters
     ----------
-    stay : probability that the look has not ended; 0 in the first frame
+    stay : probability that the target has not changed; 0 in the first frame
     before, found : (targets + 1,) probabilities in the frame before, and in this one
     """
     total = 0.0
@@ -277,13 +277,13 @@ def looks_over_time(
     both: bool,
     parameters: FloatArray,
 ) -> FloatArray:
-    """(n, targets + 1) what somebody looks at in each frame, from the past or from both sides.
+    """Return (n, targets + 1) gaze probabilities in each frame, filtered or smoothed.
 
     Parameters
     ----------
-    own, others : (n, 2), (n, people, 2) metres; NaN: not there
+    own, others : (n, 2), (n, people, 2) metres; NaN: absent
     fellow : (n, people)
-    bearing, half, far : (n, targets) as places are seen; what comes before them is filled
+    bearing, half, far : (n, targets) of places; the entries of people, which come first, are filled
     weights, means, kappas : (n, modes) of the head
     gap : (n,) seconds from the frame before
     """
@@ -311,7 +311,7 @@ def looks_over_time(
 
 @compiled
 def noise_of(kappa: float) -> float:
-    """The variance, rad², of a direction with a concentration; no more than that of the uniform one."""
+    """Return the variance, rad², of a direction with a concentration; at most that of the uniform density."""
     return min(1.0 / max(kappa, 1e-6), math.pi**2 / 3.0)
 
 
@@ -319,7 +319,7 @@ def noise_of(kappa: float) -> float:
 def _look_back(
     prior: FloatArray, anew: FloatArray, held: FloatArray, stay: FloatArray, found: FloatArray
 ) -> None:
-    """The backward pass over the chain: what the past says becomes what both sides say."""
+    """Backward pass over the chain: turn filtered into smoothed probabilities."""
     n, count = prior.shape
     back = np.ones(count)
     for f in range(n - 2, -1, -1):
@@ -368,13 +368,13 @@ def looks_of_frame(
     place_before: FloatArray,
     parameters: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
-    """A step of everybody's chain: head, first, target, bearing, person and place, as in `_Known`.
+    """Step of all people's chains: head, first, target, bearing, person and place, as in `_Known`.
 
     Parameters
     ----------
-    ids, position, angle, kappa, seen, group : (n,) who, where, and how heads point, if they were seen
-    place_bearing, place_half, place_far : (n, places) how places are seen
-    was : (n,) place of each among those known before, −1: unknown; what follows is theirs
+    ids, position, angle, kappa, seen, group : (n,) identity, position, and head direction if observed
+    place_bearing, place_half, place_far : (n, places) bearing, half angular width and distance of places
+    was : (n,) index of each among the previous people, −1: unknown; the following arguments are theirs
     """
     n, places = place_bearing.shape
     first, head = np.zeros(n + 1, dtype=np.int64), np.empty((n, 2))

@@ -1,4 +1,4 @@
-"""People of a scene, frame by frame: where they are and how surely they face a direction."""
+"""People of a scene, frame by frame: positions, and orientations with their certainty."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ if TYPE_CHECKING:
 IntArray = NDArray[np.int64]
 
 _SLOPE_SECONDS = 0.5
-"""Velocities that nobody estimated are differences over so long to either side, where frames are closer."""
+"""Half width in seconds of the differences for missing velocities, if frames are closer."""
 
 
 @dataclass(frozen=True, eq=False)
 class People:
     """Person-frames with a position, sorted by frame and by identity within it.
 
-    Body and head are expected unit vectors: shorter, the less sure the direction; 0 where it is unknown.
+    Body and head are expected unit vectors: shorter for uncertain directions; 0 if unknown.
     """
 
     ids: IntArray  # (p,) identities, ascending
-    frame: IntArray  # (k,) the frames in which there is somebody, ascending
+    frame: IntArray  # (k,) frames with people, ascending
     t: FloatArray  # (k,) seconds
     first: IntArray  # (k + 1,) first row of each frame
-    person: IntArray  # (n,) place in ``ids``
+    person: IntArray  # (n,) index in ``ids``
     position: FloatArray  # (n, 2) metres
-    velocity: FloatArray  # (n, 2) m/s; 0 where nothing is known of it
+    velocity: FloatArray  # (n, 2) m/s; 0 if unknown
     body: FloatArray  # (n, 2)
     head: FloatArray  # (n, 2)
 
@@ -48,11 +48,11 @@ class People:
 
     @property
     def frame_of(self) -> IntArray:
-        """(n,) place in ``frame`` of each row."""
+        """(n,) index in ``frame`` of each row."""
         return np.repeat(np.arange(len(self.frame)), np.diff(self.first))
 
     def frames(self) -> Iterator[People]:
-        """Return the people of each frame by themselves."""
+        """Return the people of each frame separately."""
         for k, (begin, end) in enumerate(pairwise(self.first.tolist())):
             here, count = slice(begin, end), end - begin
             yield People(
@@ -66,10 +66,10 @@ class People:
 
 
 def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
-    """The people of a scene, as far as their positions are known.
+    """Return the people of a scene with known positions.
 
-    Estimates count with their covariance, observed angles with the concentration that they come with; angles
-    with neither count as exact. ``online``, velocities that nobody estimated are those of the past.
+    Estimates are weighted by their covariance, observed angles by their concentration; angles with neither
+    are exact. With ``online``, missing velocities are computed from the past.
     """
     chosen = sorted(tracks, key=lambda track: track.track_id)
     parts = [_rows(track, online) for track in chosen]
@@ -102,13 +102,13 @@ def _rows(track: Track, online: bool) -> tuple[np.ndarray, ...]:
 
 
 def expected_unit(angle: FloatArray, variance: FloatArray) -> FloatArray:
-    """(n, 2) mean of the unit vector of an angle, rad, with a variance, rad²; 0 where it is unknown."""
+    """Return the (n, 2) mean unit vector of an angle, rad, with a variance, rad²; 0 if unknown."""
     vector: FloatArray = np.nan_to_num(np.exp(-0.5 * variance)[:, None] * unit(angle))
     return vector
 
 
 def expected_direction(track: Track, name: str) -> FloatArray:
-    """(n, 2) mean of the unit vector of ``body`` or ``head``; 0 where the angle is unknown."""
+    """Return the (n, 2) mean unit vector of ``body`` or ``head``; 0 if the angle is unknown."""
     angle: FloatArray | None = getattr(track, name)
     if angle is None:
         return np.zeros((len(track), 2))
@@ -123,7 +123,7 @@ def expected_direction(track: Track, name: str) -> FloatArray:
 
 
 def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
-    """Slope of the positions that are known, over `_SLOPE_SECONDS` or a frame to either side."""
+    """Return the slope of known positions, over `_SLOPE_SECONDS` or a frame to either side."""
     t, position = track.t[known], track.position[known]
     count = len(t)
     if count < 2:
@@ -141,7 +141,7 @@ def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
 
 
 Told: TypeAlias = "Mapping[int, Estimate] | Iterable[PersonEstimate]"
-"""Estimates by track id, or those of a tracker, which know whose they are."""
+"""Estimates by track id, or a tracker's estimates, which have their identities."""
 
 Numbers = tuple[float, ...]
 """x, y, vx, vy, body, head, and the variances of these two: metres, seconds and radians."""
@@ -157,9 +157,9 @@ def numbers_of(estimate: Estimate) -> Numbers:
 
 
 def people_told(t: float, told: Told) -> People:
-    """The people of a frame, by identity; those who still wait for a position are left out.
+    """Return the people of a frame, by identity; people without a position yet are left out.
 
-    Raise InputError for a time that is no number, and for somebody who is told of twice.
+    Raise InputError for an invalid time, and for a person given twice.
     """
     if not math.isfinite(t):
         raise InputError(f"t = {t:g}", "a time in seconds")
@@ -174,7 +174,7 @@ def people_told(t: float, told: Told) -> People:
 
 
 def people_at(t: float, frame: int, numbers: Mapping[int, Numbers]) -> People:
-    """The people of a frame from their numbers by track id."""
+    """Return the people of a frame from their values by track id."""
     ids = sorted(numbers)
     count, table = len(ids), np.array([numbers[one] for one in ids], float).reshape(-1, 8)
     return People(

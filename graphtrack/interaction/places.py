@@ -1,4 +1,4 @@
-"""Places that people may look at: discs and polygons on the ground, and the file that lists them."""
+"""Places as gaze targets: discs and polygons on the ground, and the file that lists them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from graphtrack.tracks.validation import LARGEST_METRES
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A disc about a point, or a polygon."""
+    """Disc about a point, or polygon."""
 
-    name: str  # for people to read, and of its own
+    name: str  # display name, unique
     outline: FloatArray  # (k, 2) metres, the corners; one point for a disc
     radius: float = 0.0  # metres; 0 for a polygon
 
@@ -31,7 +31,7 @@ class Place:
         return mean
 
     def seen_from(self, position: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Bearing and half the angle, radians, under which it is seen from (n, 2); how far it is, metres."""
+        """Return bearing and half angular width, radians, and distance, metres, from (n, 2)."""
         away = self.centre - position
         far, bearing = np.linalg.norm(away, axis=1), direction(away)
         if self.radius > 0.0:
@@ -44,7 +44,7 @@ class Place:
 
 
 def _inside(position: FloatArray, outline: FloatArray) -> np.ndarray:
-    """Return whether points (n, 2) lie in a polygon, by ray casting."""
+    """Return True for points (n, 2) inside a polygon, by ray casting."""
     x, y = position.T
     ax, ay = outline.T
     bx, by = np.roll(outline, -1, axis=0).T
@@ -57,8 +57,8 @@ def _inside(position: FloatArray, outline: FloatArray) -> np.ndarray:
 def read_places(path: str | Path) -> list[Place]:
     """Read places: CSV with ``name`` and either ``x, y, radius`` or ``polygon`` (``x y x y x y …``), metres.
 
-    Raise InputError with line and column: a place without radius and polygon, or with both, a name twice, no
-    number.
+    Raise InputError with line and column: a place without radius and polygon, or with both, a duplicate name,
+    an invalid number.
     """
     source = Source.open(path)
     reader = csv.DictReader(source.lines, skipinitialspace=True)

@@ -1,4 +1,4 @@
-"""Scores of groups, as in the literature of F-formations, and of looks, given labels."""
+"""Scores of groups, as in the literature of F-formations, and of gaze, given labels."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from graphtrack.io.groups import UNLABELLED, IntArray
 Group = frozenset[int]
 
 BINS = 15
-"""Of probabilities, for calibration errors."""
+"""Number of probability bins for calibration errors."""
 LEAST = 1e-3
-"""What the probability of a look counts for at least: labels have mistakes, too."""
+"""Smallest probability of a gaze target in the log score, since labels have errors."""
 
 
 @dataclass(frozen=True)
 class GroupScore:
-    """Groups beside the truth; frames are averaged.
+    """Scores of groups against the truth, averaged over frames.
 
     Attributes
     ----------
-    frames : that are labelled
+    frames : number of labelled frames
     precision, recall, f1 : share of the estimated and of the true groups that match, and their harmonic mean;
-        a match has ⌈T·n⌉ of the n members of a true group and ⌈(1 − T)·n⌉ others at most (Setti et al. 2015);
+        a match has at least ⌈T·n⌉ of the n members of a true group and at most ⌈(1 − T)·n⌉ other people
+        (Setti et al. 2015);
         first at T = 2/3, then at T = 1
-    pair_precision, pair_recall, pair_f1 : of pairs that share a group, over all frames
+    pair_precision, pair_recall, pair_f1 : scores of pairs that share a group, over all frames
     """
 
     frames: int
@@ -45,7 +46,7 @@ class GroupScore:
     pair_f1: float
 
     def shown(self) -> list[dict[str, object]]:
-        """Rows of a table."""
+        """Return the rows of a table."""
         names = ("groups, two thirds of the members", "groups, all of the members", "pairs")
         precision, recall = (*self.precision, self.pair_precision), (*self.recall, self.pair_recall)
         rows = zip(names, precision, recall, (*self.f1, self.pair_f1), strict=True)
@@ -62,7 +63,7 @@ class GroupScore:
 
 
 def matches(estimated: Sequence[Group], true: Sequence[Group], share: float) -> int:
-    """Number of true groups that are matched, each by an estimated group of its own."""
+    """Return the number of true groups matched one-to-one by estimated groups."""
     left, count = list(estimated), 0
     for group in true:
         need = math.ceil(share * len(group) - 1e-9)
@@ -76,13 +77,12 @@ def matches(estimated: Sequence[Group], true: Sequence[Group], share: float) -> 
 
 
 def score_groups(frame: IntArray, track_id: IntArray, estimated: IntArray, true: IntArray) -> GroupScore:
-    """Judge groups in the frames that are labelled.
+    """Score groups in the labelled frames.
 
     Parameters
     ----------
     frame, track_id : (n,) of the rows
-    estimated, true : (n,) numbers that those of a group share within a frame, −1 for those alone;
-        `UNLABELLED` where nothing is known
+    estimated, true : (n,) group numbers within a frame, −1 for people alone; `UNLABELLED` if unknown
     """
     used = true != UNLABELLED
     order = np.flatnonzero(used)[np.argsort(frame[used], kind="stable")]
@@ -135,20 +135,20 @@ def _pairs(found: Sequence[Group], known: Sequence[Group]) -> tuple[int, int, in
 
 @dataclass(frozen=True)
 class LookScore:
-    """Probabilities of looks beside the truth."""
+    """Scores of gaze probabilities against the truth."""
 
-    frames: int  # of people, that are labelled
-    right: float  # share in which the likeliest target is the true one
+    frames: int  # labelled person-frames
+    right: float  # share with the true target as most probable target
     log_score: float  # mean logarithm of the probability of the true target
-    # expected calibration error of the likeliest target (Naeini et al. 2015, 15 bins)
+    # expected calibration error of the most probable target (Naeini et al. 2015, 15 bins)
     calibration_error: float
-    target_calibration_error: float  # that of all people and targets together
+    target_calibration_error: float  # the same over all people and targets
 
     def shown(self) -> list[dict[str, object]]:
-        """Rows of a table."""
+        """Return the rows of a table."""
         return [
             {
-                "likeliest target right": self.right,
+                "most probable target correct": self.right,
                 "log score": self.log_score,
                 "calibration error": self.calibration_error,
                 "of all targets": self.target_calibration_error,
@@ -163,9 +163,9 @@ class LookScore:
 def true_shares(
     found: Sequence[Attention], labels: LookLabels
 ) -> list[tuple[Attention, IntArray, BoolArray]]:
-    """Of each person: the rows that are labelled, and which of the targets in each is true.
+    """Return the labelled rows of each person, and the index of the true target in each.
 
-    Whoever is looked at from too far away is nothing of what could be known.
+    A target beyond the largest distance counts as no target.
     """
     parts = []
     for one in found:
@@ -182,9 +182,9 @@ def true_shares(
 def score_looks(
     found: Sequence[Attention], labels: LookLabels, span: tuple[float, float] = (-np.inf, np.inf)
 ) -> LookScore:
-    """Judge looks in the frames that are labelled, from a time to another.
+    """Score gaze in the labelled frames of a time interval.
 
-    Raise InputError where no look is labelled.
+    Raise InputError without labelled gaze.
     """
     p, y, top, hit = [], [], [], []
     for one, rows, true in true_shares(found, labels):
@@ -208,7 +208,7 @@ def score_looks(
 
 
 def calibration_error(probability: FloatArray, true: BoolArray) -> float:
-    """Mean difference of a probability (n,) and of how often what it is of is true (n,), over `BINS`."""
+    """Return the mean difference of probability (n,) and observed frequency (n,), over `BINS`."""
     bins = np.minimum((BINS * probability).astype(int), BINS - 1)
     off = np.bincount(bins, probability, BINS) - np.bincount(bins, true.astype(float), BINS)
     return float(np.abs(off).sum() / len(probability))

@@ -1,4 +1,4 @@
-"""Files of groups, looks and attention, and of the parameters of both."""
+"""Files of groups, gaze labels and attention, and of the parameters of both."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from graphtrack.tracks.validation import LARGEST_ID, with_table
 IntArray = NDArray[np.int64]
 
 NOBODY = -1
-"""Target of looks at nobody."""
+"""Gaze target: nobody."""
 
 _FIRST_LINE = 2
 _TARGETS = ("person", "place", "nothing")
@@ -33,13 +33,13 @@ _TARGETS = ("person", "place", "nothing")
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """The cells of a CSV file, (rows,) each; errors with their line."""
+    """Columns of a CSV file, (rows,) each; errors have the line."""
 
     path: Path
     cells: Mapping[str, NDArray[np.object_]]
 
     def refuse(self, wrong: NDArray[np.bool_], name: str, expected: str) -> None:
-        """The first row that is wrong is an `InputError`."""
+        """Raise `InputError` for the first wrong row."""
         if wrong.any():
             row = int(np.argmax(wrong))
             cell = str(self.cells[name][row])
@@ -47,7 +47,7 @@ class _Rows:
             raise InputError(found, expected, path=self.path, line=row + _FIRST_LINE, column=name)
 
     def numbers(self, name: str, *, needed: bool = True) -> FloatArray:
-        """Finite numbers; NaN for empty cells that are not needed, and for a column that is not there."""
+        """Return finite numbers; NaN for empty optional cells, and for a missing column."""
         import pandas as pd
 
         if name not in self.cells:
@@ -58,7 +58,7 @@ class _Rows:
         return found
 
     def whole(self, name: str, *, needed: bool = True) -> IntArray:
-        """Whole numbers; `UNLABELLED` for empty cells that are not needed."""
+        """Return integers; `UNLABELLED` for empty optional cells."""
         found = self.numbers(name, needed=needed)
         found = np.where(np.isnan(found), UNLABELLED, found)
         self.refuse((found != np.round(found)) | (abs(found) > LARGEST_ID), name, "a whole number")
@@ -71,14 +71,14 @@ class _Rows:
         return found
 
     def words(self, name: str, known: Sequence[str]) -> IntArray:
-        """The place of each cell among the words that are known."""
+        """Return the index of each cell in the known words."""
         places = {word: place for place, word in enumerate(known)}
         found = np.array([places.get(cell, -1) for cell in self.cells[name]], dtype=np.int64)
         self.refuse(found < 0, name, "one of " + ", ".join(word or "nothing" for word in known))
         return found
 
     def once(self, *keys: NDArray[np.generic]) -> None:
-        """Refuse rows that say the same key again."""
+        """Refuse rows with duplicate keys."""
         order = np.lexsort(tuple(reversed(keys)))
         same = np.ones(len(order) - 1, dtype=bool)
         for key in keys:
@@ -108,10 +108,10 @@ def _read(path: str | Path, needed: Sequence[str]) -> _Rows:
 
 
 def read_group_table(path: str | Path) -> Groups:
-    """Read what ``graphtrack groups`` wrote, or any table with ``frame``, ``track_id`` and ``group``.
+    """Read the output of ``graphtrack groups``, or any table with ``frame``, ``track_id`` and ``group``.
 
     Without ``kind`` groups are conversations; without ``probability`` or the centre these are NaN. Raise
-    InputError with line and column: no number, an unknown kind, a probability that is none, somebody twice.
+    InputError with line and column: an invalid number, kind or probability, or a person twice.
     """
     rows = _read(path, ("frame", "track_id", "group"))
     frame, person, group = (rows.whole(name) for name in ("frame", "track_id", "group"))
@@ -127,13 +127,13 @@ def read_group_table(path: str | Path) -> Groups:
 
 @dataclass(frozen=True, eq=False)
 class LookLabels:
-    """Labelled targets of looks: (n,) rows of a person in a frame.
+    """Labelled gaze targets: (n,) rows of a person in a frame.
 
     Attributes
     ----------
-    frame, track_id : ascending by the person, then by the frame
-    target : id of who is looked at; `NOBODY`: nobody
-    path : of the file
+    frame, track_id : sorted by person, then by frame
+    target : id of the gaze target; `NOBODY`: nobody
+    path : path of the file
     """
 
     frame: IntArray
@@ -142,7 +142,7 @@ class LookLabels:
     path: Path
 
     def of(self, track_id: int, frame: IntArray) -> IntArray:
-        """(n,) targets of a person in frames, ascending; `UNLABELLED` where nothing is said."""
+        """Return (n,) targets of a person in frames, ascending; `UNLABELLED` without a label."""
         mine = self.track_id == track_id
         known, found = self.frame[mine], np.full(len(frame), UNLABELLED, dtype=np.int64)
         _, here, there = np.intersect1d(frame, known, return_indices=True)
@@ -151,10 +151,10 @@ class LookLabels:
 
 
 def read_looks(path: str | Path) -> LookLabels:
-    """Read labelled looks: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
+    """Read gaze labels: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
 
-    Rows whose target is empty say nothing. Raise InputError with line and column: no whole number, somebody
-    who looks at themselves, a person twice in a frame.
+    Rows with an empty target are unlabelled. Raise InputError with line and column: an invalid integer, a
+    person as their own target, a person twice in a frame.
     """
     rows = _read(path, ("frame", "track_id", "target"))
     frame, person = rows.whole("frame"), rows.whole("track_id")
@@ -162,16 +162,16 @@ def read_looks(path: str | Path) -> LookLabels:
     said = np.isfinite(rows.numbers("target", needed=False))
     target = rows.whole("target", needed=False)
     rows.refuse(said & (target < NOBODY), "target", "an id, or -1 for nobody")
-    rows.refuse(said & (target == person), "target", "somebody else than who looks, or -1 for nobody")
+    rows.refuse(said & (target == person), "target", "another person, or -1 for nobody")
     order = np.lexsort((frame, person))
     order = order[said[order]]
     return LookLabels(frame[order], person[order], target[order], rows.path)
 
 
 def read_attention(path: str | Path) -> list[Attention]:
-    """Read what ``graphtrack attention`` wrote; targets that the table leaves out have the probability 0.
+    """Read the output of ``graphtrack attention``; targets missing in the table have the probability 0.
 
-    Raise InputError with line and column: no number, an unknown kind, a target that is no person, a target
+    Raise InputError with line and column: an invalid number or kind, a target that is not a person, a target
     twice.
     """
     rows = _read(path, ("frame", "t", "track_id", "kind", "target", "probability"))
@@ -207,7 +207,7 @@ Made = TypeVar("Made", GroupParameters, AttentionParameters)
 
 
 def save_parameters(parameters: GroupParameters | AttentionParameters, path: str | Path) -> None:
-    """Write parameters of groups or of attention (TOML), whole or not at all."""
+    """Write parameters of groups or of attention (TOML), atomically."""
     if isinstance(parameters, AttentionParameters):
         content = {"attention": asdict(parameters)}
     else:
@@ -217,7 +217,7 @@ def save_parameters(parameters: GroupParameters | AttentionParameters, path: str
 
 
 def load_parameters(path: str | Path) -> GroupParameters:
-    """Read parameters of groups (TOML); what is not named is as it was learned.
+    """Read parameters of groups (TOML); missing keys have the learned defaults.
 
     Raise InputError with the file and the key.
     """
@@ -225,7 +225,7 @@ def load_parameters(path: str | Path) -> GroupParameters:
 
 
 def load_attention(path: str | Path) -> AttentionParameters:
-    """Read parameters of attention (TOML); what is not named is as by default.
+    """Read parameters of attention (TOML); missing keys have the defaults.
 
     Raise InputError with the file and the key.
     """
@@ -233,11 +233,11 @@ def load_attention(path: str | Path) -> AttentionParameters:
 
 
 def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made]) -> Made:
-    """Return parameters made of a file's table; errors name the file."""
+    """Return parameters from a file's table; errors name the file."""
     table = read_toml(path, "a file of parameters").get(name)
     try:
         if not isinstance(table, dict):
-            raise InputError(f"no table [{name}]", f"what 'graphtrack fit --{name}' writes")
+            raise InputError(f"no table [{name}]", f"the output of 'graphtrack fit --{name}'")
         return made(table)
     except InputError as error:
         raise InputError(error.found, error.expected, path=path) from error

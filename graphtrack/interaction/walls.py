@@ -15,7 +15,7 @@ from graphtrack.model.terms.walls import MARGIN, StaysInside, with_walls, withou
 from graphtrack.tracks.track import Track, TrackSet
 
 ROUNDS = 4
-"""Most times that walls are taken at the estimates of the round before."""
+"""Most rounds in which walls are selected at the previous estimates."""
 
 Solve = Callable[[TrackSet], list[Solution | Failure]]
 
@@ -28,10 +28,10 @@ def model_with_walls(model: Model) -> Model:
 def solve_inside(
     tracks: TrackSet, solve: Solve, solve_with_walls: Solve, area: WalkableArea
 ) -> list[Solution | Failure]:
-    """Solve tracks, and those whose estimates come near a wall again with the walls near these estimates.
+    """Solve tracks, and solve again tracks with estimates near a wall, with the walls near these estimates.
 
-    An estimate that keeps `MARGIN` from all walls is that with walls, too: the barrier is 0 there. Where the
-    walls near the new estimates are others, these are taken in turn.
+    An estimate at least `MARGIN` from all walls is unchanged by walls, as the barrier is 0 there. If other
+    walls are near the new estimates, the tracks are solved again with these.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def _is_inside(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.
 
 
 def _is_near(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.bool_]:
-    """Return (n,) where a position is outside, or the barrier of a wall reaches it."""
+    """Return (n,) True for positions outside, or within the barrier of a wall."""
     walls = area.walls(position).reshape(len(position), -1, 3)
     inside = np.sum(walls[..., :2] * position[:, None], axis=2) - walls[..., 2]
     is_wall = np.any(walls[..., :2] != 0.0, axis=2)

@@ -1,4 +1,4 @@
-"""Paths to write: checks before the work begins, and writing that happens whole or not at all.
+"""Output paths: checks before the work begins, and atomic writing.
 
 Errors of libraries that read and write files become `InputError` with the name of the file.
 """
@@ -23,19 +23,19 @@ from pathlib import Path
 from graphtrack.errors import GraphtrackError, InputError
 
 ERRORS = (OSError, EOFError, MemoryError, UnicodeError, sqlite3.Error, zlib.error, struct.error)
-"""Exceptions that say something of a file or of the machine, and not of a mistake in this package."""
+"""Exceptions caused by a file or by the machine, and not by a mistake in this package."""
 
 WRITING = (OSError, sqlite3.Error)
-"""Those of them that writing raises; what is written is often computed in the same block."""
+"""The subset that writing raises; the data written is often computed in the same block."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Error numbers of a place to which no more can be written."""
+"""Error numbers of a full or read-only file system."""
 
-_PROBE = 2**18  # bytes that are written to see whether a place is full: several pages of a database
+_PROBE = 2**18  # bytes written to test whether a disk is full: several pages of a database
 
 
 def described(error: BaseException) -> str:
-    """The first line of what an exception says; of the operating system's errors what they mean."""
+    """Return the first line of an exception's message, or the meaning of an operating system error."""
     if isinstance(error, OSError) and error.errno in FULL:
         return os.strerror(error.errno)
     if isinstance(error, OSError) and error.strerror:
@@ -49,7 +49,7 @@ def described(error: BaseException) -> str:
 
 @contextmanager
 def read_errors(path: Path) -> Iterator[None]:
-    """Turn what libraries raise while the block reads ``path`` into an `InputError` that names it."""
+    """Convert exceptions of libraries that read ``path`` in the block to an `InputError` that names it."""
     try:
         yield
     except GraphtrackError:
@@ -60,10 +60,10 @@ def read_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def write_errors(path: Path, folder: Path) -> Iterator[None]:
-    """Turn what libraries raise while the block writes ``path`` into an `InputError` that names it.
+    """Convert exceptions of libraries that write ``path`` in the block to an `InputError` that names it.
 
-    Libraries say in many ways that a disk is full, or fail later because of it: after any exception it is
-    tried whether ``folder``, to which was written, is full.
+    Libraries report a full disk in many ways, or fail later because of it: after any exception ``folder``,
+    the destination, is tested for free space.
     """
     try:
         yield
@@ -78,7 +78,7 @@ def write_errors(path: Path, folder: Path) -> Iterator[None]:
 
 
 def _why_full(folder: Path) -> str | None:
-    """The reason why nothing more can be written to a folder; None where it can."""
+    """Return the reason why a folder cannot be written to; None where it can."""
     probe = folder / ".probe"
     try:
         probe.write_bytes(bytes(_PROBE))
@@ -95,7 +95,7 @@ _Identity = tuple[int | str, ...]
 
 
 def destination(path: Path) -> Path:
-    """The file that writing to a path creates: of a symbolic link its target, existing or not."""
+    """Return the file that writing to a path creates: the target of a symbolic link, existing or not."""
     if not path.is_symlink():
         return path
     try:
@@ -109,7 +109,7 @@ def destination(path: Path) -> Path:
 
 
 def check_place(path: Path, *, directory: bool = False) -> None:
-    """Refuse a path where no file, or else no ``directory``, can be written whole."""
+    """Refuse a path where no file (or folder, with ``directory``) can be written."""
     if path.is_dir():
         if not directory:
             raise InputError("a folder", "the path of a file to write", path=path)
@@ -130,21 +130,21 @@ def check_distinct(
     folders: Mapping[str, Path | None] | None = None,
     to_make: Iterable[Path] = (),
 ) -> None:
-    """Refuse outputs that cannot be written, or that would take the place of an input or of one another.
+    """Refuse outputs that cannot be written, or that would overwrite an input or another output.
 
-    Paths are compared by what they mean: through symbolic and hard links, and spellings such as ``./``.
+    Paths are compared after resolving symbolic links, hard links and spellings such as ``./``.
 
     Parameters
     ----------
-    outputs : name, as a user knows it → the files to write
-    inputs : name → what is read; in a folder among it nothing may be written
-    folders : name → a folder that is written whole, and in which nothing else may be
-    to_make : folders that will be made before anything is written to them
+    outputs : name, as users know it → the files to write
+    inputs : name → paths that are read; nothing may be written within an input folder
+    folders : name → an output folder, which may hold nothing else
+    to_make : folders that will be created before anything is written to them
 
     Raises
     ------
     InputError
-        With the names of both.
+        With the names of both paths.
     """
     taken: dict[_Identity, _Claim] = {}
     closed: dict[_Identity, _Claim] = {}
@@ -163,7 +163,7 @@ def check_distinct(
 
 
 def check_read_once(inputs: Iterable[Path]) -> None:
-    """Refuse a file that is given twice: its people would be read as others who walk the same way."""
+    """Refuse a file that is given twice: its people would be counted twice."""
     known: dict[_Identity, Path] = {}
     for path in inputs:
         before = known.setdefault(_identity(path), path)
@@ -173,7 +173,7 @@ def check_read_once(inputs: Iterable[Path]) -> None:
 
 @dataclass(frozen=True)
 class _Claim:
-    """A place that has its use already."""
+    """A path that is already an input or an output."""
 
     name: str
     path: Path
@@ -189,7 +189,7 @@ def _each(named: Mapping[str, Paths]) -> Iterator[tuple[str, Path]]:
 def _claimed(
     name: str, path: Path, taken: dict[_Identity, _Claim], closed: Mapping[_Identity, _Claim]
 ) -> _Claim:
-    """The claim of an output, added to what is ``taken``, if nothing stands against it."""
+    """Add the claim of an output to those ``taken``, and return it; refuse a conflict."""
     other = taken.get(_identity(path))
     if other is not None:
         spelt = "" if str(other.path) == str(path) else f" ({other.path})"
@@ -207,7 +207,7 @@ def _claimed(
 
 
 def _identity(path: Path) -> _Identity:
-    """The same for all paths of a file or folder; of one that is not there, for all that would make it."""
+    """Return a key shared by all paths of a file or folder, existing or not."""
     try:
         status = path.stat()
     except (OSError, ValueError):  # ValueError: a path with a null byte
@@ -226,24 +226,24 @@ _UNFINISHED = ".unfinished"  # ending of the hidden folders in which results gro
 
 @contextmanager
 def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
-    """A temporary path to write to; it takes the place of ``path`` when the block succeeds.
+    """Yield a temporary path to write to; it replaces ``path`` when the block succeeds.
 
     Parameters
     ----------
-    path : where the result goes; an existing file is replaced, an existing directory only if it is empty. Of
-        a symbolic link the target is written, whether it is there already or not.
+    path : destination; an existing file is replaced, an existing directory only if it is empty. A symbolic
+        link is followed, whether its target exists or not.
     directory : whether the result is a directory (the block gets an empty one) or a file
 
     Raises
     ------
     InputError
-        When the place cannot be written to. Nothing is left behind then, nor when the block raises.
+        If the destination cannot be written to. Nothing is left behind then, nor when the block raises.
 
     Notes
     -----
     The temporary path lies in a hidden folder next to the result, since replacing is atomic only within one
     file system, and keeps the name of ``path``, since many writers choose their format by it. A process that
-    is killed leaves that folder behind; the next writing to the same place removes it.
+    is killed leaves that folder behind; the next write to the same path removes it.
     """
     given = Path(path)
     check_place(given, directory=directory)
@@ -266,7 +266,7 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _told_of(path: Path, temporary: Path) -> Iterator[None]:
-    """Have errors about the temporary path name the one that was given."""
+    """Replace the temporary path in errors with the path that was given."""
     try:
         yield
     except InputError as error:
@@ -278,7 +278,7 @@ def _told_of(path: Path, temporary: Path) -> Iterator[None]:
 
 @contextmanager
 def _scratch(path: Path) -> Iterator[Path]:
-    """A hidden folder next to ``path``, gone afterwards; its name says which process of which host writes."""
+    """Create a hidden temporary folder next to ``path``; its name holds the host and the process id."""
     owner = f".{path.name}.{zlib.crc32(socket.gethostname().encode()):08x}-"
     left = re.compile(re.escape(owner) + r"(\d+)-[a-z0-9_]{8}" + re.escape(_UNFINISHED))
     with contextlib.suppress(PermissionError):  # a folder that can be written to but not listed
@@ -300,7 +300,7 @@ def _is_running(process: int) -> bool:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # somebody else's
+    except OSError:  # a process of another user
         return True
     return True
 
@@ -324,7 +324,7 @@ def flush_entry(path: Path) -> None:
 
 
 def _match_mode(path: Path, final: Path) -> None:
-    """Give the result the permissions that it would have after a plain ``open`` of its final place."""
+    """Give the result the permissions that a plain ``open`` of its final path would have given."""
     if final.exists():
         path.chmod(final.stat().st_mode & 0o7777)
         return

@@ -1,4 +1,4 @@
-"""From pixels and boxes to the ground: the camera of a reader, its files, and a scale where none is known."""
+"""Projection of pixels and boxes to the ground: a reader's camera, its files, and a scale without camera."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows, no_camera
 
 NO_CAMERA = "NO CAMERA IS KNOWN"
-"""Beginning of that note: distances are rough then, and differ from file to file."""
+"""Beginning of that note: without a camera distances are approximate, and differ between files."""
 
 PERSON_HEIGHT = 1.7
 """Metres; the scale of views without a camera is chosen so that the median person has this size."""
 
 _LARGEST_SETTING = 1e7
 _DISTORTION = tuple(f"Distortion{name}" for name in ("K1", "K2", "P1", "P2", "K3"))
-_FISHEYE = tuple(f"FisheyeK{k}" for k in (1, 2, 3, 4))  # names of which any says that the lens is a fisheye
+_FISHEYE = tuple(f"FisheyeK{k}" for k in (1, 2, 3, 4))  # any of these names means a fisheye lens
 _QUATERNION = ("RotationX", "RotationY", "RotationZ", "RotationW")
 
 BEYOND_HORIZON = "at or beyond the camera's horizon"
 
 
 def known_camera(options: ReadOptions, visible: FloatArray) -> tuple[GroundCamera | None, tuple[str, ...]]:
-    """The camera that the options name, and notes on it; None if they name none.
+    """Return the camera that the options name, and notes on it; None if they name none.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ def _handedness(camera: GroundCamera) -> tuple[str, ...]:
 def camera_or_scale(
     options: ReadOptions, visible: FloatArray, size: FloatArray, *, size_is: str = "box height"
 ) -> tuple[GroundCamera, tuple[str, ...]]:
-    """The camera that the options name or, failing that, a scale.
+    """Return the camera that the options name or, failing that, a scale.
 
     Parameters
     ----------
     visible : (n, 2) pixels of people's feet
-    size : (n,) pixels, how large people appear
+    size : (n,) pixels, image sizes of people
     size_is : what ``size`` measures, for the note
     """
     camera, notes = known_camera(options, visible)
@@ -102,7 +102,7 @@ def on_ground(rows: Rows, camera: GroundCamera, notes: tuple[str, ...] = ()) -> 
 
 
 def place_pixels(rows: Rows, options: ReadOptions) -> Rows:
-    """Give rows of the native table positions, from their pixels if they have none."""
+    """Add positions to rows of the native table, projected from their pixels if they have none."""
     pixel = rows.channels.get("pixel")
     if pixel is None:
         return rows
@@ -120,7 +120,7 @@ def place_pixels(rows: Rows, options: ReadOptions) -> Rows:
 
 
 def read_homography(path: str | Path) -> FloatArray:
-    """The 3×3 numbers of a text file (spaces or commas)."""
+    """Read a 3×3 matrix from a text file (spaces or commas)."""
     source = Source.open(path)
     numbers = read_numbers(source, delimiter=None, widths=(3, 9), names=(), comments=True)
     if numbers.values.size != 9:
@@ -134,7 +134,7 @@ def read_homography(path: str | Path) -> FloatArray:
 
 
 def read_calibration(path: str | Path) -> GroundCamera:
-    """A camera from the ``Name = number`` lines of an Oxford Town Centre calibration (``.ci``).
+    """Read a camera from the ``Name = number`` lines of an Oxford Town Centre calibration (``.ci``).
 
     x_cam = R(q)·X + t in metres, z = 0 the ground; skew must be 0. With a line ``FisheyeK1 = number`` (to
     ``FisheyeK4``, 0 where there is none) the lens is a fisheye of OpenCV's model.
@@ -186,7 +186,7 @@ def write_calibration(
     rotation, translation : (3, 3) and (3,) metres: a point X of the world has camera coordinates R·X + t
     intrinsics : (3, 3) camera matrix in pixels
     fisheye : k1 … k4 of OpenCV's fisheye model; none for a pinhole
-    remarks : further lines, such as how uncertain it is; names that `read_calibration` does not know
+    remarks : further lines, such as its uncertainty, under names that `read_calibration` does not know
     """
     from scipy.spatial.transform import Rotation
 
@@ -241,7 +241,7 @@ def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ..
 
 
 def _row_selection(text: str | None, count: int) -> list[int]:
-    """Indices from 0 of a selection such as ``"1,5-8"`` that counts from 1."""
+    """Return the 0-based indices of a 1-based selection such as ``"1,5-8"``."""
     if text is None:
         return list(range(count))
     chosen: list[int] = []
@@ -257,7 +257,7 @@ def _row_selection(text: str | None, count: int) -> list[int]:
 
 
 def placed_boxes(rows: Rows, options: ReadOptions) -> Rows:
-    """Rows with positions: their own metres, or the middle of the lower edge of each box on the ground.
+    """Add positions: the file's metres, or the middle of each box's lower edge projected to the ground.
 
     Parameters
     ----------
@@ -279,11 +279,11 @@ def placed_boxes(rows: Rows, options: ReadOptions) -> Rows:
 
 
 def with_scores(rows: Rows) -> Rows:
-    """Detections with the channel ``score`` (n,), from their confidences; rows with identities as they are.
+    """Add the channel ``score`` (n,) to detections, from their confidences; rows with identities stay as is.
 
-    A detector's confidences are of any kind. Those from 0 on are taken as they are. Where some are negative,
-    such as log odds and distances from a separating plane (the DPM of MOT16), the score of all is
-    1 / (1 + exp(-confidence)), which keeps their order; a note says so. -1 throughout says nothing.
+    Detectors differ in their scale of confidence. Non-negative confidences are kept. Where some are negative,
+    such as log odds and distances from a separating plane (the DPM of MOT16), all scores are
+    1 / (1 + exp(-confidence)), which keeps their order, and a note is added. -1 throughout means unknown.
     """
     confidence = rows.channels["confidence"]
     if rows.has_identity or (confidence == -1.0).all():

@@ -1,4 +1,4 @@
-"""Tables as they stand in files and objects, and their columns as numbers, times and identities, strictly."""
+"""Raw cells of tables, and strict conversion of their columns to numbers, times and identities."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class Cells:
     def fail(
         self, found: str, expected: str, row: int | None = None, column: str | None = None
     ) -> InputError:
-        """The error for a cell, a row (from 0), a column, or all of it."""
+        """Return the error for a cell, a row (from 0), a column, or the whole table."""
         line = None if row is None else self.line_of(row)
         return InputError(found, expected, path=self.path, line=line, column=column)
 
 
 def cells_of_csv(source: Source, *, header: bool) -> Cells:
-    """A table with commas between its cells; without a ``header`` its columns are called 1, 2, …"""
+    """Read a comma-separated table; without a ``header`` its columns are called 1, 2, …"""
     names: list[str] | None = None
     rows: list[list[str]] = []
     numbers: list[int] = []
@@ -83,7 +83,7 @@ def cells_of_csv(source: Source, *, header: bool) -> Cells:
 
 def _names(source: Source, row: list[str], line: int) -> list[str]:
     names = [name.strip() for name in row]
-    # A table with the numbers of its rows has no name above them.
+    # A column of row numbers has no name.
     names = [name or f"column {k + 1}" for k, name in enumerate(names)]
     twice = repeated(names)
     if twice is not None:
@@ -92,7 +92,7 @@ def _names(source: Source, row: list[str], line: int) -> list[str]:
 
 
 def cells_of_ndjson(source: Source) -> Cells:
-    """A table of JSON objects, one a line, whose values are numbers, text or null."""
+    """Read a table of JSON objects, one a line, whose values are numbers, text or null."""
     names: dict[str, None] = {}
     rows: list[dict[str, Any]] = []
     numbers: list[int] = []
@@ -111,14 +111,14 @@ def cells_of_ndjson(source: Source) -> Cells:
         rows.append(row)
         numbers.append(number)
         names |= dict.fromkeys(row)
-    # Lists and objects become text, which no number is.
+    # Lists and objects become text, which fails as a number.
     rows = [{k: repr(v) if isinstance(v, list | tuple) else v for k, v in row.items()} for row in rows]
     columns = {name: np.array([row.get(name) for row in rows], dtype=object) for name in names}
     return Cells(source.path, "ndjson", columns, numbers.__getitem__, {})
 
 
 def cells_of_parquet(source: Source) -> Cells:
-    """A Parquet file."""
+    """Read a Parquet file."""
     import pyarrow.parquet as pq
 
     with damage_told(source.path):
@@ -129,7 +129,7 @@ def cells_of_parquet(source: Source) -> Cells:
 
 
 def cells_of_arrow(table: Any, path: Path, format: str) -> Cells:
-    """A table of pyarrow."""
+    """Return the cells of a pyarrow table."""
     import pyarrow as pa
 
     names = table.column_names
@@ -157,7 +157,7 @@ def cells_of_arrow(table: Any, path: Path, format: str) -> Cells:
 
 
 def cells_of_frame(table: Any) -> Cells:
-    """A DataFrame of pandas or polars, another table that speaks Arrow, or a mapping name → column."""
+    """Return the cells of a pandas or polars DataFrame, another Arrow table, or a mapping name → column."""
     path = Path("table")
     if not hasattr(table, "iloc") and hasattr(table, "__arrow_c_stream__"):
         import pyarrow as pa
@@ -189,12 +189,12 @@ _LONGEST = 40  # characters of a cell that a message repeats
 
 
 def is_empty(cell: object) -> bool:
-    """Return whether a cell says nothing."""
+    """Return whether a cell is empty."""
     return cell is None or cell != cell or (isinstance(cell, str) and not cell.strip())
 
 
 def numbers(cells: Cells, name: str) -> FloatArray:
-    """A column as (n,) finite numbers, NaN where it is empty."""
+    """Return a column as (n,) finite numbers, NaN where it is empty."""
     values = cells.columns[name]
     if values.dtype.kind in "iuf":
         found = values.astype(float)
@@ -231,9 +231,9 @@ def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
 
 
 def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
-    """Identities as (n,) whole numbers, and track id → text where they are text; NaN where a cell is empty.
+    """Return identities (n,) as whole numbers, NaN where a cell is empty, and track id → text for text.
 
-    Whole numbers stay what they are; text is numbered from 1 in the order in which it comes.
+    Whole numbers are kept; text is numbered from 1 in the order of appearance.
     """
     values = cells.columns[name]
     if values.dtype.kind in "iuf":
@@ -264,7 +264,7 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
 
 
 def numbered_names(names: Sequence[str]) -> tuple[NDArray[np.int64], dict[int, str]]:
-    """Identities (n,) by their names, and track id → name where those are text; see `identities`."""
+    """Return identities (n,) of a list of names, and track id → name for text; see `identities`."""
     if all(_is_whole(name) for name in names):
         return np.array([int(name) for name in names], dtype=np.int64), {}
     known = {name: k for k, name in enumerate(dict.fromkeys(names), 1)}
@@ -282,12 +282,12 @@ def _is_whole(text: str) -> bool:
 def times(
     cells: Cells, name: str, unit: str | None, beside: TimeScale | None
 ) -> tuple[FloatArray, TimeScale, list[str]]:
-    """Seconds (n,), NaN where a cell is empty, what the times were, and notes on what was taken for granted.
+    """Return seconds (n,), NaN where a cell is empty, the time scale, and notes on assumptions.
 
     Parameters
     ----------
     unit : of numbers; "iso" for text; None: seconds, or ISO 8601
-    beside : of a table whose times count from the same
+    beside : scale of a table with the same time origin
     """
     values = cells.columns[name]
     if values.dtype.kind == "M":
@@ -326,7 +326,7 @@ def _check_reach(cells: Cells, name: str, values: FloatArray, unit: str) -> None
 
 
 def _whole(values: NDArray[Any]) -> NDArray[np.int64] | None:
-    """A column that is nothing but whole numbers, exactly; None if it is not."""
+    """Return a column of whole numbers exactly; None if it has others."""
     if values.dtype.kind in "iu":
         return values.astype(np.int64)
     if values.dtype.kind != "O":

@@ -1,4 +1,4 @@
-"""Well-known names of columns: those that are read by themselves, and those that are only proposed."""
+"""Well-known names of columns: those that are read automatically, and those that are only proposed."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
         "y": "posy positiony ypos yposition ycoord ycoordinate coordy worldy yworld",
     }.items()
 }
-"""Native column → names without marks and units and in lower case.
+"""Native column → synonyms, in lower case without punctuation and units.
 
-Each means this in published tables of people; it is read so where the native column is absent.
+Each has this meaning in published tables of people; it is read so where the native column is absent.
 """
 
 _POSSIBLE = {
@@ -43,7 +43,7 @@ _POSSIBLE = {
     "x": "px coordinatex groundx gx locx locationx centerx centrex easting east",
     "y": "py coordinatey groundy gy locy locationy centery centrey northing north",
 }
-"""Further names that may mean it: proposed by `graphtrack info --suggest`, never taken by themselves."""
+"""Further synonyms: proposed by `graphtrack info --suggest`, never read automatically."""
 
 LENGTHS = {"m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "cm": "cm", "mm": "mm"}
 LENGTHS |= {"ft": "ft", "feet": "ft"}
@@ -73,7 +73,7 @@ _NO_METRES = frozenset(("u", "v", "lat", "lon"))  # with these columns no other 
 
 
 def plain(name: str) -> tuple[str, str]:
-    """A name without marks, brackets and unit, in lower case, and the unit, "" where there is none."""
+    """Return a name in lower case without punctuation, brackets and unit, and the unit, "" for none."""
     bracket = _BRACKETS.search(name)
     unit = bracket[1].lower() if bracket else ""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _BRACKETS.sub(" ", name))  # agentId: agent Id
@@ -84,7 +84,7 @@ def plain(name: str) -> tuple[str, str]:
 
 
 def meanings(names: Iterable[str]) -> dict[str, str]:
-    """Key of ``--columns`` → name, for the columns whose names say what they are."""
+    """Return key of ``--columns`` → name, for the columns with well-known names."""
     known = {name: plain(name) for name in names}
     found: dict[str, str] = {}
     for key, words in _MEANINGS.items():
@@ -102,7 +102,7 @@ def meanings(names: Iterable[str]) -> dict[str, str]:
 
 
 def wide(names: Iterable[str]) -> dict[str, str]:
-    """``x`` and ``y`` with the mark for who it is, for columns such as x_1, y_1 or anna_x, anna_y."""
+    """Return ``x`` and ``y`` patterns with the identity's placeholder, for x_1, y_1 or anna_x, anna_y."""
     there = list(names)
     counted: dict[tuple[str, str], int] = {}
     for name in there:
@@ -120,7 +120,7 @@ def wide(names: Iterable[str]) -> dict[str, str]:
 
 
 def _patterns(name: str, start: int, end: int) -> list[str]:
-    """The name with what stands before or after its x, but for a mark between them, put for who it is."""
+    """Return the name with the prefix or suffix of its x replaced by the identity's placeholder."""
     patterns = []
     before, after = name[:start], name[end:]
     if after and not before:
@@ -132,7 +132,7 @@ def _patterns(name: str, start: int, end: int) -> list[str]:
     return patterns
 
 
-_MOST = 10_000  # columns of a table from which on no names are looked at
+_MOST = 10_000  # number of columns above which names are not searched
 
 
 def with_synonyms(
@@ -140,7 +140,7 @@ def with_synonyms(
 ) -> tuple[ReadOptions, tuple[str, ...]]:
     """Add well-known names of columns to a reader's options.
 
-    A name counts only where the native column is absent and no option says which column it is. With
+    A name counts only where the native column is absent and no option names the column. With
     ``options.columns`` given, nothing is added.
 
     Parameters
@@ -151,8 +151,8 @@ def with_synonyms(
     Returns
     -------
     tuple
-        The options, and notes for the user: what was read as what, and columns that look like an identity
-        and are not read.
+        The options, and notes for the user: the columns read by a well-known name, and columns that may be
+        identities and are not read.
     """
     if options.columns is not None or len(names) > _MOST:
         return options, ()
@@ -172,7 +172,7 @@ def with_synonyms(
         exact = [name for name in fitting if plain(name)[0] == key.replace("_", "")]
         if len(exact or fitting) > 1:
             both = " and ".join(shortened(name) for name in (exact or fitting)[:3])
-            expected = f"one column {key}; --columns {_KEYS.get(key, key)}=NAME says which"
+            expected = f"one column {key}; name it with --columns {_KEYS.get(key, key)}=NAME"
             raise InputError(f"columns {both}", expected, path=path, line=1)
         if fitting:
             found[key] = (exact or fitting)[0]
@@ -205,7 +205,7 @@ def unit_notes(options: ReadOptions, t: FloatArray) -> tuple[str, ...]:
 
 
 def names_in(source: Source, format: str) -> list[str]:
-    """Names of the columns of a "csv", "ndjson" or "parquet" file; none where they cannot be told."""
+    """Return the names of the columns of a "csv", "ndjson" or "parquet" file; none where they are unknown."""
     if format == "parquet":
         import io
 
@@ -226,6 +226,6 @@ def names_in(source: Source, format: str) -> list[str]:
 
 
 def says_places(columns: Mapping[str, str] | str | None, names: Iterable[str]) -> bool:
-    """Test whether a table without native names is one of people: places, and times or frames."""
+    """Return whether a table without native names holds tracks: positions, and times or frames."""
     there = {*names, *(columns if isinstance(columns, Mapping) else ())}
     return {"x", "y"} <= there and bool({"t", "frame"} & there)

@@ -1,4 +1,4 @@
-"""The rows of a table with columns and units of its own; wide tables have columns for each person."""
+"""Rows of tables with foreign columns and units; wide tables have columns for each person."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ IDENTITY = "identity of the column"
 
 
 def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
-    """The table with one column for each meaning, and the layout that goes with it.
+    """Return the table in long form, one column for each meaning, and its layout.
 
-    Where nothing is said of somebody there is no row.
+    A person without any value at a time has no row.
     """
     wild = layout.wild
     if not wild:
@@ -77,14 +77,14 @@ _HIGHEST = {"lat": 90.0, "lon": 360.0, "true_lat": 90.0, "true_lon": 360.0}
 def rows_of_cells(
     cells: Cells, layout: Layout, *, fps: float | None = None, beside: AsRead | None = None
 ) -> Rows:
-    """The rows of a table, checked cell by cell, in metres and seconds.
+    """Return the rows of a table, checked cell by cell, in metres and seconds.
 
     Parameters
     ----------
-    cells : as they stand
-    layout : what they mean; columns that it does not name, and that have names of the native table, are those
+    cells : raw cells
+    layout : meaning of the columns; unnamed columns with names of the native table are read as native
     fps : frames a second, for a table without times
-    beside : what another table was read as; times and places count from the same
+    beside : layout of another table with the same origins of time and position
     """
     wide = bool(layout.wild)
     cells, layout = long(cells, layout)
@@ -135,7 +135,7 @@ def rows_of_cells(
 
 
 def _named(cells: Cells, layout: Layout) -> dict[str, str]:
-    """Meaning → column: what the layout says, and columns that have names of the native table."""
+    """Return meaning → column: those of the layout, and columns with names of the native table."""
     for key, name in layout.columns.items():
         if name not in cells.columns:
             there = listed(map(shortened, cells.columns), 20)
@@ -167,7 +167,7 @@ def _on_the_ground(
     beside: AsRead | None,
     notes: list[str],
 ) -> Plane | None:
-    """Bring places on the earth to metres; the plane that they then lie in, if there is one."""
+    """Convert geographic coordinates to metres; return their tangent plane, if there is one."""
     crs = layout.crs
     if crs is None and DEGREES[0] not in columns:
         return None
@@ -204,7 +204,7 @@ def _on_the_ground(
             raise cells.fail(found, f"one that {crs} has (--crs)", row, name)
         columns[metres[0]], columns[metres[1]] = x, y
     notes.append(
-        f"places are metres east and north of {plane.latitude:g}° N, {plane.longitude:g}° E, and are "
+        f"positions are metres east and north of {plane.latitude:g}° N, {plane.longitude:g}° E, and are "
         "written as they were read"
     )
     return plane
@@ -241,7 +241,7 @@ def with_frames(
 
 
 def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mapping[str, str]) -> None:
-    """Refuse somebody who is at two places at a time, in the words of a table without frames."""
+    """Refuse two positions of one person at one time, for a table without frames."""
     who, frame = columns["track_id"], columns["frame"]
     order = np.lexsort((frame, who))
     twice = (np.diff(who[order]) == 0) & (np.diff(frame[order]) == 0) & (who[order][1:] != -1)
@@ -255,10 +255,10 @@ _AMISS = 0.25  # of a frame: how far a time may be from that of its frame
 
 
 def numbered_times(t: FloatArray) -> tuple[FloatArray, str]:
-    """Frames of increasing times, and how they were found.
+    """Return frame numbers of increasing times, and a note on their origin.
 
-    At a steady rate they are counted from t = 0, so that two files of one scene have the same; else, or where
-    such numbers end too high, times are numbered from 0.
+    At a steady rate they count from t = 0, so that two files of one scene agree; else, or where such
+    numbers exceed the highest frame, times are numbered from 0.
     """
     if len(t) > 1:
         rate = 1.0 / float(np.median(np.diff(t)))
@@ -272,10 +272,10 @@ def numbered_times(t: FloatArray) -> tuple[FloatArray, str]:
 
 
 def _renamed(error: InputError, named: Mapping[str, str]) -> InputError:
-    """An error that names the column as the file does, and the option that would name another."""
+    """Return an error with the file's name of the column, and the option that would name another."""
     column, expected = error.column, error.expected
     if isinstance(column, str):
         column = named.get(column, column)
     if error.found.startswith("no such column") or error.found == "no position":
-        expected += "; --columns says which column is which"
+        expected += "; name the columns with --columns"
     return InputError(error.found, expected, path=error.path, line=error.line, column=column)

@@ -26,17 +26,17 @@ class Format:
 
     Attributes
     ----------
-    name : what ``format=`` calls it
-    description : one line for people
+    name : value of ``format=``
+    description : one line for users
     suffixes : endings of file names in lower case; they choose the format on writing
     read : (source, options) → rows, whose cells are checked
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
-    write_columns : (columns of the table, path) → None; for tables, which can do without identities and need
-        no ``write``
-    beside : places, as seen from a file's folder, where the reader looks for more by itself; ``{name}`` is
-        the file's
-    is_read : False: only written; what it makes is read otherwise, if at all
-    takes : options of tables, fields of `ReadOptions`, that the reader itself understands
+    write_columns : (columns of the table, path) → None; for tables, which may lack identities and need no
+        ``write``
+    beside : paths relative to a file's folder where the reader finds companion files; ``{name}`` stands for
+        the file's name
+    is_read : False for formats that are only written
+    takes : options of tables, fields of `ReadOptions`, that the reader itself handles
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
         pixels, NaN where a row has none; for formats that hold boxes
     """
@@ -62,23 +62,23 @@ class Format:
 
 
 def places_beside(path: Path, places: Iterable[str]) -> tuple[Path, ...]:
-    """Paths of places that are named as seen from a file's folder; see `Format.beside`."""
+    """Return paths given relative to a file's folder; see `Format.beside`."""
     name = path.name.removesuffix(".gz")
     return tuple(Path(os.path.normpath(path.parent / place.format(name=name))) for place in places)
 
 
-_AMISS = 0.1  # of a frame: how far a time may be from that of its frame
+_AMISS = 0.1  # tolerance of a time from that of its frame, in frames
 
 
 def steady_rate(tracks: TrackSet) -> float | None:
-    """Frames a second, where the times of all tracks follow their frames at one rate; else None."""
+    """Return frames a second, if the times of all tracks follow their frames at one rate; else None."""
     if not len(tracks):
         return None
     frame = np.concatenate([track.frame for track in tracks]).astype(float)
     t = np.concatenate([track.t for track in tracks])
     first, last = int(np.argmin(frame)), int(np.argmax(frame))
     if frame[last] == frame[first]:
-        # One frame says no rate, unless it counts from t = 0.
+        # A single frame determines a rate only if it counts from t = 0.
         rate = frame[first] / t[first] if t[first] != 0.0 else 0.0
         return float(rate) if rate > 0.0 and np.ptp(t) == 0.0 else None
     if not t[last] > t[first]:
@@ -90,7 +90,7 @@ def steady_rate(tracks: TrackSet) -> float | None:
 
 
 def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | None = None) -> float:
-    """The frame rate of tracks for a format without times; of tracks of a single frame the one ``given``."""
+    """Return the frame rate of tracks for a format without times; for a single frame the one ``given``."""
     check_frame_rate(given)
     if given is not None:
         return given
@@ -102,5 +102,5 @@ def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | Non
 
 
 def times_told(frame: FloatArray, t: FloatArray, rate: float) -> bool:
-    """Return whether frames (n,) at a rate say the times (n,) to the last bit."""
+    """Return whether frames (n,) at a rate reproduce the times (n,) to the last bit."""
     return bool(np.array_equal(frame / rate, t))

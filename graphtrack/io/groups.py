@@ -24,13 +24,13 @@ from graphtrack.tracks.validation import LARGEST_ID, LARGEST_SECONDS
 IntArray = NDArray[np.int64]
 
 UNLABELLED = -2
-"""Label of rows in frames of which nothing is said."""
+"""Label of rows in frames without annotation."""
 ALONE = -1
 
 
 @dataclass(frozen=True)
 class GroupStep:
-    """The groups of one time, each the ids of its members; where in a file it stands."""
+    """The groups of one time, each the ids of its members, and their line in the file."""
 
     key: float
     groups: tuple[frozenset[int], ...]
@@ -43,7 +43,7 @@ class GroupLabels:
 
     Attributes
     ----------
-    by : whether ``key`` of a step is a time in seconds, a frame, or nothing: one step that always holds
+    by : meaning of a step's ``key``: a time in seconds, a frame, or nothing (one step that always holds)
     steps : in the order of their keys
     path : of the file
     """
@@ -53,14 +53,14 @@ class GroupLabels:
     path: Path
 
     def labels(self, frame: IntArray, t: FloatArray, track_id: IntArray) -> IntArray:
-        """(n,) for rows of people in frames: a number that those of a group share within a frame.
+        """Return (n,) group labels of people in frames; members of a group share one within a frame.
 
-        `ALONE` for those in no group with anybody who is there, `UNLABELLED` where nothing is known.
+        `ALONE` marks people without a group member present, `UNLABELLED` frames without annotation.
 
         Warns
         -----
         InputWarning
-            For unknown people of groups that always hold: their companions count all the same.
+            For group members who are not among the tracks, where groups always hold.
         """
         self._check_people(set(np.unique(track_id).tolist()))
         frames, first, inverse = np.unique(frame, return_index=True, return_inverse=True)
@@ -101,7 +101,7 @@ class GroupLabels:
             )
 
     def _step_of(self, frames: IntArray, t: FloatArray) -> IntArray:
-        """(k,) place of the step that each frame has; −1: none."""
+        """Return (k,) index of each frame's step; −1: none."""
         if self.by == "always":
             return np.zeros(len(frames), dtype=np.int64)
         key = np.array([step.key for step in self.steps])
@@ -116,7 +116,7 @@ class GroupLabels:
 
 
 def _without_single(frame: IntArray, label: IntArray) -> IntArray:
-    """Labels, with those alone whose group has nobody else in the frame."""
+    """Return labels with `ALONE` for people whose group has nobody else in the frame."""
     if not len(label):
         return label
     key = frame * (label.max() + 3) + label
@@ -144,14 +144,14 @@ def _names_groups(header: str) -> bool:
 def read_groups(path: str | Path) -> GroupLabels:
     """Read labelled groups; the format is recognised.
 
-    SALSA's: a line for each time, ``t < ID … > < ID … >``. ETH's: a line for each group, the ids of those who
-    walk together. The table: CSV with ``frame``, ``track_id`` and ``group`` (−1: alone).
+    SALSA: a line for each time, ``t < ID … > < ID … >``. ETH: a line for each group, the ids of its members.
+    Table: CSV with ``frame``, ``track_id`` and ``group`` (−1: alone).
 
     Raises
     ------
     InputError
-        With the line of what cannot be used: no id or number, somebody in two groups at a time, times that do
-        not ascend, or no group at all.
+        With the line of the fault: no id or number, a person in two groups at a time, times that do not
+        ascend, or no group at all.
     """
     source = Source.open(path)
     lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
@@ -178,7 +178,7 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
             raise InputError(
                 repr(rest.strip()[:40]), "groups such as < ID ID >", path=source.path, line=number
             )
-        # The published annotation has somebody in two groups here and there: the larger one counts.
+        # The published annotation has some people in two groups at once: the larger one counts.
         groups = [_group(source, number, part.split()) for part in parts]
         kept: list[frozenset[int]] = []
         for group in sorted(groups, key=len, reverse=True):
@@ -253,7 +253,7 @@ def _read_table(source: Source) -> GroupLabels:
 
 
 def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
-    """Write columns as CSV, whole or not at all; NaN and "" are empty cells."""
+    """Write columns as CSV atomically; NaN and "" are empty cells."""
     from graphtrack.io.formats.native import write_csv_columns as write
 
     with atomic_path(path) as temporary:

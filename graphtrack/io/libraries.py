@@ -42,8 +42,8 @@ class FoundBoxes:
     box : (n, 4) left, top, width and height in pixels
     confidence : (n,) of the detector, from 0 to 1; None: not known
     track_id : (n,) from 0 on; None: detections without identities
-    place : (n,) where they stood among all that was found
-    among : how many were found, of any class
+    place : (n,) indices among all detections
+    among : number of detections, of any class
     refused : reason → number of boxes that were left out; ``among == n + sum of these``
     """
 
@@ -56,10 +56,10 @@ class FoundBoxes:
 
 
 def boxes_of_supervision(detections: Any, person: int | None = 0) -> FoundBoxes:
-    """The people of a ``supervision.Detections``, as detectors and the trackers of ``trackers`` give it.
+    """Return the people of a ``supervision.Detections``, from a detector or the package ``trackers``.
 
-    Refused are other classes, boxes that are not finite or have no size, and those whom a tracker does not
-    follow yet (−1).
+    Other classes, boxes that are not finite or have no size, and boxes that a tracker does not follow yet
+    (−1) are refused.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def boxes_of_supervision(detections: Any, person: int | None = 0) -> FoundBoxes:
 
 
 def boxes_of_ultralytics(results: Any, person: int | None = None) -> FoundBoxes:
-    """The people of Ultralytics' ``Results`` of one image; see `boxes_of_supervision`.
+    """Return the people of Ultralytics' ``Results`` of one image; see `boxes_of_supervision`.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ def boxes_of_ultralytics(results: Any, person: int | None = None) -> FoundBoxes:
 
 
 def array_of(holder: Any, name: str, expected: str | None = None) -> Any:
-    """An attribute as an array of numbers; tensors are brought to the processor.
+    """Return an attribute as an array of numbers; tensors are copied to the processor.
 
-    None if it is not there, unless it is ``expected``: then an InputError says so.
+    None if it is missing, unless it is ``expected``: then an InputError is raised.
     """
     value = getattr(holder, name, None)
     if value is None:
@@ -203,13 +203,13 @@ def to_geopandas(tracks: TrackSet) -> geopandas.GeoDataFrame:
     """Return a GeoDataFrame with a point for each person and frame, which writes GeoPackage and GeoParquet.
 
     The other columns are those of ``tracks.to_table(as_read=True)``; ``time`` has the dates (UTC), where the
-    table that was read had any. Places are of the coordinate reference system that was read, if there was
+    table that was read had any. Points have the coordinate reference system that was read, if there was
     one. Rows without a position are left out.
 
     Raises
     ------
     InputError
-        If the package geopandas is not there.
+        If the package geopandas is not installed.
     """
     module = package("geopandas", "geo")
     table = tracks.to_table(as_read=True)

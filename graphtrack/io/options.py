@@ -24,7 +24,7 @@ SHORT = {"id": "track_id", "time": "t"}
 """Short names of columns, in addition to those of the native table."""
 
 WILD = "*"
-"""In the name of a column what stands for an identity: a table with columns for each person."""
+"""Placeholder of the identity in a column's name, for tables with columns for each person."""
 
 EXPECTED = "pairs such as id=agent,t=timestamp,x=pos_x,y=pos_y"
 
@@ -36,9 +36,9 @@ class Layout:
     Attributes
     ----------
     columns : name in the native table, or one of `DEGREES` and `ANGLES` → name in the file
-    time_unit : of numbers in the column of times; "iso" asks for text; None: seconds, and ISO 8601
+    time_unit : of numbers in the column of times; "iso" for text; None: seconds, or ISO 8601
     units : unit of length
-    crs : coordinate reference system of the places; None: a ground in ``units``, and for degrees WGS 84
+    crs : coordinate reference system; None: a ground in ``units``, and for degrees WGS 84
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -60,19 +60,19 @@ class Layout:
 
     @property
     def by_number(self) -> bool:
-        """Return whether columns are counted from 1, as where no line of names is above them."""
+        """Return whether columns are numbered from 1, as in a table without a header."""
         return bool(self.columns) and all(name.isdecimal() for name in self.columns.values())
 
     @property
     def wild(self) -> dict[str, str]:
-        """The columns of which there is one for each person."""
+        """Columns that repeat for each person."""
         return {key: name for key, name in self.columns.items() if WILD in name}
 
 
 def parse_columns(given: Mapping[str, object] | str | None) -> dict[str, str]:
-    """Native name → name in the file, from a mapping or from text such as ``id=agent,t=timestamp``.
+    """Return native name → name in the file, from a mapping or text such as ``id=agent,t=timestamp``.
 
-    A name that holds a comma stands, with its key, in double quotes.
+    A name that holds a comma is put, with its key, in double quotes.
     """
     if given is None:
         return {}
@@ -131,7 +131,7 @@ Associate = Literal["auto", "never", "always", "repair"]
 
 
 class ReadingBase(TypedDict, total=False):
-    """Keywords of reading besides camera and frame rate: fields of `ReadOptions`."""
+    """Keywords of reading other than camera and frame rate: fields of `ReadOptions`."""
 
     homography: FloatArray | str | Path | None
     point_pairs: str | Path | None
@@ -158,7 +158,7 @@ class ReadingBase(TypedDict, total=False):
 
 
 class Placing(ReadingBase, total=False):
-    """Keywords of reading besides the frame rate."""
+    """Keywords of reading other than the frame rate."""
 
     camera: GroundCamera | None
 
@@ -177,36 +177,36 @@ class FileReading(Reading, total=False):
 
 @dataclass(frozen=True, eq=False)
 class ReadOptions:
-    """Options of reading a file. ``None``: the reader's own rule holds.
+    """Options of reading a file. ``None``: the reader's default.
 
     Attributes
     ----------
     fps : frames a second, for files without times
-    camera : the camera, when the caller has one already; it wins over the next four
+    camera : a camera; it takes precedence over the next four
     homography : (3, 3) image → ground (metres), or the path of a text file with its nine numbers
     point_pairs : path of a text file with rows ``u v X Y``
-    point_pairs_unit : unit of X and Y there, "m" or "cm"
+    point_pairs_unit : unit of X and Y in ``point_pairs``, "m" or "cm"
     point_pairs_rows : the rows to use, from 1, such as ``"5-8"`` or ``"1,2,5-8"``
     calibration : path of a camera calibration (``.ci``)
-    metres_per_pixel : scale of a view from straight above (or taken to be one)
+    metres_per_pixel : scale of a view from straight above (or approximated as one)
     image_scale : factor from the file's pixels to those of the calibrated image
     nadir : pixel (u, v) straight below a camera that looks down, where people stretch away from it
     oxts, ego_calibration : paths of KITTI's ego motion and calibration
-    classes : the classes of object to read, where a file has several
-    associate : "auto": rows without identities become tracks, see `association`; "always": those with
-        identities too, which are forgotten; "repair": these are kept but where the evidence is against them;
-        "never": rows without identities are an error
-    columns : of a table with names of its own: name in the native table (``id`` and ``time`` for short,
+    classes : classes of objects to read, where a file has several
+    associate : "auto": rows without identities become tracks, see `association`; "always": identities in
+        the file are ignored; "repair": they are kept unless the evidence is against them; "never": rows
+        without identities are an error
+    columns : of a table with foreign names: name in the native table (``id`` and ``time`` for short,
         ``lat`` and ``lon``, ``body_rad`` and ``head_rad``) → name in the file, or text such as
         ``"id=agent,t=timestamp"``
     time_unit : of numbers in its column of times, "s", "ms", "us" or "ns"; "iso" for text of ISO 8601
     units : of its lengths, "m", "cm", "mm" or "ft"
-    crs : the coordinate reference system of its places, such as "EPSG:4326", which become local metres
-    delimiter, decimal : marks between the cells of a text file, and before its decimals
+    crs : coordinate reference system of its positions, such as "EPSG:4326", converted to local metres
+    delimiter, decimal : cell separator and decimal mark of a text file
     encoding : of a text file that is not UTF-8
-    topic : of a ROS 2 recording, the topic that tells of people, or a pattern for topics of one person each
-    fixed_frame : the frame of reference of its places, to which ``tf`` brings them
-    beside : what another table was read as; times and local metres count from the same
+    topic : of a ROS 2 recording, the topic with people, or a pattern for topics of one person each
+    fixed_frame : the frame of reference of its positions, to which ``tf`` transforms them
+    beside : layout of another table with the same origins of time and local metres
     """
 
     fps: float | None = None
@@ -257,7 +257,7 @@ class ReadOptions:
 
     @classmethod
     def named(cls, **options: Unpack[Reading]) -> ReadOptions:
-        """Options by their names; an InputError for a name that is none.
+        """Return options by their names; raise an InputError for an unknown name.
 
         The fields and `Reading` name the same options with the same types.
         """
@@ -267,12 +267,12 @@ class ReadOptions:
         return cls(**options)
 
     def layout(self) -> Layout | None:
-        """The columns and units of a table; None: it is the native one.
+        """Return the columns and units of a table; None for the native table.
 
         Raises
         ------
         InputError
-            For what makes no sense together.
+            For options that contradict each other.
         """
         said = (self.time_unit, self.units, self.crs)
         if self.columns is None and not any(said):

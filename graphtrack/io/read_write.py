@@ -48,14 +48,14 @@ if TYPE_CHECKING:
 
 
 def merged_tracks(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
-    """The tracks of several files, each with an id of its own, and a label if it has none."""
+    """Join the tracks of several files under unique ids; tracks without a label get one."""
     tracks: list[Track] = []
     taken: set[int] = set()
     numbered: list[dict[int, int]] = []
     renumbered = 0
     _check_kinds(sets, paths)
     for tracks_of_file, path in zip(sets, paths, strict=True):
-        # The file's own ids stay with it, so that a new one never takes the place of one to come.
+        # Ids of the file are reserved, so that a new id never collides with a later one.
         numbered.append({})
         free = _free_ids(taken | {track.track_id for track in tracks_of_file}, len(tracks_of_file))
         for track in tracks_of_file:
@@ -81,7 +81,7 @@ def merged_tracks(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
 
 
 def _check_kinds(sets: Sequence[TrackSet], paths: Sequence[Path]) -> None:
-    """Refuse files of one table each of which some have numbers for identities and others text."""
+    """Refuse a mixture of files with numbers and files with text as identities."""
     kinds = [bool(one.as_read.names) for one in sets if one.as_read is not None]
     if len(kinds) == len(sets) and len({*kinds}) > 1:
         number, text = paths[kinds.index(False)], paths[kinds.index(True)]
@@ -90,26 +90,26 @@ def _check_kinds(sets: Sequence[TrackSet], paths: Sequence[Path]) -> None:
 
 
 def _free_ids(used: Set[int], most: int) -> Iterator[int]:
-    """Ids that are not used: those after the highest, or where they would end too soon, from 0 on."""
+    """Return unused ids: those after the highest or, where too few are left, from 0 on."""
     first = max(used) + 1
     return (k for k in count(first if first + most <= LARGEST_ID else 0) if k not in used)
 
 
 def _stem(path: Path) -> str:
-    # A name need not be UTF-8, but what is written of it must.
+    # A file name need not be UTF-8, but a written label must.
     name = path.name.encode(errors="surrogateescape").decode(errors="replace")
     return name.split(".")[0] or name
 
 
 BAG = "bag"
-"""The format of recordings, which are not read whole."""
+"""The format of recordings, which are streamed."""
 
 ToTracks = Callable[[Rows, ReadOptions], TrackSet]
-"""Makes tracks of the rows of one file."""
+"""Function that converts the rows of one file to tracks."""
 
 
 def identified_tracks(rows: Rows, options: ReadOptions) -> TrackSet:
-    """The tracks of a file's rows, which have identities."""
+    """Return the tracks of a file's rows, which have identities."""
     return TrackSet.from_identified_rows(rows)
 
 
@@ -139,24 +139,24 @@ def read_identified(
 
 
 def are_paths(given: object) -> TypeGuard[Sequence[str | Path]]:
-    """Return whether something is a list or tuple of paths."""
+    """Return whether a value is a list or tuple of paths."""
     return isinstance(given, list | tuple) and all(isinstance(one, str | Path) for one in given)
 
 
 def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
-    """Return whether something is a table in memory: a DataFrame, what speaks Arrow, or name → column."""
+    """Return whether a value is a table in memory: a DataFrame, an Arrow table, or name → column."""
     return isinstance(given, Mapping) or hasattr(given, "columns") or hasattr(given, "__arrow_c_stream__")
 
 
 def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
-    """The rows of a table in memory; see `read_identified`."""
+    """Return the rows of a table in memory; see `read_identified`."""
     from graphtrack.io.cells import cells_of_frame
 
     return rows_of_table(cells_of_frame(table), options)
 
 
 def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
-    """The rows of a table's cells, in metres and with times."""
+    """Return the rows of a table's cells, in metres and with times."""
     from graphtrack.io.cameras import place_pixels
     from graphtrack.io.column_names import unit_notes, with_synonyms
     from graphtrack.io.foreign_tables import rows_of_cells
@@ -174,7 +174,7 @@ def read_with(
     options: ReadOptions,
     to_tracks: ToTracks = identified_tracks,
 ) -> TrackSet:
-    """`read_identified`, where the options stand together."""
+    """Implement `read_identified` for consistent options."""
     if not paths:
         raise InputError("no paths", "at least one")
     sets: list[TrackSet] = []
@@ -188,7 +188,7 @@ def read_with(
 
 
 def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
-    """Write columns of the native table, such as detections without identities; whole, or not at all."""
+    """Write columns of the native table, such as detections without identities, atomically."""
     path = Path(path)
     write = check_table_name(path)
     with atomic_path(path) as temporary:
@@ -196,7 +196,7 @@ def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
 
 
 def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path], None]:
-    """The function that writes columns to a file of that name."""
+    """Return the function that writes columns to a file of that name."""
     write = format_for_writing(path).write_columns
     if write is None:
         names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)
@@ -206,7 +206,7 @@ def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path],
 
 
 def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions = ReadOptions()) -> Rows:
-    """Read the boxes of a file, in its order, where its format holds any.
+    """Read the boxes of a file, in its order, if its format holds any.
 
     Returns
     -------
@@ -218,7 +218,7 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     if rows is None:
         chosen = _chosen(_opened(path, options), format)
         names = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
-        found = f"the format {chosen.name}, of which no boxes are read"
+        found = f"the format {chosen.name}, which has no boxes"
         raise InputError(found, f"a format with boxes: {names}", path=path)
     check_identities(rows)
     check_rows(rows)
@@ -226,7 +226,7 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
 
 
 def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows | None:
-    """The rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
+    """Return the rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
     source = _opened(path, options)
     chosen = _chosen(source, format)
     if options.layout() is not None:
@@ -239,7 +239,7 @@ def _chosen(source: Source, format: str | None) -> Format:
 
 
 def _opened(path: str | Path, options: ReadOptions) -> Source:
-    """A file whose text is UTF-8 with commas and points, as far as the options say; of a bag the place."""
+    """Return the source with text as UTF-8, commas and decimal points, by the options; for a bag its path."""
     place = table_in(place_of(path))
     if is_recording(place):
         return Source(place, b"")
@@ -254,7 +254,7 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    """The rows of a file, or of a folder that stands for one, in metres and with times."""
+    """Return the rows of a file, or of a folder that stands for one, in metres and with times."""
     rows = _rows_of_file(path, format, options)
     file = sequence_file(place_of(path))
     return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
@@ -277,7 +277,7 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
                     return rows_of_table(_cells(source, "parquet", Layout()), options)
                 return chosen.read(source, options)
         except InputError as error:
-            if chosen.write_columns is None:  # what other formats hold cannot be told otherwise
+            if chosen.write_columns is None:  # other formats have no options to interpret their content
                 raise
             raise hinted(error) from error
     taking = format_taking(source, format)
@@ -289,7 +289,7 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
 
 
 def _table_with_synonyms(source: Source, format: str | None, options: ReadOptions) -> str | None:
-    """The format of a table whose columns have well-known names that are not the native ones; else None."""
+    """Return the format of a table with well-known, non-native column names; else None."""
     from graphtrack.io.column_names import names_in, says_places, with_synonyms
 
     known = format
@@ -311,12 +311,12 @@ def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
 
 
 def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
-    """The cells of a file that is a table, as they stand."""
+    """Return the raw cells of a file that is a table."""
     return _cells(_opened(path, options), None, options.layout() or Layout())
 
 
 def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
-    """The cells of a file that is a table, whatever its columns are called."""
+    """Return the cells of a file that is a table, with any column names."""
     from graphtrack.io.cells import cells_of_csv, cells_of_ndjson, cells_of_parquet
 
     tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
@@ -346,19 +346,19 @@ def write(
     format: str | None = None,
     homography: FloatArray | str | Path | None = None,
 ) -> None:
-    """Write tracks; the file is there whole or, on any failure, not at all.
+    """Write tracks atomically: on any failure nothing is left behind.
 
     Parameters
     ----------
-    tracks : to be written; a track stands for a set of one
-    format : name of the format; None: by the ending of the file name
+    tracks : a set, or a single track
+    format : name of the format; None: by the file name's suffix
     homography : (3, 3) image → ground, or the path of its nine numbers, for formats with boxes; it replaces
         the camera of the tracks
 
     Raises
     ------
     InputError
-        If the format cannot be written, the tracks lack what it needs, or the place cannot be written to.
+        If the format cannot be written, the tracks lack data that it needs, or the path cannot be written to.
     """
     if not isinstance(path, str | Path):
         raise InputError(f"a {type(path).__name__} to write to", "the path of a file")
@@ -380,11 +380,11 @@ def write(
 def tracks_given(
     given: Given, read: Callable[..., TrackSet] = read_identified, **reading: Unpack[FileReading]
 ) -> TrackSet:
-    """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
+    """Convert tracks, a track, a list of tracks, one or several paths, or a table to a set of tracks.
 
     Parameters
     ----------
-    read : what reads files, and tables with options
+    read : function that reads files, and tables with options
     **reading : its options
     """
     if isinstance(given, str | Path) or (are_paths(given) and given):
@@ -406,7 +406,7 @@ def tracks_given(
 
 
 def _hint(shape: tuple[int, ...]) -> str:
-    """Advice to make a track of an array of positions."""
+    """Return advice to make a track of an array of positions."""
     if len(shape) != 2 or shape[1] != 2:
         return ""
     n = shape[0]
@@ -424,11 +424,11 @@ def _shape(given: Any) -> tuple[int, ...]:
 
 
 def paired_files(estimates: Sequence[Path], truth: Sequence[Path]) -> dict[str, tuple[Path, Path]]:
-    """Pairs of files by the name of their sequence, which is that of the file without its ending.
+    """Pair files by the name of their sequence, the file name without suffix.
 
-    One file on either side is a pair, whatever its name. A folder stands for the files in it, without hidden
-    ones, and without what a reader finds next to a file by itself, such as a calibration; but one that is a
-    sequence of MOTChallenge, or is in such a folder, for itself.
+    One file on either side is a pair, regardless of its name. A folder stands for its files, except hidden
+    files and companion files such as a calibration; a folder that is a MOTChallenge sequence, or that
+    contains such sequences, counts each sequence as one file.
 
     Raises
     ------

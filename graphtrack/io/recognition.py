@@ -1,4 +1,4 @@
-"""Signatures of the formats: what a file of each begins with, in the order in which they are tried."""
+"""Signatures of the formats: the first bytes of their files, in the order in which they are tried."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MARK = b"\xef\xbb\xbf"
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a ROS 2 recording lies at a path: a folder of a bag, or a file with such an ending."""
+    """Return whether a path is a ROS 2 recording: a bag folder, or a file with the suffix of one."""
     if not (path.suffix.lower() in _OF_RECORDINGS or isinstance(path, RemoteFile) or path.is_dir()):
         return False
     from graphtrack.io.formats.ros_bag import is_bag
@@ -63,7 +63,7 @@ def _is_salsa(line: str) -> bool:
 
 
 def _is_pedpy(head: bytes) -> bool:
-    """Return whether comments come first, and below them rows of two whole numbers and two numbers."""
+    """Return whether comments are followed by rows of two whole numbers and two numbers."""
     lines = [line.strip() for line in head.decode("utf-8-sig", errors="replace").split("\n")[:-1]]
     lines = [line for line in lines if line]
     rows = [line.split() for line in lines if not line.startswith("#")][:20]
@@ -98,11 +98,11 @@ SIGNATURES: Mapping[str, Callable[[bytes], bool]] = MappingProxyType(
         "eth": lambda head: mostly_numbers(head, None, (8,)),
     }
 )
-"""Name of a format → whether the first bytes of a file are of it; the most distinctive contents first."""
+"""Name of a format → test of a file's first bytes; the most distinctive contents first."""
 
 
 def recognised(head: bytes, path: Path) -> str | None:
-    """The name of the format that a file's first bytes, or the place of a recording, are of; else None."""
+    """Return the name of the format of a file's first bytes or a recording's path; else None."""
     if is_recording(path):
         return "bag"
     return next((name for name, matches in SIGNATURES.items() if matches(head)), None)

@@ -1,4 +1,4 @@
-"""The list of formats, their detection, and hints to options that would read a table.
+"""List of formats, their detection, and hints to options that would read a table.
 
 A new format is a module with a constant of type `Format`, a line in `FORMATS` and one in
 `recognition.SIGNATURES`.
@@ -30,11 +30,11 @@ from graphtrack.io.source import Source
 from graphtrack.io.text import other_delimiter, parse_number
 from graphtrack.tracks.time import is_iso
 
-_FEWEST = 3  # cells of a line from which it may name the columns of a table
+_FEWEST = 3  # fewest cells of a line that may be a table's header
 
 
 def hinted(error: InputError) -> InputError:
-    """An error of a native table, with the option that would read it, if there is one."""
+    """Return an error of a native table with the option that would read it, if there is one."""
     hint = _hint(error)
     if not hint or "--" in error.expected:
         return error
@@ -67,15 +67,15 @@ def _hint(error: InputError) -> str:
 
 
 def which_columns(path: str | None) -> str:
-    """Hint for columns with other names."""
+    """Return a hint for columns with other names."""
     return (
-        "--columns says which column is which; "
+        "name the columns with --columns; "
         f"graphtrack info {shlex.quote(path or 'FILE')} --suggest proposes a line that reads it"
     )
 
 
 def names_columns(line: str) -> bool:
-    """Return whether a line may be of a table, whatever the marks between its cells."""
+    """Return whether a line may belong to a table, with any delimiter."""
     return any(len(line.split() if mark == " " else line.split(mark)) >= _FEWEST for mark in ",;\t| ")
 
 
@@ -104,13 +104,13 @@ FORMATS = (
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:
-    """The files next to ``path`` that a reader of some format would read with it."""
+    """Return the companion files of ``path`` that a reader of some format would read with it."""
     places = (place for known in FORMATS for place in places_beside(path, known.beside))
     return tuple(place for place in places if place.is_file())
 
 
 def format_named(name: str) -> Format:
-    """The format of that name."""
+    """Return the format of that name."""
     for known in FORMATS:
         if known.name == name:
             return known
@@ -118,12 +118,12 @@ def format_named(name: str) -> Format:
 
 
 def detect(source: Source) -> Format:
-    """The format of a file by its content."""
+    """Return the format of a file by its content."""
     known = recognised(source.head, source.path)
     if known is not None:
         return format_named(known)
-    # Content that nothing recognises: the reader that the name asks for can say best what is wrong. The
-    # ending ``.txt`` asks for none, since half of the formats have it.
+    # Unrecognised content: the reader of the file name's suffix gives the best message. The suffix ``.txt``
+    # has no reader, since half of the formats use it.
     name = source.path.name.lower().removesuffix(".gz")
     for candidate in FORMATS:
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
@@ -140,13 +140,13 @@ def detect(source: Source) -> Format:
 
 
 def format_taking(source: Source, name: str | None) -> Format | None:
-    """The format of that name, or by the content, if its reader understands options of tables by itself."""
+    """Return the format by name or content, if its reader handles options of tables itself."""
     name = recognised(source.head, source.path) if name is None else name
     return next((one for one in FORMATS if one.takes and one.name == name), None)
 
 
 def format_for_writing(path: Path) -> Format:
-    """The format that a file name asks for."""
+    """Return the format of a file name's suffix."""
     name = path.name.lower()
     writable = [f for f in FORMATS if f.write is not None]
     for candidate in writable:

@@ -22,7 +22,7 @@ _MARK = "://"
 
 
 class RemoteFile(type(Path())):  # type: ignore[misc]
-    """The path of a file elsewhere: it is there once it is opened, and nothing lies next to it."""
+    """Path of a remote file: it is fetched when it is opened, and has no companion files."""
 
     def __new__(cls, url: str) -> RemoteFile:  # noqa: D102
         made = super().__new__(cls, url)
@@ -40,7 +40,7 @@ class RemoteFile(type(Path())):  # type: ignore[misc]
         return type(self), (str(self),)
 
     def open(self, *arguments: Any, **options: Any) -> Any:
-        """The content, read whole, as a stream."""
+        """Read the content and return it as a stream."""
         url = str(self)
         fsspec = package("fsspec", "cloud")
         try:
@@ -58,7 +58,7 @@ class RemoteFile(type(Path())):  # type: ignore[misc]
 
 
 def place_of(given: str | Path) -> Path:
-    """A path, or what a URL such as ``s3://bucket/tracks.parquet`` names."""
+    """Return a path, or the remote file of a URL such as ``s3://bucket/tracks.parquet``."""
     if isinstance(given, RemoteFile):
         return given
     return RemoteFile(given) if isinstance(given, str) and _MARK in given else Path(given)
@@ -72,29 +72,28 @@ HEAD_BYTES = 8192
 
 _GZIP_MAGIC, _ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
 _MARKS = {
-    codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose mark it begins with
+    codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose byte order mark it begins with
     codecs.BOM_UTF32_BE: "utf-32",
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
-"""Byte order marks, and the encoding of what begins with one."""
+"""Byte order mark → encoding."""
 
 _CHUNK = 2**20
 _HIGHEST_RATIO, _RATIO_FROM = 200, 2**26
-"""A packed file that has so many bytes, and so many for each packed one, is refused; tables have 3 to 30."""
+"""A packed file of more bytes, and of a higher compression ratio, is refused; tables have 3 to 30."""
 _SHORTEST, _LINES_FROM = 4, 10**6
-"""Characters of a line on the average, below which a text of so many lines is refused: a row has 9."""
+"""Mean characters a line, below which a text of so many lines is refused: the shortest row has 9."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One input file in memory, gunzipped if it was packed; UTF-16 and UTF-32 with
-    their mark at the beginning as UTF-8.
+    """One input file in memory, unpacked if it was gzipped; UTF-16 and UTF-32 with byte order mark as UTF-8.
 
     Attributes
     ----------
-    path : where it was read from (for messages and for files that lie next to it)
-    data : its content
+    path : of the file (for messages and companion files)
+    data : content
     """
 
     path: Path
@@ -128,12 +127,12 @@ class Source:
 
     @property
     def head(self) -> bytes:
-        """The first bytes, for recognising the format."""
+        """First bytes, for recognising the format."""
         return self.data[:HEAD_BYTES]
 
     @cached_property
     def wide(self) -> str | None:
-        """The UTF-16 or UTF-32 encoding that the content seems to have, without a mark; None for others."""
+        """Guessed UTF-16 or UTF-32 encoding of content without a byte order mark; None for others."""
         for name in ("UTF-32LE", "UTF-32BE"):
             # No UTF-16 text and hardly any binary file is valid UTF-32.
             whole = self.head[: len(self.head) // 4 * 4]
@@ -141,7 +140,7 @@ class Source:
                 with contextlib.suppress(UnicodeError):
                     if "\0" not in whole.decode(name):
                         return name
-        # Of most characters in UTF-16 one byte is null, and always the same one.
+        # Most characters in UTF-16 have one null byte, always at the same position.
         first, second = self.head[::2], self.head[1::2]
         for nulls, others, name in ((second, first, "UTF-16LE"), (first, second, "UTF-16BE")):
             if nulls.count(0) > 0.8 * len(nulls) and 0 not in others:
@@ -150,7 +149,7 @@ class Source:
 
     @cached_property
     def text(self) -> str:
-        """The content as UTF-8 text, with or without a byte order mark."""
+        """Content as UTF-8 text, with or without a byte order mark."""
         if self.wide is not None:
             kind = self.wide[:6]
             expected = f"UTF-8 text, or {kind} with a mark at its beginning; --encoding {self.wide} reads it"
@@ -174,7 +173,7 @@ class Source:
 
     @cached_property
     def lines(self) -> list[str]:
-        """The lines of `text` without their ends (LF or CR LF)."""
+        """Lines of `text` without their ends (LF or CR LF)."""
         text = self.text
         count = text.count("\n")
         if count >= _LINES_FROM and len(text) < (1 + _SHORTEST) * count:
@@ -193,10 +192,9 @@ class Source:
 
 
 def mostly(head: bytes, matches: Callable[[str], bool]) -> bool:
-    """Return whether more than half of the first lines of a file are of some form.
+    """Return whether more than half of the first lines of a file match a form.
 
-    One bad line among them must not hide the format: its reader is the one to say what is wrong with the
-    line.
+    One bad line must not hide the format: the format's reader reports the line.
     """
     lines = head.decode("utf-8-sig", errors="replace").split("\n")
     if len(head) >= HEAD_BYTES and len(lines) > 1:
@@ -206,7 +204,7 @@ def mostly(head: bytes, matches: Callable[[str], bool]) -> bool:
 
 
 def _read_limited(stream: io.BufferedIOBase, path: Path, most: float = math.inf) -> bytes | None:
-    """All that a stream gives, read piece by piece; None once it is more than ``most`` bytes."""
+    """Read a stream in pieces; return None once it exceeds ``most`` bytes."""
     content = io.BytesIO()
     while chunk := stream.read(_CHUNK):
         content.write(chunk)
@@ -218,7 +216,7 @@ def _read_limited(stream: io.BufferedIOBase, path: Path, most: float = math.inf)
 
 
 def _decoded(data: bytes, encoding: str) -> bytes:
-    """The text as UTF-8; as it is where it is none, and where it is XML, which says its encoding itself."""
+    """Return the text as UTF-8; unchanged if it is not text, or XML, which declares its encoding."""
     try:
         text = data.decode(encoding)
         return data if text.lstrip().startswith("<") else text.encode()
@@ -227,7 +225,7 @@ def _decoded(data: bytes, encoding: str) -> bytes:
 
 
 def _gunzip(data: bytes, path: Path) -> bytes:
-    """The unpacked content; a file that unpacks without end is left early."""
+    """Return the unpacked content; stop early at a file that unpacks without end."""
     try:
         with gzip.open(io.BytesIO(data)) as stream:
             content = _read_limited(stream, path, max(_RATIO_FROM, _HIGHEST_RATIO * len(data)))
@@ -244,25 +242,25 @@ _STAGES, _REPORTED = "stages.json", "tracks.csv"
 """The file by which the folder of a report is recognised, and its table of estimates."""
 
 _OF_SEQUENCE = ("gt/gt.txt", "det/det.txt")
-"""Tracks of a MOTChallenge sequence, and its detections, which are read where there are no tracks."""
+"""Tracks of a MOTChallenge sequence, and its detections, which are read if there are no tracks."""
 
 
 def sequence_file(folder: Path) -> Path | None:
-    """The tracks, or else the detections, of a folder that is a sequence of MOTChallenge."""
+    """Return the tracks, or else the detections, of a folder that is a MOTChallenge sequence."""
     if not folder.is_dir():
         return None
     return next((folder / name for name in _OF_SEQUENCE if (folder / name).is_file()), None)
 
 
 def table_in(path: Path) -> Path:
-    """The table that a folder of MOTChallenge or of `perception report` stands for; else the path itself."""
+    """Return the table of a folder of MOTChallenge or of `perception report`; else the path itself."""
     if (path / _STAGES).is_file():
         return path / _REPORTED
     return sequence_file(path) or path
 
 
 def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
-    """Return the content of a TOML file; ``expected`` is what it should be, for the message."""
+    """Return the content of a TOML file; ``expected`` describes it in messages."""
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Suggestion of the options that would read a file, for its owner to judge."""
+"""Suggestion of the options that would read a file, for the user to check."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from graphtrack.tracks.table import Rows
 from graphtrack.tracks.time import EPOCH, NANOSECONDS_IN, is_iso
 from graphtrack.tracks.track import TrackSet
 
-_ROWS = 400  # rows that are looked at
+_ROWS = 400  # rows that are examined
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Options for a file, and remarks on what was seen and what was only supposed."""
+    """Options for a file, and remarks on what was found and what was assumed."""
 
     options: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
     def with_option(self, name: str, value: str, remark: str = "") -> Suggestion:
-        """The same with one more."""
+        """Return a copy with one more option."""
         remarks = (*self.remarks, remark) if remark else self.remarks
         return replace(self, options={**self.options, name: value}, remarks=remarks)
 
 
 def suggest(path: Path) -> Suggestion:
-    """The options with which a file can be read; none where it can be read as it stands."""
+    """Return the options with which a file can be read; none where it can be read without any."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         try:
@@ -63,7 +63,7 @@ def suggest(path: Path) -> Suggestion:
 
 
 def _may_be_table(source: Source) -> bool:
-    """Return whether options could name columns and marks: no database, and nothing that is only written."""
+    """Return whether options of columns and delimiters apply: no database, and no write-only format."""
     return recognised(source.head, source.path) != "jupedsim"
 
 
@@ -75,7 +75,7 @@ def _read_options(found: Suggestion) -> ReadOptions:
 
 
 def _as_people(rows: Rows) -> bool:
-    """Return whether what was read moves as people do."""
+    """Return whether the speeds are those of people."""
     return not rows.has_identity or not _too_fast(rows)
 
 
@@ -87,7 +87,7 @@ def _too_fast(rows: Rows) -> bool:
 
 
 def _marks(source: Source) -> Suggestion:
-    """Encoding, marks between cells and before decimals, of a text file."""
+    """Return the encoding, delimiter and decimal mark of a text file."""
     found = Suggestion()
     if source.head.startswith(b"PAR1"):
         return found
@@ -98,7 +98,7 @@ def _marks(source: Source) -> Suggestion:
             source.data.decode("utf-8-sig")
         except UnicodeDecodeError:
             found = found.with_option(
-                "encoding", "cp1252", "it is no UTF-8; cp1252 is supposed, as in Windows"
+                "encoding", "cp1252", "it is not UTF-8; cp1252 is assumed, as in Windows"
             )
     text = as_told(source, None, None, found.options.get("encoding"))
     lines = [line for line in text.lines[: _ROWS + 2] if line.strip()]
@@ -117,12 +117,12 @@ def _marks(source: Source) -> Suggestion:
 
 
 def _between(lines: list[str]) -> str:
-    """The mark that parts most lines into equally many cells."""
+    """Return the delimiter that splits most lines into equally many cells."""
     best, most = ",", (0, 0)
     for mark in (",", ";", "\t", "|", " "):
         widths = Counter(len(line.split() if mark == " " else line.split(mark)) for line in lines)
         width, count = max(widths.items(), key=lambda item: (item[1], item[0]))
-        # The header counts for itself: decimal commas stand in none.
+        # The header is counted separately, since it has no decimal commas.
         header = len(lines[0].split() if mark == " " else lines[0].split(mark))
         if width > 1 and header == width and (count, width if mark != " " else 0) > most:
             best, most = mark, (count, width if mark != " " else 0)
@@ -146,13 +146,13 @@ def _columns(path: Path, found: Suggestion) -> Suggestion:
     found = found.with_option("columns", ",".join(map(_pair, chosen.items())))
     if "t" not in chosen:
         found = found.with_option(
-            "fps", "25", "it has no times: 25 frames a second are supposed, put the true rate"
+            "fps", "25", "it has no times: 25 frames a second are assumed; give the true rate"
         )
     else:
         unit, remark = _time_unit(cells, chosen["t"])
         found = found.with_option("time_unit", unit, remark) if unit != "s" else found
     if "id" not in chosen and "*" not in chosen.get("x", ""):
-        remark = "nothing says who it is: people are told apart as they move (--associate)"
+        remark = "it has no identities: they are associated from the motion (--associate)"
         found = replace(found, remarks=(*found.remarks, remark))
     return _with_units(path, found, chosen)
 
@@ -163,7 +163,7 @@ def _pair(item: tuple[str, str]) -> str:
 
 
 def _time_unit(cells: Cells, name: str) -> tuple[str, str]:
-    """The unit of a column of times: by its name, else by what its numbers can be."""
+    """Return the unit of a column of times: by its name, else by the range of its numbers."""
     values = cells.columns[name][:_ROWS]
     if values.dtype.kind == "M":
         return "s", ""
@@ -186,12 +186,12 @@ def _time_unit(cells: Cells, name: str) -> tuple[str, str]:
         return unit, ""
     steps = np.diff(np.unique(np.array(numbers)))
     if len(steps) and float(np.median(steps)) >= 5.0 and all(one == int(one) for one in numbers):
-        return "ms", "steps of 5 and more are supposed to be milliseconds"
+        return "ms", "steps of 5 and more are assumed to be milliseconds"
     return "s", ""
 
 
 def _with_units(path: Path, found: Suggestion, chosen: Mapping[str, str]) -> Suggestion:
-    """The unit of length: by the names, else the first in which people are no faster than people."""
+    """Return the unit of length: by the names, else the first that gives plausible walking speeds."""
     if "x" not in chosen:
         return found
     unit = LENGTHS.get(plain(chosen["x"])[1])

@@ -21,25 +21,25 @@ from graphtrack.tracks.schema import NAMES
 from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_METRES, LARGEST_PIXELS
 
 _MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
-_TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}  # the mark as typed after ``--delimiter``
+_TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}  # as typed after ``--delimiter``
 SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """Excel's line before a header."""
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _LOOKED_AT = 20
-_FEWEST = 4  # numbers in a row from which a table without a header is one
+_FEWEST = 4  # fewest numbers in a row of a table without a header
 
 
 def other_delimiter(source: Source, names: Collection[str] = NAMES) -> InputError | None:
-    """The error for a table of the native columns, or of numbers alone, whose cells are not between commas.
+    """Return the error for a table of native columns, or of numbers alone, without commas as delimiters.
 
     Parameters
     ----------
-    names : columns of which it has two at least, or all
+    names : known columns; the table has at least two, or all
 
     Returns
     -------
     InputError or None
-        With the marks that are there, what is expected, and the options that read it; None for all else.
+        With the delimiters found and expected, and the options that read it; None for other text.
     """
     lines = [(number, line.strip(" ")) for number, line in enumerate(source.lines, 1) if line.strip()]
     lines = lines[: _LOOKED_AT + 2]
@@ -85,7 +85,7 @@ def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
 def csv_rows(
     path: Path, lines: Sequence[str], mark: str = ",", first: int = 1
 ) -> Iterator[tuple[int, list[str]]]:
-    """The rows of lines of text, each with the number of its line; that of the first is ``first``."""
+    """Yield the rows of lines of text, each with its line number; that of the first is ``first``."""
     reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=mark, strict=True)
     while True:
         line = first + reader.line_num
@@ -100,18 +100,18 @@ def csv_rows(
 
 
 def is_blank(row: Sequence[str]) -> bool:
-    """Return whether a row of a text file holds nothing."""
+    """Return whether a row of a text file is empty."""
     return len(row) <= 1 and not any(cell.strip() for cell in row)
 
 
 DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "bar": "|"}
-"""Words for marks that are hard to type."""
+"""Words for delimiters that are hard to type."""
 
 _DECIMAL = re.compile(r"\s*[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def delimiter_of(given: str | None) -> str | None:
-    """The mark that is meant, one character."""
+    """Return the delimiter as one character."""
     if given is None:
         return None
     mark = DELIMITERS.get(given.lower(), given)
@@ -121,13 +121,13 @@ def delimiter_of(given: str | None) -> str | None:
 
 
 def check_decimal(given: str | None) -> None:
-    """Raise InputError for what separates no decimals."""
+    """Raise InputError for an invalid decimal mark."""
     if given not in (None, ".", ","):
         raise InputError(f"decimal {given!r}", "a point or a comma")
 
 
 def check_encoding(given: str | None) -> None:
-    """Raise InputError for what is no encoding of text."""
+    """Raise InputError for an unknown text encoding."""
     if given is None:
         return
     try:
@@ -138,7 +138,7 @@ def check_encoding(given: str | None) -> None:
 
 
 def as_told(source: Source, delimiter: str | None, decimal: str | None, encoding: str | None) -> Source:
-    """The file in UTF-8, with commas between its cells and decimal points; lines stay lines."""
+    """Return the file in UTF-8 with commas as delimiters and decimal points; line numbers are kept."""
     if encoding is not None:
         source = _decoded(source, encoding)
     mark = delimiter_of(delimiter)
@@ -182,7 +182,7 @@ def _with_commas(source: Source, mark: str, decimal: str | None) -> str:
 
 
 def parse_number(text: str) -> float | None:
-    """A finite decimal number, or None; no ``nan``, ``inf``, ``1_000`` or other digits as ``float`` has."""
+    """Parse a finite decimal number, or return None; unlike ``float`` no ``nan``, ``inf`` or ``1_000``."""
     if "_" in text or not text.isascii():
         return None
     try:
@@ -193,7 +193,7 @@ def parse_number(text: str) -> float | None:
 
 
 def mostly_numbers(head: bytes, delimiter: str | None, widths: Container[int]) -> bool:
-    """Return whether most of the first lines of a file are so many numbers between delimiters."""
+    """Return whether most of the first lines of a file are that many delimited numbers."""
 
     def matches(line: str) -> bool:
         cells = line.split(delimiter)
@@ -203,7 +203,7 @@ def mostly_numbers(head: bytes, delimiter: str | None, widths: Container[int]) -
 
 
 def expected_number(text: str) -> str:
-    """Description of the number expected where `parse_number` finds none."""
+    """Return a description of the expected number where `parse_number` finds none."""
     decimal_comma = parse_number(text.replace(",", ".")) is not None
     return "a finite number with a decimal point" if decimal_comma else "a finite number"
 
@@ -226,11 +226,11 @@ class Numbers:
     names: tuple[str, ...] = ()
 
     def line_of(self, row: int) -> int:
-        """Line in the file of a row."""
+        """Return the line of a row in the file."""
         return int(self.line[row])
 
     def fail(self, row: int, column: int, expected: str) -> InputError:
-        """The error for one cell."""
+        """Return the error for one cell."""
         return InputError(
             f"{self.values[row, column]:.16g}",
             expected,
@@ -240,7 +240,7 @@ class Numbers:
         )
 
     def integers(self, column: int, highest: int = LARGEST_FRAME) -> NDArray[np.int64]:
-        """A column of whole numbers within ±``highest``; whole floats such as 1.0e+00 will do."""
+        """Return a column of whole numbers within ±``highest``; whole floats such as 1.0e+00 are accepted."""
         values = self.values[:, column]
         bad = (np.abs(values) > highest) | (values != np.floor(values))
         if bad.any():
@@ -248,7 +248,7 @@ class Numbers:
         return values.astype(np.int64)
 
     def bounded(self, column: int, low: float, high: float, *, strict: bool = False) -> FloatArray:
-        """A column of numbers from ``low`` (above it if ``strict``) to ``high``."""
+        """Return a column of numbers from ``low`` (above it if ``strict``) to ``high``."""
         values = self.values[:, column]
         bad = (values < low) | (values > high) | (strict & (values == low))
         if bad.any():
@@ -257,15 +257,15 @@ class Numbers:
         return values
 
     def metres(self, column: int) -> FloatArray:
-        """A column of coordinates in metres."""
+        """Return a column of coordinates in metres."""
         return self.bounded(column, -LARGEST_METRES, LARGEST_METRES)
 
     def pixels(self, column: int) -> FloatArray:
-        """A column of image coordinates."""
+        """Return a column of image coordinates."""
         return self.bounded(column, -LARGEST_PIXELS, LARGEST_PIXELS)
 
     def sizes(self, column: int) -> FloatArray:
-        """A column of sizes in pixels, above 0."""
+        """Return a column of sizes in pixels, above 0."""
         return self.bounded(column, 0.0, LARGEST_PIXELS, strict=True)
 
 
@@ -277,12 +277,12 @@ def read_numbers(
     names: tuple[str, ...],
     comments: bool = False,
 ) -> Numbers:
-    """All rows of a text file as numbers.
+    """Read all rows of a text file as numbers.
 
     Parameters
     ----------
     delimiter : between the cells; None for white space (or commas, where ``comments`` are allowed)
-    widths : the numbers of columns that a row may have; all rows have the same
+    widths : allowed numbers of columns; all rows have the same
     names : names of the columns, for messages
     comments : whether ``#`` begins a comment
     """
@@ -309,7 +309,7 @@ def read_numbers(
 
 
 def _convert(source: Source, rows: list[list[str]], lines: list[int], names: tuple[str, ...]) -> FloatArray:
-    # float() takes a little more than is wanted; whatever that could be is looked at cell by cell.
+    # float() accepts more than is allowed; suspect cells are checked one by one.
     if source.text.isascii() and "_" not in source.text:
         try:
             values = np.array([[float(cell) for cell in cells] for cells in rows])

@@ -22,12 +22,12 @@ else:
 def records(
     table: Records, columns: Sequence[str] = (), numbers: Sequence[str] = ()
 ) -> list[Mapping[str, Any]]:
-    """The rows of a DataFrame or list as mappings with ``columns``, and floats, NaN for None, in ``numbers``.
+    """Return rows as mappings with ``columns``, and ``numbers`` as floats, NaN for None.
 
     Raises
     ------
     InputError
-        When there are no rows, a column is missing or a number is none.
+        Without rows, for a missing column or an invalid number.
     """
     rows: list[Mapping[str, Any]] = (
         table.to_dict(orient="records") if hasattr(table, "to_dict") else list(table)  # type: ignore[assignment]
@@ -44,7 +44,7 @@ def records(
 
 
 def distinct(names: Iterable[Any]) -> list[str]:
-    """The names in the order in which they first appear."""
+    """Return the names in order of first appearance."""
     return list(dict.fromkeys(map(str, names)))
 
 
@@ -57,12 +57,12 @@ def _number(row: Mapping[str, Any], column: str) -> float:
 
 
 MAX_ROWS = 1000
-"""Lines of a table in the page."""
+"""Most lines of a table in the page."""
 
 
 @dataclass(frozen=True)
 class Card:
-    """One number worth seeing first: what it is, its value as it should read, and a few words about it."""
+    """Summary number at the top: label, formatted value and a short description."""
 
     label: str
     value: str
@@ -86,7 +86,7 @@ class DataTable:
     columns : headings, with units
     rows : each as long as ``columns``
     note : a sentence below the table
-    person_column : the column of track ids, if any: a click on one takes the replay to the person
+    person_column : the column of track ids, if any; a click on an id selects the person in the replay
     """
 
     title: str
@@ -97,12 +97,12 @@ class DataTable:
 
     @classmethod
     def from_records(cls, title: str, table: Records, *, note: str = "") -> DataTable:
-        """A table of a DataFrame or a list of dict, in the order of the first row's columns.
+        """Return a table of a DataFrame or a list of dict, in the order of the first row's columns.
 
         Raises
         ------
         InputError
-            When there are no rows or a row lacks a column of the first.
+            Without rows, or if a row lacks a column of the first.
         """
         rows = records(table)
         columns = [str(column) for column in rows[0]]
@@ -118,7 +118,7 @@ class DataTable:
         note: str = "",
         person_column: str | None = None,
     ) -> DataTable:
-        """A table of at most `MAX_ROWS` lines, which says how many there are."""
+        """Return a table of at most `MAX_ROWS` lines, with the total number in its note."""
         if len(rows) > MAX_ROWS:
             note = f"{note} The first {MAX_ROWS} of {len(rows)} lines.".strip()
         return cls(title, columns, rows[:MAX_ROWS], note, person_column)
@@ -132,7 +132,7 @@ class Picture:
     ----------
     title : str
     content : matplotlib.figure.Figure or bytes
-    description : what it shows, for people who cannot see it
+    description : alternative text
     """
 
     title: str
@@ -146,7 +146,7 @@ class Chart:
 
     Attributes
     ----------
-    kind : "angles", body and head over time of whom the reader chooses, or "timeline", a bar for each person
+    kind : "angles", body and head of the selected person over time, or "timeline", a bar for each person
     title : str
     note : a sentence below
     """
@@ -158,7 +158,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it."""
+    """Heading and its content."""
 
     title: str
     items: tuple[Note | DataTable | Picture | Chart, ...]
@@ -172,8 +172,8 @@ class Report:
     ----------
     title, subtitle : str
     cards : the numbers at the top
-    replay : what `graphtrack.report.replay.replay_data` returns, or None
-    sections : what follows
+    replay : result of `graphtrack.report.replay.replay_data`, or None
+    sections : sections below the replay
     """
 
     title: str

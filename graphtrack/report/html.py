@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing else: no network, no server, no other file.
+"""Report as one self-contained HTML file: no network, no server, no other file.
 
 The replay and the charts fill in the templates ``assets/*.html``; ``assets/*.js`` has their behaviour.
 """
@@ -89,11 +89,11 @@ _LIFE_KEYS = {
     "sure": (
         '<rect x="0" y="3" width="11" height="10" fill="var(--muted)"/>'
         '<rect x="13" y="3" width="11" height="10" fill="var(--muted)" fill-opacity=".35"/>',
-        "seen, less sure",
+        "observed, less certain",
     ),
-    "filled": (_LINE.format(colour="var(--muted)", width=2.4, dash="2.4 2.4"), "not seen, filled in"),
-    "hole": (_LINE.format(colour="var(--muted)", width=1.5, dash="1.5 4"), "not seen, left open"),
-    "join": (_DIAMOND.format(fill="var(--ink)"), "seen again, joined"),
+    "filled": (_LINE.format(colour="var(--muted)", width=2.4, dash="2.4 2.4"), "not observed, filled in"),
+    "hole": (_LINE.format(colour="var(--muted)", width=1.5, dash="1.5 4"), "not observed, left open"),
+    "join": (_DIAMOND.format(fill="var(--ink)"), "observed again, joined"),
     "unsure": (_DIAMOND.format(fill="var(--surface)"), f"joined, less than {100 * UNSURE:.0f}\u202f% sure"),
     "switch": (
         '<path d="M12 0 V16" stroke="var(--alarm)" stroke-width="1.2"/>' + _ALARM.format(fill="var(--alarm)"),
@@ -101,15 +101,15 @@ _LIFE_KEYS = {
     ),
     "fragmentation": (_ALARM.format(fill="var(--surface)"), "found again (fragmentation)"),
 }
-"""Name → picture and words of what a timeline has."""
+"""Name → picture and label of the elements of a timeline."""
 
 
 def render_replay(data: Mapping[str, Any]) -> str:
-    """The stage, the controls and the layers, which double as the legend; scripts fill in the list of people.
+    """Return the canvas, controls and layers, which serve as the legend; scripts add the list of people.
 
     Parameters
     ----------
-    data : what `graphtrack.report.replay.replay_data` returned, with at least one person
+    data : result of `graphtrack.report.replay.replay_data`, with at least one person
     """
     people = data["people"]
     layers = [
@@ -129,7 +129,7 @@ def render_replay(data: Mapping[str, Any]) -> str:
 
 
 def render_chart(chart: Chart) -> str:
-    """The canvas, its controls and its legend. It needs the data of a replay in the same page."""
+    """Return the canvas, its controls and its legend. It needs the data of a replay in the same page."""
     keys = _CHART_KEYS if chart.kind == "angles" else _LIFE_KEYS
     legend = (f'<span data-key="{name}">{svg_key(key)} {words}</span>' for name, (key, words) in keys.items())
     return _template(f"{chart.kind}.html").substitute(
@@ -140,7 +140,7 @@ def render_chart(chart: Chart) -> str:
 
 
 def svg_key(content: str) -> str:
-    """A small picture for a legend, 24 by 16 units, of SVG elements."""
+    """Return a small picture for a legend, 24 by 16 units, of SVG elements."""
     return f'<svg class="key" viewBox="0 0 24 16" aria-hidden="true">{content}</svg>'
 
 
@@ -149,7 +149,7 @@ def _template(name: str) -> Template:
 
 
 def _frame(data: Mapping[str, Any]) -> str:
-    """The duration of a frame, if frames are even."""
+    """Return the duration of a frame, if frames are uniform."""
     frame = data["frame"]
     if frame is None:
         return ""
@@ -158,7 +158,7 @@ def _frame(data: Mapping[str, Any]) -> str:
 
 
 def _thinned(data: Mapping[str, Any]) -> str:
-    """The parts of the data that the page leaves out."""
+    """Describe the data that the page leaves out."""
     fans = (data["behaviour"] or {}).get("fans")
     left_out = "" if fans is None or fans["every"] == 1 else f" One forecast in {fans['every']} is shown."
     if data["kept"] == data["of"]:
@@ -166,12 +166,12 @@ def _thinned(data: Mapping[str, Any]) -> str:
     kept, of = (f"{data[name]:,}".replace(",", "\u202f") for name in ("kept", "of"))
     return (
         f" To keep the page small, the replay and the charts show {kept} of {of} person-frames, "
-        f"one every {data['frame']:.3g} s; tables and pictures are of all.{left_out}"
+        f"one every {data['frame']:.3g} s; tables and pictures use all of them.{left_out}"
     )
 
 
 def _layers(data: Mapping[str, Any]) -> list[tuple[str, str, bool]]:
-    """Name, words and whether it starts switched on, for the layers that there are data for."""
+    """Return name, label and initial visibility of the layers with data."""
     people: list[Mapping[str, Any]] = data["people"]
     behaviour = data["behaviour"]
     known = {
@@ -231,19 +231,19 @@ SCRIPTS = (
     "tables.js",
     "page.js",
 )
-"""In the order in which they stand in the page; together they are one function."""
+"""Scripts in page order; together they form one function."""
 
 
 _COLOURS = f":root {{ --body: {BODY_COLOUR}; --head: {HEAD_COLOUR}; --velocity: {VELOCITY_COLOUR}; }}"
 
 
 def write_html(path: str | Path, report: Report) -> None:
-    """Write a report as one self-contained HTML file, which appears whole or not at all.
+    """Write a report as one self-contained HTML file, atomically.
 
     Raises
     ------
     InputError
-        When the place cannot be written to.
+        If the path is not writable.
     """
     page = render_report(report)
     with atomic_path(path) as temporary:
@@ -251,7 +251,7 @@ def write_html(path: str | Path, report: Report) -> None:
 
 
 def render_report(report: Report) -> str:
-    """The page as text. Words are escaped; data stand in it packed, so that they cannot end their element."""
+    """Return the page as text. Text is escaped; data are packed, so that they cannot end their element."""
     has_replay = report.replay is not None and bool(report.replay["people"])
     names = (["Replay"] if has_replay else []) + [section.title for section in report.sections]
     anchors = [f"section-{i}" for i in range(len(names))]
@@ -281,19 +281,19 @@ def render_report(report: Report) -> str:
 
 
 def packed(data: Any) -> str:
-    """JSON, compressed (zlib) and in base64: a third of its size, and it cannot end its element.
+    """Return JSON compressed (zlib) in base64: a third of its size, and it cannot end its element.
 
     Raises
     ------
     ValueError
-        For a value that JSON does not have, such as NaN.
+        For a value that JSON cannot represent, such as NaN.
     """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return base64.b64encode(zlib.compress(text.encode("utf-8"))).decode("ascii")
 
 
 def format_cell(value: Any) -> str:
-    """A value as a reader wants it: numbers to four digits, a dash where there is none. Not escaped."""
+    """Format a value: numbers to four digits, a dash for a missing value. Not escaped."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -304,7 +304,7 @@ def format_cell(value: Any) -> str:
         number = float(value)
         if math.isnan(number):
             return "–"
-        # Four digits, but never an exponent for the sizes that people walk at.
+        # Four digits, without an exponent for usual sizes.
         return f"{number:.0f}" if 1e3 <= abs(number) < 1e9 else f"{number:.4g}"
     return str(value)
 
@@ -359,7 +359,7 @@ def _table(table: DataTable) -> str:
         all(isinstance(row[i], numbers.Real) or row[i] is None for row in table.rows)
         for i in range(len(table.columns))
     ]
-    # The scripts make buttons of the ids: without them there is nothing that a click could do.
+    # The scripts turn the ids into buttons; without scripts a click does nothing.
     kinds = [
         (' class="number"' if flag else "") + (" data-person" if column == table.person_column else "")
         for column, flag in zip(table.columns, numeric, strict=True)
@@ -375,7 +375,7 @@ def _table(table: DataTable) -> str:
     )
     note = f'<p class="quiet">{html.escape(table.note)}</p>' if table.note else ""
     title = html.escape(table.title)
-    # tabindex: a region that scrolls must be reachable with the keyboard.
+    # tabindex: a scrolling region must be reachable with the keyboard.
     return (
         f'<div class="panel"><div class="scroll" tabindex="0" role="region" aria-label="{title}">'
         f"<table><caption>{title}</caption><thead><tr>{head}</tr></thead>\n"

@@ -1,4 +1,4 @@
-"""Groups, looks and forecasts shown with tracks, checked against their people; summaries of groups."""
+"""Groups, gaze and forecasts shown with tracks, checked against the tracks' people; summaries of groups."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from graphtrack.tracks.track import TrackSet
 IntArray = NDArray[np.int64]
 
 _SAME_TIME = 1e-3
-"""Seconds: a forecast without a frame was made in the frame of its person that is as near as this."""
+"""Largest time difference in seconds of a forecast without a frame number from its person's frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +30,10 @@ class Behaviour:
 
     Attributes
     ----------
-    groups : of people in frames
-    attention : of each person
+    groups : groups of people in frames
+    attention : gaze of each person
     forecasts : columns (rows,) as of `graphtrack.forecasting.recorded.Forecasts`, with ``frame``
-    places : what else is looked at, and where it is
+    places : other gaze targets and their positions
     """
 
     groups: Groups | None = None
@@ -42,7 +42,7 @@ class Behaviour:
     places: tuple[Place, ...] = ()
 
     def in_times_of(self, tracks: TrackSet) -> Behaviour:
-        """The same with the times (s) that these tracks have in its frames."""
+        """Return a copy with the times (s) of these tracks in its frames."""
         of = {track.track_id: track for track in tracks}
 
         def times(person: int, frame: NDArray[np.generic]) -> FloatArray:
@@ -72,19 +72,19 @@ def behaviour_of(
     forecast: Forecasts | str | Path | None = None,
     places: Sequence[Place] | str | Path | None = None,
 ) -> Behaviour | None:
-    """Read what is a file, and check that it is of these tracks; None where nothing is given.
+    """Read tables given as files, and check that they belong to these tracks; None if not given.
 
     Parameters
     ----------
-    tracks : what the page shows
-    groups, attention, forecast : found, or the tables that the commands of these names write
-    places : what ``graphtrack attention --places`` was given
+    tracks : tracks of the page
+    groups, attention, forecast : results, or tables written by the commands of these names
+    places : file given to ``graphtrack attention --places``
 
     Raises
     ------
     InputError
-        For people and frames that the tracks have not, places that nobody said the whereabouts of, and
-        tables that cannot be read.
+        For people and frames that are not in the tracks, places without a position, and tables that cannot be
+        read.
     """
     if groups is None and attention is None and forecast is None and not places:
         return None
@@ -105,7 +105,7 @@ def behaviour_of(
 
 
 def rows_of_each(track_id: NDArray[np.generic]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Each person among rows of people, and the rows of that one."""
+    """Return each person in rows of people, with the person's rows."""
     order = np.argsort(track_id, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(track_id[order])) + 1) if len(order) else ():
         yield int(track_id[rows[0]]), rows
@@ -139,17 +139,17 @@ def _check_looks(
         _check(known, np.full(len(one.frame), one.track_id), one.frame, "looks", source)
         strangers = sorted(set(one.people) - set(known))
         if strangers:
-            raise InputError(f"looks at person {strangers[0]}", "people of the tracks", path=path)
+            raise InputError(f"gaze at person {strangers[0]}", "people of the tracks", path=path)
         missing = sorted(set(one.places) - {place.name for place in places})
-        # Without any places nothing is drawn of them, and what they add up to is said all the same.
+        # Without positions the places are not drawn, but their totals are still listed.
         if places and missing:
-            raise InputError(f"looks at {missing[0]!r}", "a place of those given", path=path)
+            raise InputError(f"gaze at {missing[0]!r}", "one of the given places", path=path)
 
 
 def _with_frames(
     tracks: TrackSet, columns: Mapping[str, NDArray[np.generic]], source: object
 ) -> dict[str, NDArray[np.generic]]:
-    """The columns, with the frame in which each forecast was made: by its time, if they do not say it."""
+    """Return the columns with the frame of each forecast, found by time if missing."""
     found = dict(columns)
     if "frame" in found:
         return found
@@ -174,16 +174,16 @@ def _with_frames(
 
 @dataclass(frozen=True)
 class GroupSpan:
-    """A group, as long as it kept its number.
+    """Group during the time of one number.
 
     Attributes
     ----------
-    number : of the group
-    kind : place in `graphtrack.interaction.groups.KINDS`, of most of its time
+    number : number of the group
+    kind : index in `graphtrack.interaction.groups.KINDS`, most frequent over its time
     start, end : seconds
-    members : ids of all who were ever in it, those who stayed longest first
-    smallest, largest, mean : members at a time
-    person_seconds : of its members together
+    members : ids of all members over time, longest membership first
+    smallest, largest, mean : number of simultaneous members
+    person_seconds : sum over its members
     probability : mean over members and frames
     """
 
@@ -200,7 +200,7 @@ class GroupSpan:
 
 
 def group_spans(groups: Groups) -> list[GroupSpan]:
-    """All groups, in the order of their numbers."""
+    """Return all groups, in the order of their numbers."""
     times = np.unique(groups.t)
     frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     found = []
@@ -228,7 +228,7 @@ def group_spans(groups: Groups) -> list[GroupSpan]:
 
 
 def by_main_group(groups: Groups | None, people: tuple[int, ...]) -> list[int]:
-    """People, those next to each other who were in one group for longest."""
+    """Return people ordered so that long-term members of one group are adjacent."""
     if groups is None:
         return list(people)
     main: dict[int, int] = {}

@@ -1,4 +1,4 @@
-"""The parts of a page on groups, looks and forecasts."""
+"""Page sections on groups, gaze and forecasts."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from graphtrack.report.style import longest_step
 from graphtrack.tracks.track import TrackSet
 
 _TOLD = 8
-"""Members and intervals that a cell names."""
+"""Most members and intervals listed in a cell."""
 
 
 def behaviour_sections(behaviour: Behaviour, tracks: TrackSet, pairs: Sequence[Pair]) -> list[Section]:
-    """Groups, looks and forecasts, as far as they were given.
+    """Return sections on groups, gaze and forecasts, if given.
 
     Parameters
     ----------
-    behaviour : with the times of the tracks
-    tracks : whom the page shows
-    pairs : the same with their truth, by which forecasts are judged where it is known
+    behaviour : groups, gaze and forecasts with the times of the tracks
+    tracks : tracks of the page
+    pairs : the tracks with their truth, against which forecasts are scored if it is known
     """
     found = []
     if behaviour.groups is not None:
@@ -49,7 +49,7 @@ def behaviour_sections(behaviour: Behaviour, tracks: TrackSet, pairs: Sequence[P
 
 
 def behaviour_cards(behaviour: Behaviour) -> tuple[Card, ...]:
-    """Number of groups, and the share of the time that people look at somebody or something."""
+    """Return the number of groups, and the share of time with gaze at a person or place."""
     cards = []
     if behaviour.groups is not None:
         grouped = float(np.mean(behaviour.groups.group >= 0)) if len(behaviour.groups) else 0.0
@@ -59,21 +59,21 @@ def behaviour_cards(behaviour: Behaviour) -> tuple[Card, ...]:
         nothing = np.concatenate([one.probability[:, -1] for one in behaviour.attention])
         if np.isfinite(nothing).any():
             seen = 100.0 * (1.0 - float(np.nanmean(nothing)))
-            cards.append(Card("Looks", f"{seen:.0f} %", "of the time at somebody or a place"))
+            cards.append(Card("Gaze", f"{seen:.0f} %", "of the time at a person or a place"))
     return tuple(cards)
 
 
 def _groups_section(groups: Groups) -> Section:
     spans = group_spans(groups)
     if not spans:
-        return Section("Groups", (Note("Nobody was in a group."),))
+        return Section("Groups", (Note("No groups were found."),))
     words = (
-        "Groups over time: a band is as tall as the group had members, whose least and greatest number stand "
+        "Groups over time: the height of a band is the number of members, with minimum and maximum "
         "at its end; hatched: walking together"
     )
     if len(spans) > MOST_GROUPS:
         words += f". The {MOST_GROUPS} of {len(spans)} with most person-seconds"
-    picture = Picture(words, plot_group_timeline(groups, spans), f"When {len(spans)} groups were there.")
+    picture = Picture(words, plot_group_timeline(groups, spans), f"Time spans of {len(spans)} groups.")
     columns = ("group", "kind", "from (s)", "to (s)", "members at a time", "who", "probability")
     rows = tuple(
         (
@@ -88,8 +88,8 @@ def _groups_section(groups: Groups) -> Section:
         for span in spans
     )
     note = (
-        "A group keeps its number while most of its members stay. Who: all who were ever in it, those who "
-        "stayed longest first. Probability: that of a fellow member to be one, on average."
+        "A group keeps its number while most of its members stay. Who: all members over time, longest "
+        "membership first. Probability: mean membership probability."
     )
     return Section("Groups", (picture, DataTable.capped("All groups", columns, rows, note)))
 
@@ -97,26 +97,26 @@ def _groups_section(groups: Groups) -> Section:
 def _looks_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: TrackSet) -> Section:
     summary = summary_of(attention)
     if not len(summary.people):
-        return Section("Looks", (Note("Nothing is known of anybody's looks."),))
+        return Section("Gaze", (Note("There are no gaze estimates."),))
     order = by_main_group(behaviour.groups, summary.people)
     of = f" of the first {MOST} of {len(order)} people" if len(order) > MOST else ""
-    longest = f", the {MOST} who look at others for longest" if of else ""
+    longest = f", the {MOST} with most gaze at others" if of else ""
     pictures = (
         Picture(
-            "Where looks fall: seconds of looks at people and places where they were; grey: everybody's path",
+            "Gaze on the ground: seconds of gaze at the positions of people and places; grey: all paths",
             plot_heat_map(tracks, behaviour.places, attention),
-            "Heat map of looks on the ground.",
+            "Heat map of gaze on the ground.",
         ),
         Picture(
-            f"Who looks at whom{of}, % of the time of the one who looks; members of a group stand together"
+            f"Gaze between people{of}, % of the looking person's time; members of a group are adjacent"
             if behaviour.groups is not None
-            else f"Who looks at whom{of}, % of the time of the one who looks",
+            else f"Gaze between people{of}, % of the looking person's time",
             plot_matrix(summary, order),
-            "Matrix of who looks at whom.",
+            "Matrix of gaze between people.",
         ),
         Picture(
-            f"At whom or what each looks most probably{longest}, in the colour of that person; "
-            "blank: at nothing of these",
+            f"Most probable gaze target of each person{longest}, in the target's colour; "
+            "blank: none of these",
             plot_look_timeline(attention),
             "Timeline of looks.",
         ),
@@ -147,8 +147,8 @@ def _dwell(summary: LookSummary) -> list[DataTable]:
     rows.sort(key=lambda row: (row[1], -row[2]))
     columns = ("person", "place", "seconds", "of the time (%)", "looks", "likelier than not (s)")
     note = (
-        "Seconds are expected ones, the sum of probabilities; looks and their intervals are the times in "
-        "which a look at the place is likelier than not."
+        "Seconds are expected values, the sum of probabilities; looks and their intervals are the times in "
+        "which the probability of gaze at the place exceeds one half."
     )
     return [DataTable.capped("Dwell times of places", columns, tuple(rows), note, "person")]
 
@@ -163,7 +163,7 @@ def _persons(summary: LookSummary) -> DataTable:
         nothing = 100.0 * float(spent[-1]) / max(float(spent.sum()), 1e-9)
         rows.append((person, *most, round(nothing, 1), round(by, 1)))
     columns = ("person", "looks most at", "for (s)", "at nothing (%)", "looked at by others (s)")
-    return DataTable.capped("Looks of each person", columns, tuple(rows), "", "person")
+    return DataTable.capped("Gaze of each person", columns, tuple(rows), "", "person")
 
 
 def _mutual(summary: LookSummary) -> list[DataTable]:
@@ -199,15 +199,15 @@ def _forecast_section(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]
     names += ("judged", "error (m)", "inside 50 % (%)", "inside 90 % (%)")
     true = any(np.isfinite(pair.true_position).any() for pair in pairs)
     note = (
-        "Radii are medians. Judged are those of which it is known where the person then was: "
+        "Radii are medians. Forecasts are scored where the person's later position is known: "
         + ("by the true positions." if true else "by the positions of the tracks.")
-        + " 'graphtrack score' judges in full."
+        + " 'graphtrack score' gives all scores."
     )
     return Section("Forecasts", (DataTable("Forecasts by time ahead", names, tuple(rows), note),))
 
 
 def _errors(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> FloatArray:
-    """(rows,) metres from each forecast to where the person then was; NaN where that is not known."""
+    """Return (rows,) errors of the forecasts in metres; NaN if the later position is unknown."""
     error = np.full(len(columns["t"]), np.nan)
     of = {pair.estimate.track_id: pair for pair in pairs}
     for person, rows in rows_of_each(columns["track_id"]):

@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """One person's estimate with, where there are any, the observations.
+    """One person's estimate, with the observations if there are any.
 
     Attributes
     ----------
     estimate : Track
     observation : Track or None
     seen : (n,) bool
-        Whether the position was observed at each frame of the estimate; without observations what the
-        estimate says of it itself, None if nothing.
+        True if the position was observed at a frame of the estimate; without observations, the flag of the
+        estimate, None if it has none.
     seen_position : (n, 2) metres, the observed position at the frames of the estimate; NaN where not observed
     seen_body, seen_head : (n,) radians, the observed angles (`observed_angle`) there; NaN where not observed
     true_position, true_body, true_head : (n, 2), (n,), (n,)
-        The truth at the frames of the estimate, from either track; NaN where it is not known.
+        Truth at the frames of the estimate, from either track; NaN if unknown.
     """
 
     estimate: Track
@@ -47,7 +47,7 @@ class Pair:
 
     @property
     def label(self) -> str:
-        """The person's label, of either track; empty where there is none."""
+        """The person's label, from either track; empty if there is none."""
         return self.estimate.label or (self.observation.label if self.observation is not None else "")
 
     @property
@@ -71,7 +71,7 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
         seen_position = _at_frames(observation.position, observation, estimate)
         seen = finite_rows(seen_position)
         if observation.pixel is not None:
-            # A foot point in the image is an observation too, though it has no place on the ground plane yet.
+            # A foot point in the image is an observation too, although it has no ground position yet.
             seen |= finite_rows(_at_frames(observation.pixel, observation, estimate))
 
     def truth(name: str, shape: tuple[int, ...]) -> FloatArray:
@@ -109,9 +109,9 @@ def pair_tracks(estimates: TrackSet, observations: TrackSet | None = None) -> tu
 
 
 def observed_angle(track: Track, name: str) -> FloatArray | None:
-    """The observed ``body`` or ``head`` (radians, (n,)); None when the track has no such channel.
+    """Return the observed ``body`` or ``head`` (radians, (n,)); None if the track has no such channel.
 
-    Where only class likelihoods were observed, the centre of the likeliest class stands for the angle.
+    If only class likelihoods were observed, the angle is the centre of the most likely class.
     """
     angle = getattr(track, name)
     likelihood = getattr(track, f"{name}_likelihood")
@@ -125,7 +125,7 @@ def observed_angle(track: Track, name: str) -> FloatArray | None:
 
 
 def has_angle(pair: Pair, name: str) -> bool:
-    """True if ``body`` or ``head`` is known anywhere, as an estimate or as an observation."""
+    """Return True if any ``body`` or ``head`` is known, as an estimate or as an observation."""
     values = [getattr(pair.estimate, name)]
     if pair.observation is not None:
         values.append(observed_angle(pair.observation, name))
@@ -133,12 +133,12 @@ def has_angle(pair: Pair, name: str) -> bool:
 
 
 def finite_rows(values: FloatArray) -> NDArray[np.bool_]:
-    """Which rows of (n, k) values are finite throughout."""
+    """Return a mask of the rows of (n, k) values that are entirely finite."""
     return np.asarray(np.isfinite(values).all(axis=1), dtype=bool)
 
 
 def _at_frames(values: FloatArray, source: Track, target: Track) -> FloatArray:
-    """``values`` of ``source`` at the frames of ``target``; NaN at frames that ``source`` does not have."""
+    """Return ``values`` of ``source`` at the frames of ``target``; NaN at frames missing in ``source``."""
     out = np.full((len(target), *values.shape[1:]), np.nan)
     _, there, here = np.intersect1d(source.frame, target.frame, assume_unique=True, return_indices=True)
     out[here] = values[there]
@@ -146,27 +146,27 @@ def _at_frames(values: FloatArray, source: Track, target: Track) -> FloatArray:
 
 
 UNSURE = 0.9
-"""Probability of a link below which it is shown as one that may be wrong."""
+"""Probability below which a link is shown as uncertain."""
 
 _TITLE = "Identities over time"
 _NOTE = (
-    "A bar for everybody from first to last row, the fainter the less sure it is who is who. Point at it to "
-    "read what was there; a click chooses the person and takes the replay to that time. Drag to move, "
+    "A bar for each person from first to last row, fainter where the identity is less certain. Point at it "
+    "for details; a click selects the person and moves the replay to that time. Drag to move, "
     "ctrl + wheel to zoom, double-click to fit."
 )
 
 
 @dataclass(frozen=True)
 class Gap:
-    """A time in which somebody was not seen.
+    """Interval in which a person was not observed.
 
     Attributes
     ----------
-    start : seconds, when they were seen last; where they had not been seen yet, the first row
-    end : seconds, when they were seen again, or the last row if they were not
-    filled : whether there are estimates in between
-    joined : whether they were seen before and after
-    probability : that who was seen again is the same person; NaN where that is not known
+    start : seconds, last observation before the gap, or the first row if there is none
+    end : seconds, first observation after the gap, or the last row if there is none
+    filled : True if there are estimates in between
+    joined : True if the person was observed before and after
+    probability : probability that both ends are the same person; NaN if unknown
     """
 
     start: float
@@ -178,16 +178,16 @@ class Gap:
 
 @dataclass(frozen=True)
 class Life:
-    """One person from birth to death: the times (s) of the first and of the last row, and what was between.
+    """One person from birth to death: times (s) of the first and last row, and the gaps between.
 
     Attributes
     ----------
     person : the id
-    label : a name to read, or nothing
+    label : display name, or empty
     birth, death : seconds
-    gaps : in the order of time
-    least : probability of the least sure link, the one across a gap or from one row to the next; NaN: none
-    unsure : links that are less sure than `UNSURE`
+    gaps : gaps in temporal order
+    least : probability of the least certain link, across a gap or from one row to the next; NaN: none
+    unsure : number of links with a probability below `UNSURE`
     """
 
     person: int
@@ -205,15 +205,15 @@ class Life:
 
 
 def is_associated(pairs: Sequence[Pair]) -> bool:
-    """True if the tracks have probabilities of identities, or flags of observed frames."""
+    """Return True if the tracks have identity probabilities, or flags of observed frames."""
     return any(pair.estimate.identity_p is not None or pair.estimate.observed is not None for pair in pairs)
 
 
 def life_of(pair: Pair) -> Life:
-    """The life of one person, from its rows."""
+    """Return the life of one person, from its rows."""
     track = pair.estimate
     t, sure = track.t, track.identity_p
-    # NaN: not known, as in a table in which other tracks say it.
+    # NaN: unknown, as in a table in which only other tracks have the value.
     links = np.empty(0) if sure is None else sure[1:][np.isfinite(sure[1:])]
     return Life(
         person=track.track_id,
@@ -227,11 +227,11 @@ def life_of(pair: Pair) -> Life:
 
 
 def least_between(values: FloatArray, at: NDArray[np.intp]) -> FloatArray:
-    """The least of values (n,) since the row that is kept before, for each row kept; NaN where all are.
+    """Return the minimum of values (n,) since the previous kept row, for each kept row; NaN if all are NaN.
 
     Parameters
     ----------
-    at : (k,) rows that are kept, increasing, the last of all among them
+    at : (k,) kept rows, increasing, including the last row
     """
     return np.asarray(np.fmin.reduceat(values, np.concatenate([[0], at[:-1] + 1])))
 
@@ -239,13 +239,13 @@ def least_between(values: FloatArray, at: NDArray[np.intp]) -> FloatArray:
 def identities_section(
     pairs: Sequence[Pair], lives: Sequence[Life], events: Sequence[IdentityEvent], drawn: bool
 ) -> Section:
-    """The timeline, and who came, left, was lost and found again.
+    """Return the section with the timeline, births, deaths, gaps and joins.
 
     Parameters
     ----------
-    pairs, lives : of everybody
-    events : where identities went wrong, if the truth is known
-    drawn : whether there is a replay in the page, of whose data the timeline is drawn
+    pairs, lives : for every person
+    events : identity errors, if the truth is known
+    drawn : True if the page has a replay, whose data the timeline uses
     """
     items: list[Chart | DataTable] = [Chart("timeline", _TITLE, _NOTE)] if drawn else []
     items.append(_lives_table(lives, events))
@@ -256,7 +256,7 @@ def identities_section(
 
 
 def identity_cards(lives: Sequence[Life]) -> tuple[Card, ...]:
-    """Numbers of joined gaps, and of joins that may be wrong."""
+    """Return the numbers of joined gaps, and of uncertain joins."""
     joins = [gap for life in lives for gap in life.joined]
     if not joins:
         return ()
@@ -266,7 +266,7 @@ def identity_cards(lives: Sequence[Life]) -> tuple[Card, ...]:
 
 
 def event_times(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> list[float]:
-    """When the events were, in seconds: the time of that row of the track that has the person now."""
+    """Return the times of the events in seconds, from the rows of the new track."""
     tracks = {pair.estimate.track_id: pair.estimate for pair in pairs}
     return [float(tracks[one.after].t[np.searchsorted(tracks[one.after].frame, one.frame)]) for one in events]
 
@@ -315,12 +315,12 @@ def _lives_table(lives: Sequence[Life], events: Sequence[IdentityEvent]) -> Data
         for life in lives
     )
     note = (
-        "Born and died: first and last row. A link is sure to the probability that a row is of the same "
-        f"person as the row before; unsure below {UNSURE:g}."
+        "Born and died: first and last row. The certainty of a link is the probability that a row is "
+        f"of the same person as the row before; unsure below {UNSURE:g}."
     )
     if events:
         columns = (*columns, "switches")
-        note += " Switches: in which the track lost somebody to another, or got them."
+        note += " Switches: identity switches from or to this track."
     return DataTable.capped("Births and deaths", columns, rows, note, "person")
 
 
@@ -339,12 +339,12 @@ def _gaps_table(lives: Sequence[Life]) -> list[DataTable]:
     ]
     if not rows:
         return []
-    # What may be wrong first; what is not known last.
+    # Uncertain joins first, unknown probabilities last.
     rows.sort(key=lambda row: (row[-1] is None or np.isnan(row[-1]), row[-1], row[1]))
     columns = ("person", "from (s)", "to (s)", "seconds", "filled in", "joined, how sure")
     note = (
-        "From when a person was seen last to when they were seen again, least sure first. A dash: nobody was "
-        "seen again, or how sure it is was not said."
+        "From the last observation of a person to the next, least certain first. A dash: no later "
+        "observation, or the probability is unknown."
     )
     return [DataTable.capped("Gaps and joins", columns, tuple(rows), note, "person")]
 
@@ -355,5 +355,5 @@ def _events_table(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> Dat
         for one, t in zip(events, event_times(pairs, events), strict=True)
     )
     columns = ("person", "at (s)", "who it is in the truth", "tracked before as", "switch", "found again")
-    note = "Found again: after nobody had them, which ends a fragmentation. The score counts both kinds."
+    note = "Found again: matched after a loss, which ends a fragmentation. The score counts both kinds."
     return DataTable.capped("Switches and fragmentations", columns, rows, note, "person")

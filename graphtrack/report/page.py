@@ -1,4 +1,4 @@
-"""The usual report of a tracking run: `graphtrack report`, and `write_report` in Python."""
+"""Standard report of a tracking run: `graphtrack report`, and `write_report` in Python."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ PersonErrors = dict[str, float | None]
 ANGLES: tuple[Angle, ...] = ("body", "head")
 
 CLOCK_TIMES = 1e6
-"""Seconds from which on times must be those of a clock, not of a recording."""
+"""Seconds from which times are clock times, not times of a recording."""
 
 
 def tracking_report(
@@ -62,21 +62,21 @@ def tracking_report(
     events: Sequence[IdentityEvent] | None = None,
     behaviour: Behaviour | None = None,
 ) -> Report:
-    """Put together what a reader of a tracking run wants to see.
+    """Compose the report of a tracking run.
 
     Parameters
     ----------
     estimates : the result
-    observations : what it was estimated from, matched by ``track_id``; its summary of the reading is shown
+    observations : input of the estimates, matched by ``track_id``; its reading summary is shown
     title, subtitle : str
     comparison : methods against each other, as for `graphtrack.report.plots.plot_errors`
-    calibration : how often their intervals hold, as for `graphtrack.report.plots.plot_reliability`
+    calibration : interval coverage of the methods, as for `graphtrack.report.plots.plot_reliability`
     cards : further numbers for the top of the page
     sections : further sections, put at the end
 
-    events : where identities went wrong, as `graphtrack.evaluation.identity_events.judge_events` finds it;
+    events : identity errors, from `graphtrack.evaluation.identity_events.judge_events`;
         with it, or with tracks that were associated, there is a timeline of identities
-    behaviour : groups, looks and forecasts, as `graphtrack.report.interaction.behaviour_of` gives them
+    behaviour : groups, gaze and forecasts, from `graphtrack.report.interaction.behaviour_of`
 
     Returns
     -------
@@ -86,7 +86,7 @@ def tracking_report(
     Raises
     ------
     InputError
-        When a comparison table has no rows or lacks a column.
+        If a comparison table has no rows or lacks a column.
     """
     estimates, observations, origin = _from_zero(estimates, observations)
     if origin:
@@ -96,13 +96,13 @@ def tracking_report(
     errors = tuple(person_errors(pair) for pair in pairs)
     lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
     replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour)
-    words = "Everybody's path from above"
+    words = "Paths from above"
     words += "" if is_crowd(pairs) else ", with body and head at regular times"
     picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
     parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
     extra: tuple[Card, ...] = ()
     if behaviour is not None:
-        # Here, for a page of tracks alone needs none of it.
+        # Imported here: a page of tracks only does not need it.
         from graphtrack.report.interaction_sections import behaviour_cards, behaviour_sections
 
         parts += behaviour_sections(behaviour, estimates, pairs)
@@ -127,12 +127,12 @@ def tracking_report(
 
 
 def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataTable:
-    """One line a person: extent in time, what was observed, uncertainty and, where truth is known, errors.
+    """Return one line a person: extent in time, observed channels, uncertainty and, with truth, errors.
 
     Parameters
     ----------
     pairs : the people
-    errors : of each of them, as `person_errors` returns them
+    errors : errors of each person, from `person_errors`
     """
     table: list[dict[str, Any]] = []
     for pair, line in zip(pairs, errors, strict=True):
@@ -165,7 +165,7 @@ def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataT
 
 
 def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
-    """The reader's account: rows read, used and refused, reasons, and what was assumed."""
+    """Return the reading summary: rows read, used and refused, reasons, and assumptions."""
     rows: list[tuple[str, int]] = [("read", summary.rows_read), ("used", summary.rows_used)]
     rows += [(f"refused: {reason}", count) for reason, count in summary.refused.items()]
     table = DataTable(f"Rows of the input ({summary.format})", ("rows", "number"), tuple(rows))
@@ -173,7 +173,7 @@ def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
 
 
 def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[TrackSet, TrackSet | None, float]:
-    """Clock times such as seconds since 1970 are unreadable on an axis: count from the first whole second."""
+    """Shift clock times such as seconds since 1970 to count from the first whole second."""
     origin = float(np.floor(min((track.t[0] for track in estimates), default=0.0)))
     if origin < CLOCK_TIMES:
         return estimates, observations, 0.0
@@ -186,12 +186,12 @@ def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[Trac
 
 def _angles_section(pairs: tuple[Pair, ...]) -> Section:
     tracks = [pair.estimate for pair in pairs]
-    # The chart is drawn from the data of the replay, which has nobody without a position.
+    # The chart uses the data of the replay, which omits people without a position.
     if not any((_is_known(t.body) or _is_known(t.head)) and _is_known(t.position) for t in tracks):
         return Section("Body and head", (Note("No body or head angle was estimated."),))
     note = (
-        "Shows whom you choose, here, in the replay or in the table of people. A click takes the replay to "
-        "that time; drag to move, ctrl + wheel to zoom, double-click to fit."
+        "Shows the person selected here, in the replay or in the table of people. A click moves the replay "
+        "to that time; drag to move, ctrl + wheel to zoom, double-click to fit."
     )
     return Section("Body and head", (Chart("angles", "Orientation over time", note),))
 
@@ -203,7 +203,7 @@ def _methods_section(comparison: Records | None, calibration: Records | None) ->
         table = DataTable.from_records("Comparison of methods", comparison)
         items += [Picture(words, plot_errors(comparison)), table]
     if calibration is not None:
-        words = "Reliability: how often the truth lies inside an interval, against the probability it states"
+        words = "Reliability: observed coverage of intervals against their nominal probability"
         rows = [
             {k: v for k, v in row.items() if k not in ("confidence", "coverage")}
             for row in records(calibration)
@@ -233,9 +233,9 @@ def _cards(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> tuple[Card,
 
 
 def person_errors(pair: Pair) -> PersonErrors:
-    """Errors of one person in position (root mean square, metres) and angles (mean, degrees).
+    """Return one person's errors in position (root mean square, metres) and angles (mean, degrees).
 
-    None where the truth is not known.
+    None if the truth is unknown.
     """
     truth = replace(
         pair.estimate,
@@ -277,25 +277,25 @@ def write_report(
     title: str = "Tracks",
     subtitle: str = "",
 ) -> None:
-    """Write the HTML report of tracks, with groups, looks and forecasts.
+    """Write the HTML report of tracks, with groups, gaze and forecasts.
 
     Parameters
     ----------
-    path : where it goes; an existing file is replaced
-    tracks : estimates, or observations as they are
-    observations : what was estimated from, matched by ``track_id``
-    groups : of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
-    attention : of `graphtrack.interaction.attention.attention`, or the file that
+    path : output file; an existing file is replaced
+    tracks : estimates, or unmodified observations
+    observations : input of the estimates, matched by ``track_id``
+    groups : result of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
+    attention : result of `graphtrack.interaction.attention.attention`, or the file that
         ``graphtrack attention`` wrote
-    forecast : of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
-    places : what else is looked at, or the file that says where it is
-    title, subtitle : at the top
+    forecast : result of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
+    places : other gaze targets, or a file with their positions
+    title, subtitle : text at the top
 
     Raises
     ------
     InputError
-        For groups, looks and forecasts of people or frames that the tracks have not, files that cannot be
-        read, and a place that cannot be written to.
+        For groups, gaze and forecasts of people or frames that are not in the tracks, files that cannot be
+        read, and a path that cannot be written.
     """
     tracks = tracks_of(tracks)
     observations = None if observations is None else tracks_of(observations)

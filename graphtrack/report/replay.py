@@ -1,6 +1,6 @@
 """Data of the replay and the charts: thinned, quantised and delta-coded, to be small.
 
-Groups, looks and forecasts are in step with the kept samples of people.
+Groups, gaze and forecasts are sampled at the kept samples of people.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
 
 
 TIME_STEP: Final = 1e-3
-"""Seconds a unit of a coded time."""
+"""Seconds per unit of a coded time."""
 
 LENGTH_STEP: Final = 1e-3
-"""Metres (or metres a second) a unit of a coded length (or velocity)."""
+"""Metres (or m/s) per unit of a coded length (or velocity)."""
 
 ANGLE_STEP: Final = float(np.radians(0.1))
-"""Radians a unit of a coded angle."""
+"""Radians per unit of a coded angle."""
 
 SURE_STEP: Final = 1e-2
-"""Probability a unit of a coded one."""
+"""Probability per unit of a coded probability."""
 
 COARSE_STEP: Final = 1e-2
-"""Metres a unit of a coded length that nobody knows to a millimetre: of forecasts, and of groups."""
+"""Metres per unit of a coarsely coded length: of forecasts, and of groups."""
 
 Codes = list[int | None]
 
 
 def delta_code(values: FloatArray, step: float) -> Codes | None:
-    """Integers in units of ``step``: the first value, then differences; None where a value is not finite."""
+    """Return integers in units of ``step``: the first value, then differences; None if not finite."""
     known = np.isfinite(values)
     if not known.any():
         return None
@@ -55,16 +55,16 @@ def delta_code(values: FloatArray, step: float) -> Codes | None:
 
 
 SHOWN_LOOKS: Final = 2
-"""Targets of a person that are shown at a time: the likeliest."""
+"""Number of most probable gaze targets shown for a person."""
 
 LEAST_LOOK: Final = 0.15
-"""Probability below which a look is not drawn: it would hardly be seen."""
+"""Probability below which gaze is not drawn, as it would be barely visible."""
 
 MAX_FANS: Final = 8_000
-"""Forecasts in a page; of more, those made at every second, third … time are kept."""
+"""Most forecasts in a page; above it, every second, third … time is kept."""
 
 FAN_STEPS: Final = 6
-"""Times ahead that a fan shows, the last among them."""
+"""Number of times ahead shown in a fan, including the last."""
 
 Index = NDArray[np.intp]
 
@@ -72,20 +72,20 @@ Index = NDArray[np.intp]
 def behaviour_codes(
     behaviour: Behaviour, tracks: Sequence[Track], kept: Sequence[Index]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Codes of the scene and of each person, for `graphtrack.report.replay.replay_data`.
+    """Return codes of the scene and of each person, for `graphtrack.report.replay.replay_data`.
 
     Parameters
     ----------
-    behaviour : of people of these tracks
-    tracks : whom the replay shows
-    kept : which samples of each track it keeps
+    behaviour : groups, gaze and forecasts of these tracks
+    tracks : tracks of the replay
+    kept : kept samples of each track
 
     Returns
     -------
     scene : ``groups`` (number, colour, and over time centre and kind, 1 a conversation, 2 walking together),
-        ``places``, and ``fans`` (seconds ahead, and for how long one is shown)
+        ``places``, and ``fans`` (seconds ahead, and display duration)
     people : ``group`` and ``group_p`` at the samples kept; ``look_0``, ``look_p_0``, … the index of a target
-        (a person; beyond them a place) and how probable; ``fan_t`` and series of all fans one after another
+        (a person, then places) and its probability; ``fan_t`` and series of all fans one after another
     """
     scene: dict[str, Any] = {"groups": [], "places": [_place(place) for place in behaviour.places]}
     people: list[dict[str, Any]] = [{} for _ in tracks]
@@ -159,7 +159,7 @@ def _looks(
         if one is None:
             people.append({})
             continue
-        # Who is not in the replay is looked at in vain, as is a place that nobody said the whereabouts of.
+        # Gaze at people outside the replay and at places without a position is not shown.
         target = [(index if kind == "person" else place).get(name, -1) for kind, name in one.targets[:-1]]
         _, here, there = np.intersect1d(track.frame[at], one.frame, return_indices=True)
         people.append(_likeliest(np.array(target, dtype=np.intp), one.probability[there], here, len(at)))
@@ -167,7 +167,7 @@ def _looks(
 
 
 def _likeliest(target: Index, probability: FloatArray, here: Index, count: int) -> dict[str, Any]:
-    """The codes of the likeliest targets over ``count`` samples; those ``here`` have probabilities."""
+    """Return codes of the most probable targets over ``count`` samples, known at those ``here``."""
     share = np.where(target >= 0, np.nan_to_num(probability[:, :-1]), 0.0)
     order = np.argsort(-share, axis=1, kind="stable")
     found = {}
@@ -191,7 +191,7 @@ def _fans(
     person, frame = columns["track_id"][use].astype(np.int64), columns["frame"][use].astype(np.int64)
     step = np.searchsorted(shown, np.round(columns["ahead"][use], 6))
     t, values = columns["t"][use], np.stack([columns[name][use] for name in _FAN], axis=1)
-    # Everybody's of a time are kept, or nobody's.
+    # Forecasts of one time are all kept, or none.
     of_time = np.unique(frame, return_inverse=True)[1]
     fans = len(np.unique(np.stack([person, frame]), axis=1).T)
     every = max(1, -(-fans // MAX_FANS))
@@ -215,10 +215,10 @@ _FAN = {"x": "fan_x", "y": "fan_y", "radius_50": "fan_50", "radius_90": "fan_90"
 
 
 MAX_SAMPLES: Final = 200_000
-"""Person-frames in a page. Packed, noisy ones with every channel take up to 33 bytes each: 7 MB of a page."""
+"""Most person-frames in a page. Noisy data with every channel take up to 33 bytes each: 7 MB of a page."""
 
 MAX_DOING: Final = MAX_SAMPLES // 2
-"""The same where groups, looks or forecasts are shown: they take 10 bytes each, and pictures of their own."""
+"""Most person-frames with groups, gaze or forecasts, which add 10 bytes each, and pictures."""
 
 
 def replay_data(
@@ -230,27 +230,27 @@ def replay_data(
     events: Sequence[IdentityEvent] = (),
     behaviour: Behaviour | None = None,
 ) -> dict[str, Any]:
-    """Everything the replay and the charts of angles show, ready for `json.dumps`.
+    """Return the data of the replay and the angle charts, ready for `json.dumps`.
 
     Each channel of a person is a list of integers: the first is the value in units of `TIME_STEP`,
     `LENGTH_STEP`, `ANGLE_STEP`, `SURE_STEP` or `COARSE_STEP`, the following ones are differences to the last
     known value, and None is a missing value. Differences of rounded values do not accumulate error. A
-    channel that is known nowhere is None.
+    channel without values is None.
 
     Parameters
     ----------
     pairs : the people to show; those without a finite position are left out
-    max_rate : frames a second that are kept
-    max_samples : samples that are kept of all people together; of every n frames one is kept to stay below.
+    max_rate : most frames a second to keep
+    max_samples : most samples of all people together; one of every n frames is kept to stay below.
         By default `MAX_SAMPLES`, or `MAX_DOING` with a ``behaviour``
-    lives : of each of the people, if births, deaths, gaps and joins are to be shown
-    events : switches and fragmentations, where the truth is known
-    behaviour : groups, looks and forecasts of the people
+    lives : life of each person, to show births, deaths, gaps and joins
+    events : switches and fragmentations, if the truth is known
+    behaviour : groups, gaze and forecasts of the people
 
     Returns
     -------
     dict
-        ``frame`` (seconds from one frame to the next, as shown; None where nobody has two), ``every`` (one
+        ``frame`` (seconds from one shown frame to the next; None if no person has two), ``every`` (one
         of how many frames is shown), ``kept`` and ``of`` (person-frames shown, and there), ``steps`` (the
         four units), ``people``, ``events`` (each time, true person, track before, track after, whether a
         switch, whether found again), ``lives``, whether births, deaths and gaps are shown, ``unsure``,
@@ -294,7 +294,7 @@ def replay_data(
 
 
 def _life(pair: Pair, life: Life, at: NDArray[np.intp]) -> dict[str, Any]:
-    """Probabilities of links to the samples that are kept; gaps: from, to, filled, joined, probability."""
+    """Return link probabilities at the kept samples; gaps: from, to, filled, joined, probability."""
     sure = pair.estimate.identity_p
     return {
         "sure": None if sure is None else delta_code(least_between(sure, at), SURE_STEP),
@@ -312,19 +312,19 @@ def _life(pair: Pair, life: Life, at: NDArray[np.intp]) -> dict[str, Any]:
 
 
 def frame_interval(times: Sequence[FloatArray]) -> float | None:
-    """Seconds from frame to frame of the track that has most a second; None where none has two frames.
+    """Return the frame interval in seconds of the track with the highest rate; None without two frames.
 
     Parameters
     ----------
-    times : of each track, (n,) seconds
+    times : (n,) seconds of each track
     """
     return min((float(np.median(np.diff(t))) for t in times if len(t) > 1), default=None)
 
 
 def thin(t: FloatArray, rate: float) -> NDArray[np.intp]:
-    """Indices of at most ``rate`` samples a second, the first and the last always among them.
+    """Return indices of at most ``rate`` samples a second, including the first and the last.
 
-    The first sample of each interval 1/rate of absolute time is kept, so that people stay in step.
+    The first sample of each interval 1/rate of absolute time is kept, so that people stay synchronised.
     """
     interval = np.floor(t * rate + 1e-6)
     first = np.unique(interval, return_index=True)[1]
@@ -334,11 +334,11 @@ def thin(t: FloatArray, rate: float) -> NDArray[np.intp]:
 def _thinned(
     times: Sequence[FloatArray], frame: float | None, max_rate: float, max_samples: int
 ) -> tuple[int, list[NDArray[np.intp]]]:
-    """One of how many frames stays within both limits, and the indices of what is kept of each track."""
+    """Return the decimation that satisfies both limits, and the kept indices of each track."""
     every = 1 if frame is None else max(1, int(np.ceil(1.0 / (frame * max_rate) - 1e-6)))
     longest = max((float(np.ptp(t)) for t in times), default=0.0)
     while True:
-        # Whole frames, so that steps stay even; where none is left out, times need not be even at all.
+        # Decimate whole frames, so that steps stay uniform; without decimation, times may be irregular.
         if frame is None or every == 1:
             kept = [np.arange(len(t)) for t in times]
         else:

@@ -1,8 +1,8 @@
 """Shared style of figures, charts and pages, and the shapes in them: ellipses, curves and bands cut at ±π.
 
-The colours are those of Okabe & Ito (2008), which people with any common colour blindness can tell apart.
-Three of them are kept for body, head and velocity; people get the others and, since those repeat, a pattern
-of dashes and an id next to their path.
+The colours are those of Okabe & Ito (2008), distinguishable with common colour blindness. Three are reserved
+for body, head and velocity; people get the other colours and, since these repeat, a dash pattern and an id
+next to their path.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ TRUTH_COLOUR: Final = "#000000"
 NEUTRAL_COLOUR: Final = "#5F6672"
 
 GROUP_COLOURS: Final = ("#4477AA", "#EE6677", "#228833", "#B8860B", "#66CCEE", "#AA3377")
-"""Those of Tol (2021), "bright", the yellow darker."""
+"""Colours "bright" of Tol (2021), with a darker yellow."""
 
 PERSON_DASHES: Final[tuple[tuple[float, ...], ...]] = ((), (5.0, 2.0), (5.0, 1.5, 1.0, 1.5), (2.0, 1.5))
-"""On and off along a line, in widths of the line; none is as short as the dots of what was not observed."""
+"""Dash patterns in line widths; all longer than the dots of unobserved intervals."""
 
 ANGLE_COLOURS: Final = {"body": BODY_COLOUR, "head": HEAD_COLOUR}
 
 
 def person_dash(index: int) -> tuple[float, ...]:
-    """The dashes of the person at ``index`` in the set; with the colour they repeat after 24 people."""
+    """Return the dashes of the person at ``index``; with the colour they repeat after 24 people."""
     return PERSON_DASHES[index // len(PERSON_COLOURS) % len(PERSON_DASHES)]
 
 
 def group_colour(number: int) -> str:
-    """The colour of a group; colours repeat after six of them."""
+    """Return the colour of a group; colours repeat after six groups."""
     return GROUP_COLOURS[number % len(GROUP_COLOURS)]
 
 
 def quantity_colour(name: str) -> str:
-    """The colour of what a metric is about, read from its name (``body_error`` is body's)."""
+    """Return the colour of a metric's quantity, from its name (``body_error``: body)."""
     lowered = name.lower()
     for word, colour in (("body", BODY_COLOUR), ("head", HEAD_COLOUR), ("veloc", VELOCITY_COLOUR)):
         if word in lowered:
@@ -60,7 +60,7 @@ def new_figure(
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    # Matplotlib's own margin is too narrow beside axes of equal aspect: it cuts the label of the y axis.
+    # Matplotlib's margin is too narrow next to axes of equal aspect: it cuts the label of the y axis.
     engine = ConstrainedLayoutEngine(compress=layout == "compressed", w_pad=0.15, h_pad=0.1)
     figure = Figure(figsize=(width, height), dpi=120, layout=engine, facecolor="white")
     FigureCanvasAgg(figure)
@@ -68,7 +68,7 @@ def new_figure(
 
 
 def tidy(axes: Axes, *, grid: str = "both") -> None:
-    """A light grid behind the data and no frame where nothing is read off."""
+    """Draw a light grid behind the data, and remove the unused frame."""
     axes.set_axisbelow(True)
     options: dict[str, Any] = {"color": "#E3E6EA", "linewidth": 0.7}
     axes.grid(True, axis=grid, **options)  # type: ignore[arg-type]
@@ -100,7 +100,7 @@ class Band(NamedTuple):
 
 
 def probability_ellipse(covariance: FloatArray, probability: float = 0.95) -> Ellipse:
-    """The ellipse that holds a 2-D Gaussian with the given probability.
+    """Return the ellipse that contains a 2-D Gaussian with the given probability.
 
     Parameters
     ----------
@@ -119,14 +119,14 @@ def probability_ellipse(covariance: FloatArray, probability: float = 0.95) -> El
 
 
 def finite_runs(finite: NDArray[np.bool_]) -> list[slice]:
-    """The maximal runs of True."""
+    """Return the maximal runs of True."""
     edges = np.diff(np.concatenate([[0], np.asarray(finite, dtype=int), [0]]))
     starts, stops = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0]
     return [slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
 
 
 def longest_step(t: FloatArray) -> float:
-    """Seconds between samples beyond which a track has a hole: nothing is drawn as known in between."""
+    """Return the sample interval in seconds above which a track has a hole, which is not drawn."""
     return max(0.5, 2.5 * float(np.median(np.diff(t)))) if len(t) > 1 else 0.5
 
 
@@ -180,9 +180,9 @@ def break_at_seam(t: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def angle_bands(t: FloatArray, angle: FloatArray, half_width: FloatArray) -> list[Band]:
-    """The band ``angle ± half_width`` on the circle, as pieces that lie within [−π, π].
+    """Return the band ``angle ± half_width`` on the circle, as pieces within [−π, π].
 
-    A band that reaches over one edge comes in at the other. Half-widths stop at π: the whole circle.
+    A band that crosses one edge continues at the other. Half-widths are limited to π, the whole circle.
 
     Parameters
     ----------

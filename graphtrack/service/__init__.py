@@ -1,1 +1,1 @@
-"""The service of `graphtrack serve`: streams over WebSocket and HTTP, each answered by a process."""
+"""Service of `graphtrack serve`: streams over WebSocket and HTTP, one process each."""

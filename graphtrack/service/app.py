@@ -1,4 +1,4 @@
-"""The service on a port: streams over WebSocket and HTTP, health and metrics."""
+"""Network service: streams over WebSocket and HTTP, health and metrics."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from graphtrack.service.stream import Stream, open_stream, prepare
 from graphtrack.streaming.saved_state import StateInUse, remove
 
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429, 503: 1013}
-"""HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
+"""HTTP status of a refused request → close code of a WebSocket."""
 _BROKEN, _NO_TEXT, _UNREAD = 1011, 1007, 1008
 _NOTICED = 2.0
-"""Seconds within which it is noticed that a client went."""
+"""Seconds within which a disconnected client is detected."""
 _DROPPED, _TERMINATED = 2.0, 3.0
-"""Seconds after which a service that stops drops its connections, and terminates its processes."""
+"""Seconds after which a stopping service drops its connections and terminates its processes."""
 _STOPPING = "the service is stopping; connect again"
 _PAGE = """graphtrack serve: streams of positions in, estimates out.
 
@@ -59,7 +59,7 @@ Documentation: docs/serve.md of the source; graphtrack serve --help
 
 
 class Refused(Exception):
-    """A request that is not taken: a status, and why."""
+    """Refusal of a request: status and reason."""
 
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
@@ -71,8 +71,8 @@ class Streams:
 
     Parameters
     ----------
-    service : what it was told
-    metrics : its counters
+    service : settings of the service
+    metrics : counters of the service
     """
 
     def __init__(self, service: Service, metrics: Metrics) -> None:
@@ -89,11 +89,11 @@ class Streams:
 
     @property
     def is_ready(self) -> bool:
-        """Return True if streams can be opened: all code is compiled, and the service does not stop."""
+        """Return True if streams can be opened: all code is compiled, and the service is not stopping."""
         return self.prepared.is_set() and not self.stopping.is_set()
 
     def check(self, request: HTTPConnection) -> None:
-        """Refuse who does not bear the token; browsers, which set no headers, may give it as ``?token=``."""
+        """Refuse requests without the token; browsers, which set no headers, use ``?token=``."""
         token = self.service.token
         given = request.headers.get("authorization", "").removeprefix("Bearer ")
         given = given or request.query_params.get("token", "")
@@ -101,16 +101,16 @@ class Streams:
             raise Refused(401, "no valid token; expected 'Authorization: Bearer TOKEN'")
 
     def checked_name(self, request: HTTPConnection) -> str:
-        """The stream that is asked for."""
+        """Return the name of the requested stream."""
         self.check(request)
         name = str(request.path_params["name"])
         if not STREAM_NAME.fullmatch(name):
-            raise Refused(404, "no name of a stream; expected up to 64 letters, digits, '.', '_' and '-'")
+            raise Refused(404, "invalid stream name; expected up to 64 letters, digits, '.', '_' and '-'")
         return name
 
     @asynccontextmanager
     async def opened(self, name: str) -> AsyncIterator[Stream]:
-        """A stream for one connection; it ends, and what it knows is kept, when the connection is done."""
+        """Open a stream for one connection; it ends, and its state is saved, when the connection ends."""
         await self.prepared.wait()
         if self.stopping.is_set():
             raise Refused(503, _STOPPING)
@@ -118,7 +118,7 @@ class Streams:
         if name in self._open:
             raise Refused(409, f"stream {name} has a connection; expected one at a time")
         if len(self._open) >= self.service.limits.streams:
-            raise Refused(429, f"{len(self._open)} streams are open, as many as may be")
+            raise Refused(429, f"{len(self._open)} streams are open, the maximum")
         left = self._open[name] = asyncio.Event()
         self.metrics.streams.inc()
         try:
@@ -135,7 +135,7 @@ class Streams:
             self._close(name, left)
 
     async def _ended(self, stream: Stream, left: asyncio.Event) -> None:
-        """End a stream; until that is done, who asks for it again waits."""
+        """End a stream; new requests for it wait until it has ended."""
         name = stream.name
         self._ending[name] = asyncio.Event()
         self._close(name, left)
@@ -145,13 +145,13 @@ class Streams:
             self._ending.pop(name).set()
 
     def _close(self, name: str, left: asyncio.Event) -> None:
-        if self._open.get(name) is left:  # and not that of the next client
+        if self._open.get(name) is left:  # not the next client's stream
             del self._open[name]
             left.set()
             self.metrics.streams.dec()
 
     async def _left(self, name: str) -> None:
-        """Wait for who is going: the next may be here before it is noticed that they went."""
+        """Wait for a leaving client: the next may connect before the disconnection is detected."""
         if name in self._open:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._open[name].wait(), _NOTICED)
@@ -159,9 +159,9 @@ class Streams:
             await self._ending[name].wait()
 
     def stop(self) -> None:
-        """End all streams, and after some seconds those that would not end."""
+        """End all streams; terminate those that do not end within some seconds."""
         self.stopping.set()
-        self.prepared.set()  # who waits for it is refused
+        self.prepared.set()  # waiting requests are refused
         loop = asyncio.get_running_loop()
         loop.call_later(_DROPPED, self.connections.drop)
         loop.call_later(_TERMINATED, self._terminate)
@@ -171,7 +171,7 @@ class Streams:
             stream.terminate()
 
     async def forget(self, name: str) -> None:
-        """Remove what is kept of a stream that nobody is connected to."""
+        """Remove the saved state of a stream without a connection."""
         await self._left(name)
         if name in self._open:
             raise Refused(409, f"stream {name} has a connection; expected none")
@@ -184,11 +184,11 @@ class Streams:
             found = error.found if isinstance(error, InputError) else error.strerror
             raise Refused(409, f"the state of stream {name} cannot be removed: {found}") from error
         if not is_removed:
-            raise Refused(404, f"nothing is kept of stream {name}")
+            raise Refused(404, f"no saved state of stream {name}")
 
 
 def refusal(request: Request, refused: Exception) -> Response:
-    """The answer to a request over HTTP that is not taken."""
+    """Return the response to a refused HTTP request."""
     assert isinstance(refused, Refused)
     streams: Streams = request.app.state.streams
     streams.metrics.refused.labels(refused.status).inc()
@@ -196,9 +196,9 @@ def refusal(request: Request, refused: Exception) -> Response:
 
 
 async def by_websocket(websocket: WebSocket) -> None:
-    """Rows in, a message for each or for several lines. An empty message ends.
+    """Receive rows, one or several lines a message. An empty message ends the stream.
 
-    An answer a message out, or with ``?answers=together`` all that are ready, in lines.
+    Each answer is one message, or with ``?answers=together`` a message has all ready answers in lines.
     """
     streams: Streams = websocket.app.state.streams
     try:
@@ -208,7 +208,7 @@ async def by_websocket(websocket: WebSocket) -> None:
             together = websocket.query_params.get("answers") == "together"
             patience = streams.service.limits.patience
             code, reason = await _exchange(websocket, stream, patience, together)
-        # To who does not read there is no way of saying so.
+        # A client that does not read cannot be notified.
         with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
             await asyncio.wait_for(websocket.close(code, reason), patience)
     except Refused as refused:
@@ -218,10 +218,10 @@ async def by_websocket(websocket: WebSocket) -> None:
 
 
 async def _exchange(websocket: WebSocket, stream: Stream, patience: float, together: bool) -> tuple[int, str]:
-    """Pass rows and answers on until either side is done; the code and reason to close with."""
+    """Pass rows and answers on until either side ends; return the close code and reason."""
 
     async def rows() -> tuple[int, str] | None:
-        """The code and reason to close with at once; None if the rest is to be answered first."""
+        """Return the code and reason to close with at once; None if remaining rows are answered first."""
         while True:
             message = await websocket.receive()
             if message["type"] == "websocket.disconnect":
@@ -230,7 +230,7 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float, toget
             try:
                 data.decode()
             except UnicodeDecodeError as error:
-                return _NO_TEXT, f"byte {error.start + 1} of a message is no UTF-8; expected rows as JSON"
+                return _NO_TEXT, f"byte {error.start + 1} of a message is not UTF-8; expected rows as JSON"
             if not data.strip():
                 return None
             await stream.take(data.splitlines())
@@ -271,9 +271,9 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float, toget
 
 
 class Exchange(Response):
-    """The response of a stream over HTTP: rows in the request's body, answers in the response's.
+    """HTTP response of a stream: rows in the request's body, answers in the response's body.
 
-    Starlette's own streaming responses look for a disconnection where the body still comes in.
+    Starlette's streaming responses watch for a disconnection by reading the body, which is still arriving.
 
     Parameters
     ----------
@@ -289,12 +289,12 @@ class Exchange(Response):
         self._request, self._name = request, name
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send answers until all are sent, the client left or is silent, or the service stops."""
+        """Send answers until all are sent, the client leaves or is silent, or the service stops."""
         streams: Streams = self._request.app.state.streams
         connection: Connection = self._request.state.connection
         patience = streams.service.limits.patience
         async with streams.opened(self._name) as stream:
-            # First the body is asked for: who sent ``Expect: 100-continue`` waits for that.
+            # Request the body first: a client that sent ``Expect: 100-continue`` waits for that.
             incoming = asyncio.create_task(self._rows(stream, patience))
             outgoing = asyncio.create_task(self._answers(stream, send, patience))
             gone = asyncio.create_task(connection.gone.wait())
@@ -321,7 +321,7 @@ class Exchange(Response):
                 await _cancel(*tasks)
 
     async def _rows(self, stream: Stream, patience: float) -> str:
-        """Hand the body's rows on; a text if the body did not end: why no more rows are taken."""
+        """Pass the body's rows on; return a reason if they are refused before the body ends."""
         left, longest = b"", self._request.app.state.streams.service.limits.line_bytes
         body = self._request.stream()
         while True:
@@ -330,7 +330,7 @@ class Exchange(Response):
                     chunk = await anext(body)
             except StopAsyncIteration:
                 break
-            except ClientDisconnect:  # a row that is cut off is no row
+            except ClientDisconnect:  # drop a truncated row
                 stream.no_more()
                 return ""
             except TimeoutError:
@@ -338,13 +338,13 @@ class Exchange(Response):
             *lines, left = (left + chunk).split(b"\n")
             await stream.take(lines)
             if len(left) > longest:
-                break  # the row is answered by an error, and what follows is not read
+                break  # the row is answered by an error, and the rest is not read
         await stream.take([left])
         stream.no_more()
         return ""
 
     async def _answers(self, stream: Stream, send: Send, patience: float) -> bool:
-        """Send answers; False if they stayed unread."""
+        """Send answers; return False if they stayed unread."""
         try:
             async with asyncio.timeout(patience):
                 await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
@@ -358,12 +358,12 @@ class Exchange(Response):
 
 
 async def by_http(request: Request) -> Response:
-    """A whole stream, or its next piece where states are kept: NDJSON in the body, NDJSON back as it goes."""
+    """Answer a stream, or its next part with saved states: NDJSON in the body, NDJSON in the response."""
     streams: Streams = request.app.state.streams
     name = streams.checked_name(request)
     encoding = request.headers.get("content-encoding", "identity")
     if encoding.lower() != "identity":
-        raise Refused(415, f"a body with the encoding {encoding[:40]!r}; expected rows as they are")
+        raise Refused(415, f"a body with the encoding {encoding[:40]!r}; expected uncompressed rows")
     return Exchange(request, name)
 
 
@@ -375,19 +375,19 @@ async def _cancel(*tasks: asyncio.Task[Any]) -> None:
 
 
 async def page(request: Request) -> Response:
-    """A page for who opens the service in a browser."""
+    """Return a page for browsers."""
     return PlainTextResponse(_PAGE)
 
 
 async def listed(request: Request) -> Response:
-    """The streams that are open."""
+    """Return the open streams."""
     streams: Streams = request.app.state.streams
     streams.check(request)
     return JSONResponse({"streams": streams.names()})
 
 
 async def forgotten(request: Request) -> Response:
-    """Forget what is kept of a stream."""
+    """Remove the saved state of a stream."""
     streams: Streams = request.app.state.streams
     await streams.forget(streams.checked_name(request))
     return Response(status_code=204)
@@ -424,7 +424,7 @@ async def docs(request: Request) -> Response:
 
 
 async def metrics(request: Request) -> Response:
-    """Counters in Prometheus' text format."""
+    """Return the counters in Prometheus' text format."""
     streams: Streams = request.app.state.streams
     streams.check(request)
     return Response(streams.metrics.text(), media_type="text/plain; version=0.0.4")
@@ -477,17 +477,17 @@ def application(streams: Streams) -> Starlette:
 
 
 _GRACE = 4
-"""Seconds after which a service that stops cancels what still runs; `Streams.stop` ends all before that."""
+"""Seconds after which a stopping service cancels running tasks; `Streams.stop` ends all before that."""
 
 
 class Server(uvicorn.Server):
-    """A server that ends its streams when it stops, and exits with status 0 then.
+    """Server that ends its streams when it stops, and then exits with status 0.
 
     Parameters
     ----------
-    config : of the server
-    streams : of the service
-    report : called once streams are taken
+    config : configuration of the server
+    streams : streams of the service
+    report : called once streams are accepted
     """
 
     def __init__(self, config: uvicorn.Config, streams: Streams, report: Callable[[], None]) -> None:
@@ -496,7 +496,7 @@ class Server(uvicorn.Server):
         self._preparing: asyncio.Task[None] | None = None
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen, and compile what streams run."""
+        """Listen, and compile the code of the streams."""
         await super().startup(sockets)
         self._preparing = asyncio.create_task(self._prepare())
 
@@ -515,7 +515,7 @@ class Server(uvicorn.Server):
         Raises
         ------
         Exception
-            The one for which the service could not begin.
+            The error that prevented the start.
         """
         self._streams.stop()
         await super().shutdown(sockets)
@@ -524,7 +524,7 @@ class Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Stop at SIGTERM and SIGINT; uvicorn would raise them once more in the end."""
+        """Stop at SIGTERM and SIGINT; uvicorn would raise them again at the end."""
         before = {one: signal.signal(one, self.handle_exit) for one in (signal.SIGTERM, signal.SIGINT)}
         try:
             yield
@@ -534,7 +534,7 @@ class Server(uvicorn.Server):
 
 
 def run(service: Service, host: str, port: int, report: Callable[[str], None]) -> None:
-    """Serve until SIGTERM or SIGINT; `report` is given the address once streams are taken.
+    """Serve until SIGTERM or SIGINT; `report` receives the address once streams are accepted.
 
     Raises
     ------
@@ -553,7 +553,7 @@ def run(service: Service, host: str, port: int, report: Callable[[str], None]) -
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
-        ws_per_message_deflate=False,  # it took two fifths of this process's time
+        ws_per_message_deflate=False,  # compression took 40 % of this process's time
         ws_max_size=service.limits.line_bytes,
         ws_ping_interval=service.limits.patience / 2.0,
         ws_ping_timeout=service.limits.patience / 2.0,
@@ -564,9 +564,9 @@ def run(service: Service, host: str, port: int, report: Callable[[str], None]) -
 
 
 def _is_ours(record: logging.LogRecord) -> bool:
-    """Return False for what uvicorn logs as errors and is none of the service.
+    """Return False for errors in uvicorn's log that are a client's.
 
-    That is a text message that is no UTF-8, whose client gets code 1007, and a WebSocket that was refused.
+    These are a text message that is not UTF-8, closed with code 1007, and a refused WebSocket.
     """
     if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
         return False
@@ -579,7 +579,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listening = socket.socket(family, kind, protocol)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(address)
-        listening.listen()  # who comes early waits
+        listening.listen()  # early clients wait
     except OSError as error:
         found = f"--host {host} --port {port}: {error.strerror or error}"
         raise InputError(found, "an address of this machine and a free port") from error

@@ -57,7 +57,7 @@ def answer_schema() -> dict[str, Any]:
             "status": {"enum": list(get_args(Status))},
             "reason": {"type": "string", "description": "why the status is failed"},
             "error": {"type": "string"},
-            "line": {"type": "integer", "description": "of the row with the error, from 1"},
+            "line": {"type": "integer", "description": "line of the row with the error, from 1"},
         },
     }
 

@@ -28,9 +28,9 @@ class Limits:
 
     Attributes
     ----------
-    streams : at once
-    rows_per_second : of a stream; who sends faster is slowed down
-    line_bytes : of a row
+    streams : most open streams
+    rows_per_second : most rows a second of a stream; faster clients are throttled
+    line_bytes : most bytes of a row
     patience : seconds that a client may leave answers unread
     """
 
@@ -48,12 +48,12 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 @dataclass(frozen=True)
 class Clients:
-    """The clients whose requests are taken.
+    """Accepted clients.
 
     Attributes
     ----------
     hosts : names and addresses that the header ``Host`` may have; ``*``: any
-    origins : of web pages that may use the service; ``*``: any
+    origins : origins of web pages that may use the service; ``*``: any
     """
 
     hosts: tuple[str, ...] = LOOPBACK
@@ -66,10 +66,10 @@ class Service:
 
     Attributes
     ----------
-    answers : how rows are answered
-    save_every : seconds between flushings of states to the disk
+    answers : settings of the answers to rows
+    save_every : seconds between flushes of states to disk
     states : folder of the streams' states; None: streams end with their connections
-    token : that every request has to bear; None: all are welcome
+    token : token required in every request; None: none is required
     """
 
     answers: Answers
@@ -80,12 +80,12 @@ class Service:
     save_every: float = 10.0
 
     def state_of(self, name: str) -> Path | None:
-        """The file in which a stream is kept."""
+        """Return the file with a stream's state."""
         return None if self.states is None else self.states / f"{name}.state"
 
 
 def is_wildcard(host: str) -> bool:
-    """Return True for an address that stands for all of a machine's."""
+    """Return True for an address that means all addresses of a machine."""
     try:
         return ip_address(host).is_unspecified
     except ValueError:
@@ -93,7 +93,7 @@ def is_wildcard(host: str) -> bool:
 
 
 def is_loopback(host: str) -> bool:
-    """Return True for an address that only this machine reaches."""
+    """Return True for a loopback address."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -106,7 +106,7 @@ def clients_of(host: str, hosts: list[str], origins: list[str]) -> Clients:
     Raises
     ------
     InputError
-        If a name is none, or an origin has more than scheme, name and port.
+        If a name is invalid, or an origin has more than scheme, name and port.
     """
     for name in hosts:
         if not _HOST.fullmatch(name):
@@ -126,11 +126,11 @@ SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.
 
 
 class Latency(Collector):
-    """A histogram that counts many rows at once, as the package's own does not.
+    """Histogram that counts many rows at once, unlike the package's own.
 
     Parameters
     ----------
-    name, documentation : as the package's
+    name, documentation : as in the package's histogram
     """
 
     def __init__(self, name: str, documentation: str) -> None:
@@ -143,14 +143,14 @@ class Latency(Collector):
         self._sum += seconds * times
 
     def collect(self) -> Iterator[HistogramMetricFamily]:
-        """As Prometheus wants it: the counts of all that took no longer."""
+        """Return cumulative counts, as Prometheus requires."""
         bounds = [*map(str, SECONDS), "+Inf"]
         buckets = list(zip(bounds, map(float, accumulate(self._counts)), strict=True))
         yield HistogramMetricFamily(self._name, self._documentation, buckets, self._sum)
 
 
 class Metrics:
-    """Counters of one service, in a registry of their own."""
+    """Counters of one service, in a separate registry."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
@@ -160,22 +160,22 @@ class Metrics:
         )
         self.refused = Counter(
             "graphtrack_requests_refused",
-            "Requests that were not taken, by their status",
+            "Refused requests, by status",
             ["status"],
             registry=self.registry,
         )
         self.slowed = Counter(
-            "graphtrack_slowed_seconds", "Time that clients were held back", registry=self.registry
+            "graphtrack_slowed_seconds", "Time that clients were throttled", registry=self.registry
         )
         self.broken = Counter(
-            "graphtrack_streams_broken", "Streams whose process ended badly", registry=self.registry
+            "graphtrack_streams_broken", "Streams whose process failed", registry=self.registry
         )
         self.latency = Latency("graphtrack_latency_seconds", "From the arrival of a row to its answers")
         self.registry.register(self.latency)
         self.streams = Gauge("graphtrack_streams", "Streams that are open", registry=self.registry)
-        self.people = Gauge("graphtrack_people", "People who are followed", registry=self.registry)
+        self.people = Gauge("graphtrack_people", "People being tracked", registry=self.registry)
         self.waiting = Gauge(
-            "graphtrack_rows_waiting", "Rows that came and are not answered yet", registry=self.registry
+            "graphtrack_rows_waiting", "Received rows that are not answered yet", registry=self.registry
         )
 
     def text(self) -> bytes:

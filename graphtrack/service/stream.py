@@ -1,4 +1,4 @@
-"""One stream: its process, the rows on their way to it, and the answers on their way back."""
+"""One stream: its process, the rows sent to it, and the answers received."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ FORKED = "forkserver" in multiprocessing.get_all_start_methods()  # not on Windo
 PROCESSES = multiprocessing.get_context("forkserver") if FORKED else multiprocessing.get_context("spawn")
 _ERROR = b'"error"'
 _PAUSE = 0.002
-"""Seconds in which answers gather while more of them are to come: to look for each costs as much as a row."""
+"""Seconds in which answers are collected: reading each separately costs as much as a row."""
 
 
 class Stream:
-    """A running stream; `open_stream` begins one.
+    """Running stream; `open_stream` starts one.
 
     Attributes
     ----------
-    name : of the stream
-    people : who are followed
+    name : name of the stream
+    people : number of tracked people
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Stream:
         self._budget, self._counted = self._limits.rows_per_second, time.monotonic()
 
     async def take(self, lines: Iterable[bytes]) -> None:
-        """Hand rows on; waits while the process, or the client's right to rows, is behind."""
+        """Send rows to the process; wait while the process or the rate limit is behind."""
         rows = [line for line in lines if line.strip()]
         if not rows:
             return
@@ -56,13 +56,13 @@ class Stream:
         self._waiting += len(rows)
         self._metrics.waiting.inc(len(rows))
         text = b"".join(row.rstrip(b"\r\n") + b"\n" for row in rows)
-        # What is cut off, since the client goes, is no row: it has no end. If the process has ended, that is
-        # told where answers end.
+        # A row truncated by a disconnection has no end and is dropped. If the process has ended, `answers`
+        # reports it.
         with suppress(ConnectionError):
             await asyncio.get_running_loop().sock_sendall(self._connection, text)
 
     async def answers(self) -> AsyncIterator[list[str]]:
-        """Lines for the client, until the process has said everything: answers, and what was said aside."""
+        """Yield lines for the client, answers and notes, until the process ends its output."""
         while data := await self._read():
             *lines, self._left = (self._left + data).split(b"\n")
             told = []
@@ -82,19 +82,19 @@ class Stream:
     async def _read(self) -> bytes:
         try:
             return await asyncio.get_running_loop().sock_recv(self._connection, PIECE)
-        except ConnectionError:  # the process died with rows before it
+        except ConnectionError:  # the process died with unread rows
             return b""
 
     def no_more(self) -> None:
-        """Say that no more rows come."""
+        """Signal the end of the rows."""
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)
 
     async def end(self) -> int:
-        """Have the process keep what it knows and wait for it; its exit status, negative for a signal."""
+        """Let the process save its state, wait for it, and return its exit status, negative for a signal."""
         self.no_more()
         try:
-            async for _ in self.answers():  # nobody reads them any more
+            async for _ in self.answers():  # discard them: the client is gone
                 pass
         except (OSError, ValueError):
             pass
@@ -108,11 +108,11 @@ class Stream:
         return status
 
     def terminate(self) -> None:
-        """Terminate the process; a kept state stays valid."""
+        """Terminate the process; a saved state stays valid."""
         self._process.terminate()
 
     async def status(self) -> int:
-        """The process's exit status, when it has ended."""
+        """Return the process's exit status when it has ended."""
         await asyncio.to_thread(self._process.join)
         assert self._process.exitcode is not None
         return self._process.exitcode
@@ -134,7 +134,7 @@ class Stream:
                 self._arrived.appendleft((since, there - done))
 
     async def _keep_to_rate(self, rows: int) -> None:
-        """A bucket that holds a second's rows."""
+        """Token bucket with a capacity of one second of rows."""
         rate, now = self._limits.rows_per_second, time.monotonic()
         self._budget = min(rate, self._budget + rate * (now - self._counted))
         self._counted = now
@@ -146,13 +146,13 @@ class Stream:
 
 
 def nothing() -> None:
-    """Do nothing, in a process that only shows that there can be one."""
+    """Do nothing, in a process that tests whether processes can start."""
 
 
 def prepare(service: Service) -> None:
-    """Have the processes' parent ready, with all code loaded; compile what there is none of."""
+    """Start the processes' parent with all code loaded; compile missing code."""
     os.environ[WARM] = json.dumps(service.answers.model.to_dict())
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are what runs beside each other
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are the parallel units
     if FORKED:
         PROCESSES.set_forkserver_preload([work.__module__])
     first = PROCESSES.Process(target=nothing)
@@ -161,7 +161,7 @@ def prepare(service: Service) -> None:
 
 
 async def open_stream(name: str, service: Service, metrics: Metrics) -> Stream:
-    """Begin a stream, or go on with it where there is a state."""
+    """Start a stream, or resume it from a saved state."""
     here, there = socket.socketpair()
     arguments = (there, service.answers, service.state_of(name), service.save_every)
     process = PROCESSES.Process(target=work, args=arguments, name=f"stream {name}", daemon=True)

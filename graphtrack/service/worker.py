@@ -1,8 +1,8 @@
-"""The process of one stream: `graphtrack track -` between the two ends of a socket.
+"""Process of one stream: `graphtrack track -` over a socket.
 
-Rows that are there together are answered together. The way back has a line for each answer and, behind the
-answers to so many rows, a line ``#`` with their number and that of the people; ``!`` before a line marks what
-is no answer. So whoever asked knows how many rows are on their way.
+Rows that arrive together are answered together. The output has a line for each answer and, after the answers
+to a batch of rows, a line ``#`` with their number and that of the people; a line after ``!`` is a note. From
+these counts the service knows how many rows are pending.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from graphtrack.streaming.saved_state import Answering
 from graphtrack.streaming.session import Answers, Listener, track_stream
 
 DONE, ASIDE = b"#", b"!"
-"""Beginning of a line that counts answered rows, and of one that is no answer."""
+"""Prefixes of a line that counts answered rows, and of a note."""
 
 PIECE = 1 << 16
-"""Bytes that are read at once."""
+"""Bytes in one read."""
 
 WARM = "GRAPHTRACK_SERVE_MODEL"
-"""Variable of the environment: the model whose code the processes' parent loads, so that they have it."""
+"""Environment variable with the model whose code the processes' parent loads in advance."""
 
 _HELD = 0.01
-"""Seconds after which answers go out though more rows are there."""
+"""Seconds after which answers are sent although more rows are ready."""
 
 
 class Answered(io.TextIOBase):
-    """Answers that go out together."""
+    """Answers that are sent together."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection, self._texts = connection, list[str]()
@@ -47,11 +47,11 @@ class Answered(io.TextIOBase):
 
     @property
     def is_held(self) -> bool:
-        """Return True if answers have waited for long."""
+        """Return True if answers have waited longer than the limit."""
         return time.monotonic() > self._sent + _HELD
 
     def write(self, text: str, /) -> int:
-        """Keep an answer."""
+        """Add an answer."""
         self._texts.append(text)
         return len(text)
 
@@ -60,7 +60,7 @@ class Answered(io.TextIOBase):
         self._rows, self._people = self._rows + 1, people
 
     def send(self) -> None:
-        """Let everything go that was written."""
+        """Send all answers."""
         if self._rows:
             self._texts.append(f"{DONE.decode()}{self._rows} {self._people}\n")
         if self._texts:
@@ -70,7 +70,7 @@ class Answered(io.TextIOBase):
 
 
 class Asking(io.BufferedIOBase):
-    """Rows; before more are waited for, the answers to those that came go out."""
+    """Yield rows; before waiting for more, send the answers to earlier rows."""
 
     def __init__(self, connection: socket.socket, answered: Answered) -> None:
         self._connection, self._answered = connection, answered
@@ -81,7 +81,7 @@ class Asking(io.BufferedIOBase):
         return True
 
     def read1(self, size: int = -1, /) -> bytes:
-        """Rows that are here by now; none where no more come. One without an end was cut off."""
+        """Return received rows; none at the end of the input. A row without an end was truncated."""
         while True:
             self._answered.send()
             data = self._connection.recv(PIECE)
@@ -94,13 +94,13 @@ class Asking(io.BufferedIOBase):
 
 
 def work(connection: socket.socket, answers: Answers, state: Path | None, save_every: float) -> None:
-    """Answer rows from a socket until it says that there are no more.
+    """Answer rows from a socket until its end.
 
-    Where a state is kept, rows that are there together are kept together, and their answers go out before the
-    next are kept. The exit status is 0, or 1 if the stream could not be begun or gone on with; the last line
-    says why.
+    With a saved state, rows that arrive together are saved together, and their answers are sent before the
+    next are saved. The exit status is 0, or 1 if the stream could not be started or resumed; the last line
+    has the reason.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever began the stream ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service ends the stream
     said = Answered(connection)
     sys.stdin, sys.stdout = io.TextIOWrapper(Asking(connection, said)), said
 
@@ -124,18 +124,17 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
         said.send()
     except GraphtrackError as error:
         if isinstance(error, InputError) and state is not None and error.path == str(state):
-            place = f"state of stream {state.stem}"  # clients do not learn where it is kept
+            place = f"state of stream {state.stem}"  # do not reveal the path to clients
             error = InputError(error.found, error.expected, path=place, line=error.line)
-        with suppress(OSError):  # nobody may be there any more
+        with suppress(OSError):  # the client may have left
             aside({"error": str(error)})
         sys.exit(1)
-    except ConnectionError:  # nobody hears the answers any more
+    except ConnectionError:  # the client has left
         sys.exit(1)
 
 
 if WARM in os.environ:  # in the parent of the processes, once
     Answers(Model.from_dict(json.loads(os.environ[WARM]))).warm_up()
-    # What is here by now is in the memory of all streams as long as none of them writes to it; their
-    # collectors would.
+    # Objects loaded so far are shared by all streams until one writes to them, as garbage collection would.
     gc.collect()
     gc.freeze()

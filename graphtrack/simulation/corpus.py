@@ -1,8 +1,8 @@
 """Simulated people who walk straight or around an obstacle: the corpus of Baxter et al. (2014, §IV-A).
 
-The paper gives the numbers of tracks and steps, and all noise. Walking speed and manoeuvres are arguments
-here. As in its Fig. 4, the course turns by an angle, is held, turns back, passes the obstacle, and then the
-same to the other side; later behaviours turn further and faster.
+The paper gives the numbers of tracks and steps, and all noise. Walking speed and manoeuvres are
+parameters here. As in its Fig. 4, the course turns by an angle, is held, turns back, passes the obstacle, and
+then repeats this to the other side; later behaviours turn further and faster.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.tracks.track import Track, TrackSet
 
 NUMERALS = ("i", "ii", "iii", "iv", "v", "vi", "vii")
-"""The behaviours, as Baxter et al. (2014) number them: i is straight, ii–vii avoid an obstacle."""
+"""Behaviours as numbered by Baxter et al. (2014): i is straight, ii–vii avoid an obstacle."""
 
 
 @dataclass(frozen=True)
 class CorpusParameters:
-    """Parameters of the corpus. Starred numbers are Baxter et al.'s, the others are choices.
+    """Parameters of the corpus. Starred values are from Baxter et al., the others are choices.
 
     Attributes
     ----------
-    tracks : * of each behaviour
-    steps : * of each track
-    speed : metres a step; 0.3 is a pedestrian of 1.2 m/s seen four times a second
+    tracks : * number of tracks of each behaviour
+    steps : * number of steps of each track
+    speed : metres a step; 0.3 is a pedestrian of 1.2 m/s observed at 4 Hz
     step_seconds : seconds a step, for methods that need them
     path_std : * metres, noise of the true positions, independent at every step
     observation_std : * metres, noise of the observed positions
     head_offset, head_std : * radians, mean and 1-σ of the noise of the head
-    look_ahead : * steps: the head points where the person goes from t to t + look_ahead
+    look_ahead : * steps: the head points in the direction of travel from t to t + look_ahead
     turn_angles : radians by which the course turns in behaviours ii–vii
     turn_steps : steps that such a turn takes in behaviours ii–vii
     aside_steps : steps that the new course is held, on the way out and on the way back
-    passing_steps : steps beside the obstacle
+    passing_steps : steps alongside the obstacle
     """
 
     tracks: int = 500
@@ -85,20 +85,20 @@ class Corpus:
     """The tracks of one behaviour, as arrays: m tracks of n steps."""
 
     behaviour: int  # 0 … 6
-    name: str  # its numeral and what it is
+    name: str  # its numeral and description
     truth: FloatArray  # (m, n, 2) metres
-    position: FloatArray  # (m, n, 2) observed; NaN where nobody was detected
+    position: FloatArray  # (m, n, 2) observed; NaN if not detected
     travel: FloatArray  # (m, n) radians, the direction from t to t + look_ahead that the head follows
-    head: FloatArray  # (m, n) observed, radians; NaN where it was not detected
-    parameters: CorpusParameters  # what it was made with
+    head: FloatArray  # (m, n) observed, radians; NaN if not detected
+    parameters: CorpusParameters  # parameters of the simulation
 
     def __len__(self) -> int:
         return len(self.truth)
 
     def detected(self, rate: float, rng: np.random.Generator) -> Corpus:
-        """The same people, detected at a share ``rate`` of the steps, chosen evenly; the first one always.
+        """Return the same people, detected at a share ``rate`` of evenly spaced steps, including the first.
 
-        Who is not detected shows no head either. Raise InputError unless the rate is in (0, 1].
+        An undetected person has no head observation either. Raise InputError unless the rate is in (0, 1].
         """
         if not 0.0 < rate <= 1.0:
             raise InputError(f"rate = {rate!r}", "a share in (0, 1]")
@@ -111,7 +111,7 @@ class Corpus:
         )
 
     def tracks(self, count: int | None = None) -> TrackSet:
-        """The first ``count`` people as tracks, in metres and seconds, with their truth."""
+        """Return the first ``count`` people as tracks, in metres and seconds, with their truth."""
         parameters, n = self.parameters, self.truth.shape[1]
         frame = np.arange(n)
         t = np.asarray(frame * parameters.step_seconds, dtype=np.float64)
@@ -137,9 +137,9 @@ class Corpus:
 
 
 def courses(behaviour: int, parameters: CorpusParameters, rng: np.random.Generator) -> FloatArray:
-    """Courses (tracks, steps + look_ahead − 1) in radians: where each step from t to t + 1 leads.
+    """Return courses (tracks, steps + look_ahead − 1) in radians: directions of the steps from t to t + 1.
 
-    People walk anywhere, pass on either side, and begin the manoeuvre at any step that leaves room for it.
+    Start positions, passing side and first step of the manoeuvre are random.
     """
     m, length = parameters.tracks, parameters.steps + parameters.look_ahead - 1
     base, side = rng.uniform(-np.pi, np.pi, (m, 1)), rng.choice([-1.0, 1.0], (m, 1))
@@ -160,7 +160,7 @@ def courses(behaviour: int, parameters: CorpusParameters, rng: np.random.Generat
 def simulate_behaviour(
     behaviour: int, parameters: CorpusParameters | None = None, *, rng: np.random.Generator
 ) -> Corpus:
-    """The tracks of one behaviour, 0 (straight) … 6 (the sharpest turns), all detected.
+    """Simulate the tracks of one behaviour, 0 (straight) … 6 (the sharpest turns), all detected.
 
     Raise InputError if there is no such behaviour.
     """
@@ -192,5 +192,5 @@ def simulate_behaviour(
 def simulate_corpus(
     parameters: CorpusParameters | None = None, *, rng: np.random.Generator
 ) -> tuple[Corpus, ...]:
-    """All seven behaviours: 3,500 tracks of 200 steps with the default parameters."""
+    """Simulate all seven behaviours: 3,500 tracks of 200 steps with the default parameters."""
     return tuple(simulate_behaviour(b, parameters, rng=rng) for b in range(len(NUMERALS)))

@@ -1,8 +1,8 @@
-"""Simulated pedestrians that are not drawn from the model: crowds that cross a place, and strollers.
+"""Simulated pedestrians not sampled from the model: crowds that cross an area, and strollers.
 
 Speeds and courses of strollers are piecewise smooth functions of time, the body follows the course with a
 lag, the head turns ahead of it, and a glance adds an angle of its own. Walking paces follow Daamen &
-Hoogendoorn (2007) and hip sway Murray et al. (1964); glances and stops are choices.
+Hoogendoorn (2007) and hip sway follows Murray et al. (1964); glances and stops are choices.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_numbers, number
 
-_GRID = 0.1  # seconds a step of the walks
+_GRID = 0.1  # step of the walks in seconds
 
 _SHORTEST = 4.0  # metres between the ends of a walk
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place that people cross.
+    """Area that people cross.
 
     Attributes
     ----------
-    width, depth : of the place, m
-    arrivals : people or pairs who enter, 1/s
-    pairs : share of them who are pairs
-    apart : between the two of a pair, m
-    speed, speed_std : at which people like to walk, m/s, mean and standard deviation
-    sway : standard deviation of a velocity about that, m/s on each axis
-    sway_seconds : how long a sway lasts, s
-    stops : share of those who stop on their way
-    stop_seconds : for how long on average, s
+    width, depth : size of the area, m
+    arrivals : arrival rate of people or pairs, 1/s
+    pairs : share of pairs among arrivals
+    apart : distance within a pair, m
+    speed, speed_std : preferred walking speed, m/s, mean and standard deviation
+    sway : standard deviation of the velocity about it, m/s on each axis
+    sway_seconds : correlation time of the velocity, s
+    stops : share of people who stop on their way
+    stop_seconds : mean duration of a stop, s
     """
 
     width: float = 16.0
@@ -63,10 +63,10 @@ class Place:
 def crowd(
     rng: np.random.Generator, *, place: Place = Place(), seconds: float = 120.0, fps: float = 2.5
 ) -> TrackSet:
-    """People who walk from one edge of a place to another, exactly known.
+    """Simulate people who walk from one edge of an area to another, without noise.
 
-    The velocity is an Ornstein–Uhlenbeck process about that towards the goal. Who enters together keeps side
-    by side, each with a sway of their own. Raise InputError for a scene in which nobody is seen.
+    The velocity is an Ornstein–Uhlenbeck process about the velocity towards the goal. Pairs walk side by side
+    with independent deviations. Raise InputError for a scene without people.
 
     ``seconds``, ``fps``: length of the scene, and frames a second
     """
@@ -82,7 +82,7 @@ def crowd(
             if track is not None:
                 tracks.append(track)
     if not tracks:
-        raise InputError("a scene with nobody", "more seconds or arrivals")
+        raise InputError("a scene without people", "more seconds or arrivals")
     return TrackSet(tuple(tracks))
 
 
@@ -95,7 +95,7 @@ def _edge(rng: np.random.Generator, place: Place, side: int) -> FloatArray:
 
 
 def _walk(rng: np.random.Generator, place: Place) -> FloatArray:
-    """Positions (n, 2) every `_GRID` seconds from one edge to another."""
+    """Return positions (n, 2) every `_GRID` seconds from one edge to another."""
     first, second = rng.permutation(4)[:2].tolist()
     position = goal = _edge(rng, place, first)
     while np.linalg.norm(goal - position) < _SHORTEST:
@@ -140,7 +140,7 @@ def _seen(path: FloatArray, start: float, identity: int, seconds: float, fps: fl
 
 _STROLLER_GRID = 0.02  # seconds between samples of a path before it is observed
 
-_FARTHEST = np.radians(120.0)  # of a turn on the spot: the other way round would be as likely beyond
+_FARTHEST = np.radians(120.0)  # of a turn on the spot; beyond it both directions are equally likely
 
 
 @dataclass(frozen=True)
@@ -152,8 +152,8 @@ class StrollerParameters:
     speed, speed_std : m/s, mean and 1-σ between people
     fastest_turn : rad/s of the course, at most
     turns_per_minute, stops_per_minute, glances_per_minute : mean number
-    stop_low, stop_high : seconds that somebody stands, uniform
-    glance_low, glance_high : seconds that a glance lasts, uniform
+    stop_low, stop_high : duration of a stop in seconds, uniform
+    glance_low, glance_high : duration of a glance in seconds, uniform
     glance_std : radians, 1-σ of the angle of a glance, at most 90°
     head_lead : seconds by which the head turns ahead of the course
     body_lag : seconds by which the body turns after it
@@ -192,18 +192,18 @@ def strollers(
     turned: float = 0.05,
     declared: bool = True,
 ) -> TrackSet:
-    """Pedestrians with their truth, observed with noise.
+    """Simulate pedestrians with their truth, observed with noise.
 
     Raise InputError for a number outside its range.
 
     Parameters
     ----------
-    rng : source of the people and of the noise
+    rng : generator of people and noise
     people, seconds, fps : number of tracks, their length and frames a second
     position_std : metres, 1-σ of each axis
     body_std, head_std : radians, 1-σ of the observed angles (κ = 1/σ²); None: not observed
     turned : share of observed angles that are turned by 180°
-    declared : whether the tracks state the noise of their angles; else the model's defaults stand
+    declared : True if the tracks declare the noise of their angles; else the model's defaults apply
     """
     if people < 1 or not (np.isfinite(seconds * fps) and seconds > 0.0 and fps > 0.0):
         raise InputError(f"{people} people, {seconds!r} s at {fps!r} Hz", "positive numbers")
@@ -227,7 +227,7 @@ def strollers(
 
 
 def full_turns_too_many(estimate: Track, truth: Track) -> tuple[int, int]:
-    """Stops over which the estimated body turns by 180° more than in truth, and all stops.
+    """Count stops over which the estimated body turns by 180° more than the true body, and all stops.
 
     From a second before a stop to one after, unwrapped from frame to frame; none without a body or its truth.
     """
@@ -243,12 +243,12 @@ def full_turns_too_many(estimate: Track, truth: Track) -> tuple[int, int]:
 
 
 def standing(track: Track, least: float = 1.5, slowest: float = 0.05) -> list[tuple[int, int]]:
-    """Stretches of frames, first and one past the last, in which the true position rests.
+    """Return intervals of frames, first and one past the last, in which the true position is at rest.
 
     Parameters
     ----------
-    least : seconds that a stretch lasts at least
-    slowest : m/s below which somebody stands
+    least : shortest interval in seconds
+    slowest : speed of a standing person, at most, m/s
     """
     if track.true_position is None or len(track) < 2:
         return []
@@ -264,8 +264,8 @@ def standing(track: Track, least: float = 1.5, slowest: float = 0.05) -> list[tu
 def _stroll(
     track_id: int, habits: StrollerParameters, seconds: float, fps: float, rng: np.random.Generator
 ) -> Track:
-    """One person's truth, sampled at the frames."""
-    # A beginning that is cut off, so that tracks begin in the middle of something.
+    """Return one person's truth, sampled at the frames."""
+    # Discard a burn-in, so that tracks begin within an activity.
     before = 5.0
     t = np.arange(0.0, seconds + 2.0 * before, _STROLLER_GRID)
     own = max(habits.speed + habits.speed_std * float(rng.standard_normal()), 0.2)
@@ -278,7 +278,7 @@ def _stroll(
             continue
         walks_from = begin + length + 2.0
         moving = np.minimum(moving, 1.0 - _ramp(t, begin - 0.7, 0.7) + _ramp(t, begin + length, 0.7))
-        # The way on is another; the turn is made on the spot before the first step.
+        # The new direction is reached by a turn on the spot before the first step.
         onward = np.clip(rng.normal(0.0, np.radians(50.0)), -_FARTHEST, _FARTHEST)
         course += onward * _ramp(t, begin + length - 1.2, 1.2)
     for begin in _times(t, habits.turns_per_minute, rng):
@@ -314,19 +314,19 @@ def _stroll(
 
 
 def _times(t: FloatArray, per_minute: float, rng: np.random.Generator) -> list[float]:
-    """Moments of a Poisson process over the times ``t``."""
+    """Return event times of a Poisson process over the times ``t``."""
     seconds = float(t[-1] - t[0])
     found: list[float] = np.sort(rng.uniform(t[0], t[-1], rng.poisson(per_minute * seconds / 60.0))).tolist()
     return found
 
 
 def _ramp(t: FloatArray, begin: float, length: float) -> FloatArray:
-    """From 0 to 1 within ``length`` seconds, as half a cosine."""
+    """Return a half-cosine ramp from 0 to 1 within ``length`` seconds."""
     return 0.5 - 0.5 * np.cos(np.pi * np.clip((t - begin) / length, 0.0, 1.0))
 
 
 def _lagged(angle: FloatArray, lag: float) -> FloatArray:
-    """Unwrapped angles through a first-order lag of so many seconds."""
+    """Filter unwrapped angles with a first-order lag in seconds."""
     if lag == 0.0:
         return angle
     keep = float(np.exp(-_STROLLER_GRID / lag))
@@ -335,7 +335,7 @@ def _lagged(angle: FloatArray, lag: float) -> FloatArray:
 
 
 def _smooth_noise(t: FloatArray, seconds: float, rng: np.random.Generator) -> FloatArray:
-    """A stationary Gaussian course of variance 1 whose correlation time is ``seconds``."""
+    """Return a stationary Gaussian process of variance 1 with correlation time ``seconds``."""
     keep = float(np.exp(-_STROLLER_GRID / seconds))
     white = np.sqrt(1.0 - keep**2) * rng.standard_normal(len(t))
     white[0] = rng.standard_normal()

@@ -1,4 +1,4 @@
-"""Degradation of known tracks: noise, windows withheld, and angles as classifiers answer them."""
+"""Degradation of known tracks: noise, withheld windows, and angles from simulated classifiers."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 
 WITHHELD = ("position", "position_std", "pixel", "body", "body_kappa", "body_likelihood")
-"""What `occlude` withholds: everything but the head, which shows longest above what stands in the way."""
+"""Channels withheld by `occlude`: all but the head, which is visible longest above an obstacle."""
 
 OBSERVED = (*WITHHELD, "head", "head_kappa", "head_likelihood")
-"""Channels that are missing of somebody who is not detected at all."""
+"""Channels that are missing if a person is not detected."""
 
 TURN_SECONDS = 1.0
-"""Time over which a turn is measured, by default: from the motion of the first half to that of the second."""
+"""Default time over which a turn is measured: from the motion of the first half to that of the second."""
 
-MOVING_SPEED = 0.3  # m/s below which the direction of motion means nothing
+MOVING_SPEED = 0.3  # m/s below which the direction of motion is undefined
 
 
 def add_noise(
@@ -37,19 +37,19 @@ def add_noise(
     head_kappa: float | None = None,
     rng: np.random.Generator,
 ) -> TrackSet:
-    """Take the tracks' values for the truth and observe them with noise.
+    """Take the tracks' values as the truth, and observe them with noise.
 
-    The values move to ``true_position``, ``true_body`` and ``true_head``; a truth that is there already is
-    used instead. What was not observed stays unobserved; a channel that is absent altogether, but whose
-    truth is known, is observed at every frame. Estimates are dropped, and so are pixels and class
+    The values move to ``true_position``, ``true_body`` and ``true_head``; an existing truth is
+    used instead. Missing observations stay missing; an absent channel with known truth is observed at every
+    frame. Estimates are dropped, and so are pixels and class
     likelihoods of a channel that gets noise.
 
     Parameters
     ----------
-    tracks : what is known, in any form that `graphtrack.solve` takes
-    position_std : metres, 1-σ of each axis; None: positions are observed as they are
-    body_kappa, head_kappa : von Mises concentrations, ≥ 0; None: angles are observed as they are
-    rng : source of the noise
+    tracks : exact tracks, in any form that `graphtrack.solve` takes
+    position_std : metres, 1-σ of each axis; None: positions without noise
+    body_kappa, head_kappa : von Mises concentrations, ≥ 0; None: angles without noise
+    rng : generator of the noise
 
     Raises
     ------
@@ -74,7 +74,7 @@ def _noisy(
         seen = np.isfinite(track.position).all(axis=1)
         if seen.any():
             noisy[~seen] = np.nan
-        # A σ of 0 is no noise model: the model's default stands.
+        # A σ of 0 is no noise model: the model's default applies.
         std = np.full(len(track), position_std) if position_std > 0.0 else None
         changes |= {"position": noisy, "position_std": std, "pixel": None}
     for name, kappa in kappas.items():
@@ -91,7 +91,7 @@ def _noisy(
 
 
 def motion(track: Track) -> FloatArray:
-    """The true positions (n, 2), or the observed ones where no truth is known."""
+    """Return the true positions (n, 2), or the observed positions without truth."""
     return track.true_position if track.true_position is not None and track.has_truth else track.position
 
 
@@ -99,7 +99,7 @@ def motion(track: Track) -> FloatArray:
 class Occlusion:
     """Tracks with a window withheld."""
 
-    tracks: TrackSet  # those in which a window found room
+    tracks: TrackSet  # tracks with room for a window
     windows: Mapping[int, BoolArray]  # track_id → (n,) bool, true at the withheld frames
     # track_id → why the track is not among ``tracks``
     left_out: Mapping[int, str] = field(default_factory=dict)
@@ -108,23 +108,23 @@ class Occlusion:
 def occlude(
     tracks: TrackSet, seconds: float, *, margin: float = 1.0, turn_seconds: float = TURN_SECONDS
 ) -> Occlusion:
-    """Withhold position and body, not the head, for a while around everybody's sharpest turn.
+    """Withhold position and body, but not the head, around each person's sharpest turn.
 
-    The sharpest turn is where the direction of the true motion (of the observed, where no truth is known)
-    changes most over ``turn_seconds``, among the times at which the person moves. Raise InputError for a
+    The sharpest turn is the largest change of the direction of true motion (observed, without truth) over
+    ``turn_seconds``, among the times of motion. Raise InputError for a
     length or a time of turning that is not positive, or a negative margin.
 
     Parameters
     ----------
     seconds : length of the window, > 0
     margin : seconds of the track that must remain on both sides of the window, with a position in each
-    turn_seconds : time over which a turn is measured, > 0; where the truth itself is rough, long enough for
-        its roughness not to count as turning
+    turn_seconds : time over which a turn is measured, > 0; long enough that noise in the
+        truth does not count as turning
 
     Returns
     -------
     Occlusion
-        Tracks that are too short, or in which nobody moves, are left out with their reason.
+        Tracks that are too short, or without motion, are left out with their reason.
     """
     for name, value in (("seconds", seconds), ("turn_seconds", turn_seconds)):
         if not (np.isfinite(value) and value > 0.0):
@@ -143,7 +143,7 @@ def occlude(
 
 
 def withhold(track: Track, window: BoolArray, channels: tuple[str, ...] = WITHHELD) -> Track:
-    """The track without the observations of ``channels`` at the frames where ``window`` (n,) is true."""
+    """Return the track without observations of ``channels`` at the frames where ``window`` (n,) is true."""
     changes: dict[str, Any] = {}
     for name in channels:
         values = getattr(track, name)
@@ -153,16 +153,16 @@ def withhold(track: Track, window: BoolArray, channels: tuple[str, ...] = WITHHE
 
 
 def turn_window(track: Track, seconds: float, margin: float, turn_seconds: float) -> BoolArray | str:
-    """Frames (n,) bool of ``seconds`` around the sharpest turn; a reason in words where there is no room."""
+    """Return a mask (n,) of ``seconds`` around the sharpest turn, or the reason why there is no room."""
     t, reach = track.t, 0.5 * seconds + margin
     room = np.asarray((t - t[0] >= reach - 1e-9) & (t[-1] - t >= reach - 1e-9))
     if not room.any():
         return f"{t[-1] - t[0]:.1f} s are too short for a window of {seconds:g} s and {margin:g} s around it"
     sharpness = np.where(room, turning(track, turn_seconds), np.nan)
     if not np.isfinite(sharpness).any():
-        return "the person does not move where a window would have room"
+        return "the person does not move where a window would fit"
     centre = t[int(np.nanargmax(sharpness))]
-    # Half open, so that a window holds the frames of its length and not one more.
+    # Half open, so that a window has no extra frame.
     window = np.asarray((t >= centre - 0.5 * seconds - 1e-9) & (t < centre + 0.5 * seconds - 1e-9))
     seen = np.asarray(np.isfinite(track.position).all(axis=1))
     first, last = np.flatnonzero(window)[[0, -1]]
@@ -172,9 +172,9 @@ def turn_window(track: Track, seconds: float, margin: float, turn_seconds: float
 
 
 def turning(track: Track, turn_seconds: float = TURN_SECONDS) -> FloatArray:
-    """|Change of the direction of motion| (n,) in radians over ``turn_seconds`` around each frame.
+    """Return |change of the direction of motion| (n,) in radians over ``turn_seconds`` around each frame.
 
-    NaN where the person does not move, or is not known half of that time before and after.
+    NaN without motion, or without data half of that time before and after.
     """
     position = motion(track)
     known = np.asarray(np.isfinite(position).all(axis=1))
@@ -194,10 +194,10 @@ def turning(track: Track, turn_seconds: float = TURN_SECONDS) -> FloatArray:
 
 
 def confusion_matrix(n_classes: int, *, flipped: float = 0.2, at_random: float = 0.1) -> FloatArray:
-    """Probability (n, n) of each answer (column) to each true class (row).
+    """Return the probability (n, n) of each predicted class (column) given each true class (row).
 
-    ``flipped``: share of the answers that take front for back; ``at_random``: share that is any class. Raise
-    InputError for an odd number of classes, or shares that are none.
+    ``flipped``: share of front–back confusions; ``at_random``: share of uniformly random classes. Raise
+    InputError for an odd number of classes, or invalid shares.
     """
     if n_classes < 2 or n_classes % 2:
         raise InputError(f"{n_classes} classes", "an even number of them")
@@ -215,10 +215,10 @@ def add_class_likelihoods(
     head: FloatArray | None = None,
     rng: np.random.Generator,
 ) -> TrackSet:
-    """Observe the orientations of tracks by classifiers whose confusion is known.
+    """Observe the orientations of tracks by classifiers with known confusion matrices.
 
-    In each frame in which an orientation is known, its class (the nearest centre, 360·k/n degrees) is
-    answered as the confusion matrix has it, and the likelihoods are those of that answer. The orientations
+    In each frame with a known orientation, a class is drawn from the confusion matrix's row of its true class
+    (the nearest centre, 360·k/n degrees), and the likelihoods are those of the drawn class. The orientations
     become the truth unless there is one. ``body`` (8, 8), ``head`` (12, 12): confusions, rows true classes;
     None: `confusion_matrix`. Raise InputError for another shape, or rows that are no distributions.
     """

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
 
 FALSE = "false"
-"""Label of a false detection, where identities are kept."""
+"""Label of a false detection, if identities are kept."""
 
 _OBSERVED_COLUMNS = ("frame", "t", "x", "y", "body_deg", "head_deg")
-"""Columns of a detection without an identity: nothing of the truth, nor of how noisy it was made."""
+"""Columns of a detection without an identity: no truth, and no noise parameters."""
 
 ClutterCount = Literal["poisson", "fixed"]
 
@@ -38,9 +38,9 @@ class Detector:
     ----------
     missed : probability that a person in view is not detected in a frame
     occluded_share : share of the people whose tracks are longer than ``occluded_seconds`` who are hidden once
-    occluded_seconds : for how long, s
+    occluded_seconds : duration of an occlusion, s
     clutter : false detections a frame
-    clutter_count : "poisson": so many on average; "fixed": exactly so many, a whole number
+    clutter_count : "poisson": ``clutter`` is the mean number; "fixed": the exact number, an integer
     """
 
     missed: float = 0.0
@@ -72,7 +72,7 @@ class Detected:
 
     # People, NaN where they were not detected; then false detections, one row each, labelled `FALSE`.
     observed: TrackSet
-    truth: TrackSet  # where everybody is in the same frames, whether detected or not
+    truth: TrackSet  # true positions in the same frames, with and without detection
 
     @property
     def false(self) -> int:
@@ -85,15 +85,15 @@ class Detected:
         return sum(int(np.isfinite(track.position).all(axis=1).sum()) for track in self.observed)
 
     def anonymous(self, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
-        """The detections without identities: columns of the native table, a row for each.
+        """Return the detections without identities: columns of the native table, a row for each.
 
-        By frames, and within a frame in random order. Place, time and what was seen of body and head stay;
-        nothing of the truth does. Raise InputError if nobody was detected.
+        Sorted by frame, in random order within a frame. Position, time, and observed body and head are kept,
+        the truth is not. Raise InputError without detections.
         """
         columns = to_columns(self.observed)
         rows = np.flatnonzero(np.isfinite(columns["x"]))
         if not len(rows):
-            raise InputError("nobody who was detected", "a detection at least; miss fewer")
+            raise InputError("no detections", "at least one; lower the miss probability")
         rows = rng.permutation(rows)
         rows = rows[np.argsort(columns["frame"][rows], kind="stable")]
         kept = {name: columns[name][rows] for name in _OBSERVED_COLUMNS if name in columns}
@@ -110,11 +110,11 @@ def detect(
     head_kappa: float | None = None,
     rng: np.random.Generator,
 ) -> Detected:
-    """Observe people whose truth is known as a detector would.
+    """Simulate a detector on people with known truth.
 
-    False detections lie anywhere in the box around all true positions of the recording, each as probably as
-    any other, in every frame from the first to the last. An occlusion lies anywhere within its person's
-    track, whose first and last frames it spares. Raise InputError for amounts that are none, and if nobody is
+    False detections are uniform in the bounding box of all true positions of the recording, in every frame
+    from the first to the last. An occlusion is placed at random within its person's track, except the first
+    and last frames. Raise InputError for amounts that are none, and if nobody is
     anywhere.
 
     Parameters
@@ -136,11 +136,11 @@ def detect(
 
 
 def sampled(tracks: TrackSet, every: float) -> TrackSet:
-    """People at regular times, from the first of the recording on; frames are numbered from 0.
+    """Resample people at regular times, from the first of the recording on; frames are numbered from 0.
 
-    Between two rows of a person everything goes straight on: positions on a line, angles the shorter way
-    round. Rows without a position are passed over. Places, orientations and the truth of both are sampled,
-    nothing else. Who is not there at any of the times is left out, which the notes say. Raise InputError for
+    Values are interpolated linearly between two rows of a person, angles the shorter way round. Rows without
+    a position are skipped. Only positions, orientations and their truth are sampled. People absent at all of
+    the times are left out, with a note. Raise InputError for
     a time that is not positive, and if nobody is there at any of them.
 
     ``every``: seconds from a frame to the next
@@ -196,14 +196,14 @@ def _between(t: FloatArray, values: FloatArray, at: FloatArray, slack: float, *,
 
 
 def _as_truth(track: Track) -> Track:
-    """The track with its true values in place of what was observed, and nothing else."""
+    """Return the track with only its true values as observations."""
     true = {name: getattr(track, f"true_{name}") for name in ("body", "head")}
     values = {name: getattr(track, name) if value is None else value for name, value in true.items()}
     return Track(track.track_id, track.frame, track.t, motion(track), label=track.label, **values)
 
 
 def _hidden(tracks: TrackSet, detector: Detector, rng: np.random.Generator) -> Mapping[int, BoolArray]:
-    """track_id → (n,) where the person is hidden, of those who are at some time."""
+    """Return track_id → (n,) mask of occlusion, for people who are occluded."""
     seconds = detector.occluded_seconds
     long_enough = [track for track in tracks if track.t[-1] - track.t[0] > seconds]
     count = round(detector.occluded_share * len(long_enough)) if seconds > 0.0 else 0
@@ -220,13 +220,13 @@ def _hidden(tracks: TrackSet, detector: Detector, rng: np.random.Generator) -> M
 def _false_detections(
     exact: TrackSet, people: list[Track], detector: Detector, rng: np.random.Generator
 ) -> list[Track]:
-    """Tracks of one row each, with ids after those of the people and the channels that theirs have."""
+    """Return tracks of one row each, with ids after those of the people, and the people's channels."""
     if not detector.clutter:
         return []
     places = np.concatenate([motion(track) for track in exact])
     places = places[np.isfinite(places).all(axis=1)]
     if not len(places):
-        raise InputError("no position", "where people are, in one frame at least")
+        raise InputError("no position", "a position in at least one frame")
     low, high = places.min(axis=0), places.max(axis=0)
     frames, first = np.unique(np.concatenate([track.frame for track in exact]), return_index=True)
     t = np.concatenate([track.t for track in exact])[first]
@@ -251,7 +251,7 @@ def _false_detections(
 
 
 def summary_of(found: Detected) -> str:
-    """Return the numbers of people, detections and false ones, in words."""
+    """Describe the numbers of people, detections and false detections."""
     return (
         f"{counted(len(found.truth), 'track')}, {found.truth.n_frames} person-frames; "
         f"{counted(found.detections, 'detection')}, {found.false} of them false"

@@ -1,8 +1,8 @@
 """Motion, body and head sampled from the graph's own density.
 
-The density of angles is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})): nothing is normalised
-step by step. Messages run back from the last frame on a grid around the circle; then the course is drawn
-forward, each angle given the one before and all that is to come.
+The density of angles is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})): it is not normalised
+step by step. Messages are passed backward from the last frame on a grid around the circle; then angles are
+sampled forward, each given the previous angle and all later factors.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from graphtrack.packages import special
 
 SCENE_SIZE = 20.0  # metres: tracks begin anywhere in a square of this side around the origin
 PACE_SPREAD = 0.23  # 1-σ of the logarithm of people's own paces: 0.3 m/s at 1.3 m/s
-PACE_RATE = 0.7  # 1/s at which a speed returns to the person's own pace: slowly against a few frames
+PACE_RATE = 0.7  # 1/s at which a speed returns to the person's own pace: slow compared to a few frames
 _SUBSTEP = 0.05
 
 
@@ -40,8 +40,8 @@ def sample_velocity(
 
     Parameters
     ----------
-    pace : m/s, the median over people of the speed that each returns to at `PACE_RATE`; None: speeds wander
-        as white-noise acceleration has it, ever further from the first ones
+    pace : m/s, the median over people of the speed that each returns to at `PACE_RATE`; None:
+        white-noise acceleration, whose speeds diverge from the initial speeds
     head : (n_tracks, n) radians of heads that steer the motion; None: nothing steers it
     """
     velocity = np.empty((n_tracks, len(t), 2))
@@ -75,7 +75,7 @@ def next_velocity(
     motion: MotionParameters,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Velocities (n_tracks, …, 2) ``dt`` seconds on, which turn to the ``aim`` at the ``rate`` λ in 1/s."""
+    """Return velocities (n_tracks, …, 2) ``dt`` later, relaxed to the ``aim`` at the ``rate`` λ in 1/s."""
     now = before
     parts = 1 if pace is None else math.ceil(dt / _SUBSTEP)
     step = steered_step(dt / parts, rate)
@@ -106,7 +106,7 @@ def sample_positions(
     head: FloatArray | None = None,
     rate: FloatArray | float = 0.0,
 ) -> FloatArray:
-    """Positions (n_tracks, n, 2) in metres given the velocities (n_tracks, n, 2): of a step, what Q leaves.
+    """Sample positions (n_tracks, n, 2) in metres given the velocities (n_tracks, n, 2).
 
     Parameters
     ----------
@@ -134,8 +134,8 @@ FEWEST_BINS, MOST_BINS = 240, 3840
 _FEWEST_CELLS = 240
 _REACH = 8.0  # standard deviations of a turn to each side that the candidates of the next angle lie in
 _FLOOR = 1e-14
-"""Of a message, relative to its greatest value: what lies below is the noise of the Fourier transform."""
-_MEMORY = 2**28  # bytes of messages that are held at a time
+"""Smallest relative value of a message; below it is the noise of the Fourier transform."""
+_MEMORY = 2**28  # bytes of messages in memory
 
 
 def sample_course(t: FloatArray, diffusion: float, pull: np.ndarray, rng: np.random.Generator) -> FloatArray:
@@ -157,10 +157,10 @@ def sample_course(t: FloatArray, diffusion: float, pull: np.ndarray, rng: np.ran
 
 
 def _bins(pull: FloatArray, kappa: FloatArray) -> int:
-    """Bins that resolve the narrowest message: one a standard deviation is enough for the transform."""
+    """Return the number of bins for the narrowest message: one per standard deviation suffices."""
     narrowest = float(pull.max())
     if len(kappa):
-        # Where pulls come at a steady rate their messages are as narrow as √(pull·κ).
+        # Pulls at a steady rate give messages as narrow as √(pull·κ).
         narrowest += math.sqrt(float((pull[:, 1:] * kappa).max()))
     wanted = 2.0 * np.pi * math.sqrt(narrowest)
     return int(min(FEWEST_BINS * 2 ** max(0, math.ceil(math.log2(wanted / FEWEST_BINS))), MOST_BINS))
@@ -190,14 +190,14 @@ def _sample(pull: np.ndarray, kappa: FloatArray, bins: int, rng: np.random.Gener
 
 
 def _drawn(log_weight: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """A cell of each row (m, cells), and a place within it: its number, give or take a half."""
+    """Sample a cell of each row (m, cells), and a position within it: its index ± 0.5."""
     reached = np.cumsum(np.exp(log_weight - log_weight.max(axis=1, keepdims=True)), axis=1)
     chosen = (reached < rng.random((len(reached), 1)) * reached[:, -1:]).sum(axis=1)
     return chosen + rng.uniform(-0.5, 0.5, len(chosen))
 
 
 def _messages(pull: np.ndarray, kappa: FloatArray, bins: int) -> np.ndarray:
-    """Logarithms (n, n_tracks, bins) of what each frame and all after it say of its angle."""
+    """Return log messages (n, n_tracks, bins) to each frame's angle from it and all later frames."""
     n_tracks, n = pull.shape
     angle = 2.0 * np.pi * np.arange(bins) / bins
     circle = np.stack([np.cos(angle), np.sin(angle)])
@@ -217,21 +217,21 @@ def _messages(pull: np.ndarray, kappa: FloatArray, bins: int) -> np.ndarray:
 
 def _fourier(order: np.ndarray, kappa: float) -> FloatArray:
     """Fourier coefficients I_m(κ)/I_0(κ) of a von Mises density."""
-    if kappa > 1e5:  # a wrapped normal, where Bessel functions of high orders are not to be had
+    if kappa > 1e5:  # a wrapped normal, where Bessel functions of high orders are unavailable
         return np.exp(-0.5 * order**2 / kappa)
     return np.asarray(special.ive(order, kappa) / special.ive(0, kappa))
 
 
 _SWEEPS = 2
-"""Gibbs sampling begins where it nearly ends: head and body hold each other loosely beside the rest."""
+"""Gibbs sweeps: few suffice, since head and body are weakly coupled compared to the other terms."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModeCourse:
     """Modes of one coupling, frame by frame."""
 
-    aligned: np.ndarray  # (n_tracks, n) whether the coupling rests near 0
-    glancing: np.ndarray  # (n_tracks, n) whether it rests at the angle of a glance
+    aligned: np.ndarray  # (n_tracks, n) True in the mode near 0
+    glancing: np.ndarray  # (n_tracks, n) True in the mode of a glance
     offset: FloatArray  # (n_tracks, n) radians at which it rests
     strength: FloatArray  # (n_tracks, n) multiple of its κ
     lead: float  # seconds by which it looks ahead
@@ -245,7 +245,7 @@ class Modes(NamedTuple):
 
     @property
     def ahead(self) -> FloatArray:
-        """Cosine (n_tracks, n) of heads to the motion, from 0 to 1: so far they steer it.
+        """Return the cosine (n_tracks, n) of heads to the motion, from 0 to 1, which scales their steering.
 
         A glance does not.
         """
@@ -254,7 +254,7 @@ class Modes(NamedTuple):
 
 
 def without_modes(n_tracks: int, n: int) -> Modes:
-    """Couplings as Chen et al. (2011) have them: at rest at 0, without a lead."""
+    """Return the couplings of Chen et al. (2011): offset 0, without a lead."""
     always = np.ones((n_tracks, n), bool)
     course = ModeCourse(always, ~always, np.zeros((n_tracks, n)), np.ones((n_tracks, n)), 0.0)
     return Modes(course, course)
@@ -263,8 +263,8 @@ def without_modes(n_tracks: int, n: int) -> Modes:
 def sample_modes(t: FloatArray, n_tracks: int, gait: GaitParameters, rng: np.random.Generator) -> Modes:
     """Modes and offsets of both couplings at the times ``t`` (n,) seconds.
 
-    They begin as in the long run. At the rate ``switching`` both are drawn anew; the offset of the free mode
-    drifts, that of the aligned one stays. Heads glance aside for a while, and after that both are drawn anew.
+    They begin in the stationary distribution. At the rate ``switching`` both are redrawn; the offset of the
+    free mode drifts, that of the aligned mode stays. After a glance both are redrawn.
     """
     return Modes(*(_modes_of(side, t, n_tracks, gait, rng) for side in ("body", "head")))
 
@@ -284,7 +284,7 @@ def _modes_of(
         close = gait["spread"] * rng.standard_normal(n_tracks)
         anew = np.where(near, close, rng.vonmises(0.0, gait["offset_kappa"], n_tracks))
         glance = rng.choice(around, n_tracks, p=modes.glance)
-        # Two states that change at random, each at its rate; the long run to begin with.
+        # Two-state Markov process, started from its stationary distribution.
         before = glancing[:, k - 1] if k > 0 else nobody
         changed = rng.random(n_tracks) < -np.expm1(-modes.glance_change * dt)
         drawn = rng.random(n_tracks) < modes.glance_share
@@ -320,8 +320,8 @@ def sample_orientations(
 
     Parameters
     ----------
-    model : whose terms say what is coupled, and whether the couplings have modes
-    modes : of both couplings; None: without
+    model : model whose terms define the couplings and their modes
+    modes : modes of both couplings; None: without
     rate : λ in 1/s with which the head steers the motion, of all steps or of each, (n_tracks, n − 1)
     """
     parameters, (n_tracks, n) = model.parameters, velocity.shape[:2]
@@ -352,14 +352,14 @@ def sample_orientations(
 
 
 def _leading(t: FloatArray, values: np.ndarray, lead: float) -> np.ndarray:
-    """Values (n_tracks, n) ``lead`` seconds after each frame, straight on between frames; the last beyond."""
+    """Interpolate values (n_tracks, n) ``lead`` seconds after each frame; the last value beyond the end."""
     if lead == 0.0:
         return values
     return np.stack([np.interp(t + lead, t, own) for own in values])
 
 
 def _led(t: FloatArray, pull: np.ndarray, lead: float) -> np.ndarray:
-    """Pulls (n_tracks, n) on what stands ``lead`` seconds after each frame, as pulls on the frames there."""
+    """Assign pulls (n_tracks, n) that act ``lead`` seconds after each frame to the frames there."""
     place = np.interp(t + lead, t, np.arange(len(t)))
     at = place.astype(np.int64)
     share, found = place - at, np.zeros_like(pull.T)
@@ -369,7 +369,7 @@ def _led(t: FloatArray, pull: np.ndarray, lead: float) -> np.ndarray:
 
 
 def _loosened(t: FloatArray, kappa: FloatArray, lead: float, diffusion: float) -> FloatArray:
-    """Concentrations (n_tracks, n) where the lead reaches past the end: so far the one may have turned."""
+    """Return concentrations (n_tracks, n), reduced by diffusion where the lead reaches past the end."""
     missing = np.maximum(lead - (t[-1] - t), 0.0)
     return kappa / (1.0 + kappa * diffusion * missing)
 
@@ -397,11 +397,11 @@ def sample_coupled_velocity(
     rate: FloatArray,
     head_coupled: bool = True,
 ) -> FloatArray:
-    """Velocities (n_tracks, n, 2) in m/s that the couplings have held to the body, and the head has steered.
+    """Sample velocities (n_tracks, n, 2) in m/s that are coupled to the body and steered by the head.
 
-    A velocity is chosen among candidates of the motion terms by how well a body can follow it. What is to
-    come counts as in the long run: a von Mises whose concentration the pulls and the diffusion balance. Body
-    and head are discarded, for `sample_orientations` draws them given all velocities. Couplings act on the
+    A velocity is chosen among candidates of the motion terms, weighted by the density of a body that follows
+    it. Later factors are approximated by the stationary von Mises that balances pulls and diffusion. Body and
+    head are discarded, as `sample_orientations` draws them given all velocities. Couplings act on the
     direction of motion alone: they do not slow people down, as their density would.
 
     ``rate``: λ in 1/s (n_tracks, n − 1) with which the head steers each step
@@ -422,7 +422,7 @@ def sample_coupled_velocity(
         weight = float(coupling.weights(dt))
         body_kappa, head_kappa = 1.0 / (turning.body_diffusion * dt), 1.0 / (turning.head_diffusion * dt)
         head_pull = _held(weight * of_head * modes.head.strength[:, k], turning.head_diffusion * dt)
-        # The head that was, and how it turns, say where the body is.
+        # The previous head and its turn inform the body.
         said = np.divide(1.0, 1.0 / np.maximum(head_pull, 1e-12) + 1.0 / head_kappa)
         past = body_kappa * np.exp(1j * body) + said * np.exp(1j * (head - modes.head.offset[:, k]))
         speed = np.linalg.norm(found, axis=-1)
@@ -433,7 +433,7 @@ def sample_coupled_velocity(
         course = direction(found) + modes.body.offset[:, k, None]
         resultant = past[:, None] + pull * np.exp(1j * course)
         size, known = np.abs(resultant), np.abs(past)[:, None]
-        # Against a body that agrees with the motion: how fast people go is no matter of the coupling.
+        # Relative to a body aligned with the motion: the coupling does not act on speed.
         fit = np.log(special.i0e(size)) + size - np.log(special.i0e(known + pull)) - known - pull
         best = np.cumsum(np.exp(fit - fit.max(axis=1, keepdims=True)), axis=1)
         one = (best < rng.random((n_tracks, 1)) * best[:, -1:]).sum(axis=1)
@@ -446,5 +446,5 @@ def sample_coupled_velocity(
 
 
 def _held(pull: FloatArray, turned: FloatArray | float) -> FloatArray:
-    """The fixed point P of P = pull + 1/(1/P + turned): concentration of this pull and of all to come."""
+    """Return the fixed point P of P = pull + 1/(1/P + turned): concentration of this and all later pulls."""
     return 0.5 * pull + np.sqrt(0.25 * pull**2 + pull / turned)

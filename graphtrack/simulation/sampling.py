@@ -1,4 +1,4 @@
-"""Tracks sampled from the model itself, with their truth, and glances that it knows nothing of."""
+"""Tracks sampled from the model itself, with their truth, and glances outside the model."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ from graphtrack.tracks.validation import check_count, check_frame_rate
 
 _AMPLITUDE = np.radians([30.0, 80.0])
 _HOLD, _RISE = (0.5, 2.0), (0.3, 0.6)
-"""Seconds that a glance stays, and that it takes to get there; each uniform, as is the amplitude."""
+"""Hold and ramp times of a glance in seconds; uniform, like the amplitude."""
 
 
 def sample_glances(t: FloatArray, n_tracks: int, per_minute: float, rng: np.random.Generator) -> FloatArray:
-    """Sample how far (n_tracks, n) heads turn aside, radians, at the times ``t`` (n,) seconds.
+    """Sample glance angles (n_tracks, n) of heads, radians, at the times ``t`` (n,) seconds.
 
-    A minute has so many glances on average, at random times, to either side alike. Ramps are half cosines.
+    Glances are a Poisson process with this mean number a minute, to both sides equally. Ramps are half
+    cosines.
     """
     aside = np.zeros((n_tracks, len(t)))
     longest = _HOLD[1] + 2.0 * _RISE[1]
@@ -67,10 +68,10 @@ def simulate(
     """Sample people from the model: states from its dynamics, observations from its likelihoods.
 
     The motion is sampled from its terms, body and head from the graph's own density given it, over whole
-    tracks and so at every frame rate alike; of "full" the modes, offsets and leads too, of "social" nobody in
-    conversation. What differs from the model: everybody keeps to a pace, where the model's speeds wander ever
-    further, and couplings make nobody slower, where their density favours those who stand. Terms of your own
-    are not sampled.
+    tracks and so at every frame rate alike; for "full" also modes, offsets and leads, for "social" without
+    conversations. Differences from the model: people keep a pace, whereas the model's speeds diverge, and
+    couplings do not slow people down, whereas their density favours standing. User-defined terms are not
+    sampled.
 
     Parameters
     ----------
@@ -78,15 +79,15 @@ def simulate(
         them without couplings, "intentional" has a head only
     n_tracks, n_steps : people, and frames of each
     fps : frames a second
-    rng : source of all randomness; None: a new one, different every time
+    rng : random generator; None: a new one, seeded from entropy
     missing : probability, for each channel by itself, that a frame lacks its observation; the first frame
         is complete
     position_std : metres, 1-σ of each axis of the observed positions; None: the model's
     body_kappa, head_kappa : concentration of the observed angles; None: the model's
     pace : m/s, the median over people of the speed that each returns to; None: the model's own motion, whose
-        speeds begin at ``initial_speed_std`` and wander ever further
-    glances : how often a minute a head turns aside, by 30° to 80° for a second or two, which the model knows
-        nothing of
+        speeds begin at ``initial_speed_std`` and diverge
+    glances : mean number of glances a minute, of 30° to 80° for one or two seconds, which are outside the
+        model
 
     Returns
     -------
@@ -167,9 +168,9 @@ def sample_states(
     pace: float | None = None,
     seen: np.ndarray | None = None,
 ) -> dict[str, FloatArray]:
-    """States of people at the times ``t`` (n,) seconds, by name.
+    """Sample states of people at the times ``t`` (n,) seconds, by name.
 
-    ``seen``: (n_tracks, n) frames in which a position is seen; None: all
+    ``seen``: (n_tracks, n) frames with an observed position; None: all
 
     Returns
     -------
@@ -184,7 +185,7 @@ def sample_states(
     if not model.has_body:
         head = None
         if model.has_head:
-            # Of the head nothing is said but how it turns; the motion follows.
+            # The head has only its diffusion; the motion follows it.
             free = np.zeros((n_tracks, len(t)), complex)
             head = states["head"] = sample_course(t, model.parameters.orientation.head_diffusion, free, rng)
         velocity = sample_velocity(t, n_tracks, motion, rng, pace=pace, head=head)

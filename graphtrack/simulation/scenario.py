@@ -1,4 +1,4 @@
-"""Scripted scenes with their truth: six people who are hard to track, and a party in conversation."""
+"""Scripted scenes with their truth: six people who are hard to track, and a party with conversations."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from graphtrack.simulation.degrade import OBSERVED, add_noise, withhold
 from graphtrack.tracks.track import Track, TrackSet
 
 SHORTEST = 12.0
-"""Seconds that the script needs."""
+"""Shortest scene in seconds."""
 
 _GRID = 0.01
 _BODY_LAG, _HEAD_LEAD, _HEAD_LAG = 0.25, 0.55, 0.15
-"""Seconds: the shoulders follow the course late; the head looks ahead and follows its aim quickly."""
+"""Lags in seconds: the shoulders lag behind the course; the head leads it and follows its aim quickly."""
 
 
 @dataclass(frozen=True)
@@ -46,15 +46,15 @@ def scenario(
     """Six people: two cross, one stops and starts again, one turns, one looks aside, one is hidden.
 
     Speeds and courses are smooth and integrated to paths. The shoulders follow the course with a lag, the
-    head leads a turn. Paths sway a little, and differently for every ``rng``. Raise InputError for a number
+    head leads a turn. Paths have a small random sway. Raise InputError for a number
     outside its range.
 
     Parameters
     ----------
-    rng : source of the sway and of the noise
+    rng : generator of the sway and the noise
     fps : frames a second
     seconds : length of the scene, at least `SHORTEST`
-    occlusion : seconds for which nothing is seen of the last person, in a turn; at most 5
+    occlusion : seconds without observations of the last person, in a turn; at most 5
     position_std : metres, 1-σ of each axis
     body_kappa, head_kappa : concentration of the observed angles; mean errors of 52° and 35° at the
         defaults, somewhat more than the 41.7° and 30.3° of Chen et al.'s observations (its Table 2)
@@ -62,7 +62,7 @@ def scenario(
     Returns
     -------
     TrackSet
-        Observations, the truth, and labels that say what each person does.
+        Observations, the truth, and labels that describe each person's motion.
     """
     if not (np.isfinite(fps) and fps > 0.0):
         raise InputError(f"fps = {fps!r}", "a positive number of frames a second")
@@ -94,7 +94,7 @@ def _script(seconds: float, occlusion: float) -> list[_Part]:
         _Part(
             "stops, looks around and walks on",
             lambda t: 1.2 * (1.0 - _ramp(t, stop, 1.5) + _ramp(t, start, 1.5)),
-            # The way on is another: the person turns where they stand.
+            # The new direction is reached by a turn on the spot.
             lambda t: np.radians(80.0) - np.radians(50.0) * _ramp(t, start - 1.5, 2.5),
             lambda t: np.radians(55.0) * (_pulse(t, stop + 1.0, 2.0, 1.0) - _pulse(t, stop + 3.5, 2.0, 1.0)),
             (-6.0, -2.0),
@@ -134,7 +134,7 @@ def _walk(track_id: int, part: _Part, fps: float, seconds: float, rng: np.random
     speed = part.speed(grid) * (1.0 + _sway(grid, rng, 0.04))
     step = speed[:, None] * unit(course)
     path = np.vstack([np.zeros(2), np.cumsum(0.5 * _GRID * (step[1:] + step[:-1]), axis=0)])
-    # The head aims where the course will lead in a moment.
+    # The head aims in the direction of the upcoming course.
     ahead = part.course(grid + _HEAD_LEAD) + part.gaze(grid)
     frame = np.arange(round(seconds * fps))
     t = frame / fps
@@ -174,13 +174,13 @@ def _sway(t: FloatArray, rng: np.random.Generator, size: float) -> FloatArray:
 
 
 def _ramp(t: FloatArray, begin: float, length: float) -> FloatArray:
-    """From 0 to 1 within ``length`` seconds, with smooth ends."""
+    """Return a ramp from 0 to 1 within ``length`` seconds, with smooth ends."""
     share = np.clip((t - begin) / length, 0.0, 1.0)
     return share**2 * (3.0 - 2.0 * share)
 
 
 def _pulse(t: FloatArray, begin: float, length: float, rise: float) -> FloatArray:
-    """Up within ``rise`` seconds and down again ``length`` seconds after ``begin``."""
+    """Return a pulse that rises within ``rise`` seconds, and falls ``length`` seconds after ``begin``."""
     return _ramp(t, begin, rise) - _ramp(t, begin + length - rise, rise)
 
 
@@ -199,25 +199,25 @@ def _still(t: FloatArray) -> FloatArray:
 IntArray = np.ndarray
 
 NOTHING = -1
-"""Of a look: at nobody."""
+"""Gaze target: nobody."""
 
-_STAY, _LOOK = 40.0, 2.5  # seconds that somebody stays with a group, and that a look lasts, on average
+_STAY, _LOOK = 40.0, 2.5  # mean duration of group membership and of gaze at a target, seconds
 _PACE = 1.1
 _BODY_STD, _LOOK_STD, _DRIFT = 0.3, 0.25, 0.4
-"""Radians of bodies about their o-space and of heads about their aim, and seconds over which both drift."""
+"""1-σ in radians of bodies about their o-space and heads about their aim; correlation time in seconds."""
 _ALONE, _AWAY, _ELSEWHERE = 0.1, 0.3, 0.1
-"""Share of people alone, of looks at nobody, and of those at somebody that are at no fellow member."""
+"""Share of people alone, of gaze at nobody, and of gaze at people outside the group."""
 _SHOULDERS = 0.25
 _APART = 3.0  # metres between the centres of conversations
 
 
 @dataclass(frozen=True, eq=False)
 class Party:
-    """People without noise, and what they do."""
+    """People without noise, with their groups and gaze targets."""
 
     tracks: TrackSet  # with their truth
-    group: IntArray  # (people, n) number of the conversation that each is in; −1: alone, or on the way
-    look: IntArray  # (people, n) id of whom each looks at; `NOTHING`
+    group: IntArray  # (people, n) number of the conversation; −1: alone, or walking to another
+    look: IntArray  # (people, n) id of the gaze target; `NOTHING`
 
     def group_columns(self) -> dict[str, IntArray]:
         """``frame, t, track_id, group``, a row for each person and frame."""
@@ -236,9 +236,9 @@ class Party:
 def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: float = 2.0) -> Party:
     """Sample a party.
 
-    Conversations stand on a grid `_APART` metres wide; who leaves one walks to another. Members spread about
-    the o-space, and face it more or less; each looks at a fellow member, or away. Raise InputError for fewer
-    than one person or two steps.
+    Conversations are on a grid `_APART` metres wide; a person who leaves one walks to another. Members stand
+    around the o-space and approximately face it; each looks at a fellow member, or away. Raise InputError for
+    fewer than one person or two steps.
     """
     if people < 1 or steps < 2:
         raise InputError(f"{people} people, {steps} steps", "a person and two steps at least")
@@ -312,7 +312,7 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
 
 
 def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng: np.random.Generator) -> int:
-    """Draw whom somebody looks at next: a fellow member, or anybody in sight, the rather the nearer."""
+    """Draw the next gaze target: a fellow member, or a visible person with a preference for near ones."""
     if not anybody:
         return int(rng.choice(fellows))
     away = position - position[one]

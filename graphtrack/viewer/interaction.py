@@ -32,11 +32,11 @@ def arrange_groups(to: Recording) -> None:
 
 
 def show_groups(to: Recording, groups: Groups, place: Place) -> None:
-    """Draw groups: from the centre a line to each member, and at it the kind and how probable it is.
+    """Draw groups: a line from the centre to each member, labelled with kind and probability.
 
     Parameters
     ----------
-    groups : rows of whole frames, those alone among them
+    groups : rows of complete frames, including people alone
     """
     if not len(groups):
         return
@@ -71,7 +71,7 @@ def show_groups(to: Recording, groups: Groups, place: Place) -> None:
 
 
 def show_forecasts(to: Recording, columns: Mapping[str, NDArray[np.generic]], place: Place) -> None:
-    """Draw forecasts: the path from where somebody is, and at its end the circle that holds 90 %.
+    """Draw forecasts: the predicted path, and at its end the 90 % circle.
 
     Parameters
     ----------

@@ -26,14 +26,14 @@ _MARGIN = 1.0
 
 @dataclass(frozen=True)
 class Extent:
-    """A rectangle of the ground: its least and its greatest corner (2,), metres."""
+    """Rectangle on the ground: lower and upper corner (2,), metres."""
 
     low: FloatArray
     high: FloatArray
 
     @classmethod
     def of(cls, position: FloatArray, radius: FloatArray | float = 0.0) -> Extent:
-        """Around the finite ones of positions (n, 2), or of circles about them, with a margin.
+        """Return the extent of the finite positions (n, 2), or of circles around them, with a margin.
 
         Parameters
         ----------
@@ -49,11 +49,11 @@ class Extent:
 
     @property
     def size(self) -> float:
-        """Its longer side, metres."""
+        """Longer side, metres."""
         return float(np.max(self.high - self.low))
 
     def around(self, other: Extent, room: float) -> Extent:
-        """Around both, with room for so many times the size, if the other one leaves this one; else this."""
+        """Return the union enlarged by this factor if the other exceeds this extent; else this extent."""
         if (other.low >= self.low).all() and (other.high <= self.high).all():
             return self
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
@@ -61,7 +61,7 @@ class Extent:
 
 
 def circles_of(forecasts: Mapping[str, NDArray[np.generic]]) -> Extent:
-    """The ground that forecasts' circles cover; columns as of `viewer.behaviour.show_forecasts`."""
+    """Return the extent of the forecasts' circles; columns as of `viewer.behaviour.show_forecasts`."""
     there = np.column_stack([forecasts["x"], forecasts["y"]]).astype(float)
     return Extent.of(there, forecasts["radius_90"].astype(float))
 
@@ -74,15 +74,15 @@ def layout(
     video: bool = False,
     live: bool = False,
 ) -> Any:
-    """The blueprint of the window.
+    """Return the blueprint of the window.
 
     Parameters
     ----------
-    extent : of the ground that is seen
-    person : whose series are drawn; None: nobody's
-    series : those that are known
-    video : whether there are pictures or boxes
-    live : whether the newest time is followed
+    extent : visible extent of the ground
+    person : person whose time series are drawn; None: none
+    series : known series
+    video : True if there are pictures or boxes
+    live : True if the view follows the newest time
     """
     views = rerun().blueprint
     (left, bottom), (right, top) = extent.low.tolist(), extent.high.tolist()

@@ -1,4 +1,4 @@
-"""Answers of a stream, shown as they come."""
+"""Live view of a stream's answers."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _ANGLES = ("body", "head")
 _VALUES = tuple(f"{name}_deg" if name in _ANGLES else name for name in STATE)
 _SPREAD = tuple(f"{name}_std_deg" if name in _ANGLES else f"{name}_std" for name in STATE)
 _INTERVAL = 0.25
-"""Seconds from one look at what has come to the next."""
+"""Polling interval in seconds."""
 _MUCH = 1 << 15
-"""Bytes after which there is more to read at once."""
+"""Largest read in bytes."""
 _SAID = 64
-"""Frames whose rows are kept: what is said of them may be taken back."""
+"""Number of frames whose rows are kept, because they may be revised."""
 _ROOM = 0.25
 
 
 class LiveView:
-    """Shows answers as they come; what it keeps of each person are seconds, whatever the stream's length.
+    """Live view of answers; it keeps only the last seconds of each person.
 
     Parameters
     ----------
-    target : where they are shown
-    person : whose series are drawn; None: theirs who come first
+    target : destination of the view
+    person : person whose time series are drawn; None: the first to appear
     """
 
     def __init__(self, target: Target, person: int | None = None) -> None:
@@ -53,7 +53,7 @@ class LiveView:
         self._held: list[Row] = []
 
     def show(self, answers: Iterable[Row]) -> None:
-        """Show some answers; those to rows that could not be used say nothing of anybody."""
+        """Show some answers; answers to refused rows are skipped."""
         rows = [row for row in answers if "error" not in row and self._is_ours(row)]
         known = [row for row in rows if "status" in row and row.get("x") is not None]
         if known:
@@ -74,14 +74,14 @@ class LiveView:
             self._people.leave(newest)
 
     def close(self) -> None:
-        """Show what still waits for the end of its frame, and complete the recording."""
+        """Show the data of the last frame, and complete the recording."""
         if self._to is None:
             self._open([])
         self._tell(self._held)
         self._stack.close()
 
     def _is_ours(self, row: Row) -> bool:
-        """Return True if a row is of the first stream that came: others know nothing of its people."""
+        """Return True if a row is of the first stream; other streams have separate identities."""
         if self._stream is None and ("status" in row or "end" in row):
             self._stream = row.get("stream", "")
         return bool(row.get("stream", "") == self._stream)
@@ -102,7 +102,7 @@ class LiveView:
         arrange_groups(self._to)
 
     def _see(self, known: list[Row]) -> None:
-        """Remember what is said, and show the ground where it is."""
+        """Store the rows, and show their part of the ground."""
         for row in known:
             self._said.setdefault(row["t"], {})[row["track_id"]] = row
         while len(self._said) > _SAID:
@@ -110,7 +110,7 @@ class LiveView:
         self._reach(Extent.of(_places(known)))
 
     def _reach(self, seen: Extent) -> None:
-        """Show more of the ground where something leaves what is seen of it."""
+        """Extend the visible ground if an object leaves it."""
         assert self._to is not None and self._extent is not None
         extent = self._extent.around(seen, _ROOM)
         if extent is not self._extent:
@@ -120,7 +120,7 @@ class LiveView:
             self._to.arrange(layout(extent, self._person, live=True))
 
     def _taken_back(self, revised: list[Row], known: list[Row]) -> list[Row]:
-        """Rows that take the place of others, whose detections turn out to be somebody else's."""
+        """Return rows that replace rows whose detections were reassigned."""
         found: list[Row] = []
         for t in sorted({one["t"] for one in revised}):
             there = self._said.get(t)
@@ -155,7 +155,7 @@ class LiveView:
 
 
 def track_of(track_id: int, rows: list[Row]) -> Track:
-    """Estimates of one person, in the order of time, as a track; null is not known."""
+    """Return the estimates of one person in temporal order as a track; null is unknown."""
 
     def columns(names: tuple[str, ...]) -> np.ndarray:
         cells = [[np.nan if row.get(name) is None else row[name] for name in names] for row in rows]
@@ -176,7 +176,7 @@ def track_of(track_id: int, rows: list[Row]) -> Track:
 
 
 def _by_person(rows: list[Row]) -> dict[int, list[Row]]:
-    """Rows of each person in the order of time; of those of one time the last."""
+    """Return the rows of each person in temporal order; for equal times the last."""
     found: dict[int, dict[float, Row]] = {}
     for row in rows:
         found.setdefault(row["track_id"], {})[row["t"]] = row
@@ -211,12 +211,12 @@ def _groups(rows: list[Row]) -> Groups:
 
 
 def show_stream(source: int, target: Target, person: int | None = None) -> None:
-    """Show the answers that come through a file descriptor, as NDJSON, until it ends.
+    """Show NDJSON answers from a file descriptor until its end.
 
     Parameters
     ----------
-    target : where they are shown
-    person : whose series are drawn; None: theirs who come first
+    target : destination of the view
+    person : person whose time series are drawn; None: the first to appear
     """
     view, rest = LiveView(target, person), b""
     while data := os.read(source, 1 << 20):
@@ -231,5 +231,5 @@ def show_stream(source: int, target: Target, person: int | None = None) -> None:
 def _json(line: bytes) -> Any:
     try:
         return json.loads(line)
-    except ValueError:  # no answer
+    except ValueError:  # not an answer
         return None

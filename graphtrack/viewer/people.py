@@ -1,4 +1,4 @@
-"""People on the ground and their series, as entities of a recording; rows may come piece by piece."""
+"""People on the ground and their series, as entities of a recording; rows may arrive in parts."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ SERIES: Final = "series"
 
 _SERIES_COLOURS = {"x": "#D8DCE2", "y": "#CC79A7", "speed": VELOCITY_COLOUR, **ANGLE_COLOURS}
 _ARROWS = {"body": 0.06, "head": 0.045}
-"""Lengths, in the size of the ground that is seen, which mean nothing; at least `_SHORTEST` metres."""
+"""Symbol lengths relative to the visible ground; at least `_SHORTEST` metres."""
 _SHORTEST = {"body": 0.7, "head": 0.5}
 _DOT, _LINE, _ARROW = -5.0, -0.8, -1.8
-"""Radii in points of the screen, as negative ones are."""
+"""Radii in screen points, which Rerun expects as negative values."""
 _STRIPS = {"ellipse": 255, "trail": 255, "forecast": 130}
-"""Lines, and how opaque they are."""
+"""Lines and their opacity."""
 _TRAIL, _TRAIL_POINTS = 4.0, 20
-"""Seconds of the path that are drawn behind somebody, and in how many points."""
+"""Length of the trail behind a person in seconds, and its number of points."""
 CIRCLE: Final = np.linspace(0.0, 2.0 * np.pi, 33)
 """Angles of the points of an ellipse."""
 
 
 @dataclass
 class _Known:
-    """The rows of the last seconds and the last angles that were shown of a person."""
+    """Rows of the last seconds and last shown angles of a person."""
 
     t: FloatArray = field(default_factory=lambda: np.empty(0))
     frame: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -45,14 +45,14 @@ class _Known:
 
 
 class ShownPeople:
-    """Everybody who is shown.
+    """All shown people.
 
     Parameters
     ----------
-    recording : where they are drawn
-    size : metres of the ground that is seen
-    names : track id → what is written beside somebody; else the id is
-    series : ids of those whose series are kept; None: everybody's
+    recording : recording to draw in
+    size : size of the visible ground in metres
+    names : track id → label; by default the id
+    series : ids of people whose series are kept; None: all
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class ShownPeople:
         self._known: dict[int, _Known] = {}
 
     def add(self, track: Track) -> None:
-        """Show rows of somebody, later ones than those before, or others in place of some of them."""
+        """Show new rows of a person, or replacements of earlier rows."""
         known = self._known.get(track.track_id) or self._begin(track.track_id)
         track = track[finite_rows(track.position)] if not finite_rows(track.position).all() else track
         if not len(track):
@@ -98,7 +98,7 @@ class ShownPeople:
                 del self._known[track_id]
 
     def remove(self, track_id: int, t: float, frame: int) -> None:
-        """Somebody was not there at a time, after all."""
+        """Remove a person at a time after a revision."""
         known = self._known.get(track_id)
         if known is None:
             return
@@ -115,7 +115,7 @@ class ShownPeople:
         return known.position[row] if abs(known.t[row] - t) < 1e-6 else None
 
     def _begin(self, track_id: int) -> _Known:
-        """Somebody new, or who comes again; colours and names are said once."""
+        """Add a person who appears or reappears; colours and names are logged once."""
         self._known[track_id] = known = _Known()
         path, rr = f"{PEOPLE}/{track_id}", self._to.rr
         named = self._names.get(track_id, str(track_id))
@@ -161,16 +161,16 @@ class ShownPeople:
 
     @staticmethod
     def _remember(known: _Known, track: Track) -> int:
-        """Put new rows among the known ones; the place of the first of them."""
+        """Insert new rows among the known rows, and return the index of the first."""
         t = np.concatenate([track.t, known.t])
-        at, row = np.unique(t, return_index=True)  # of equal times the first: the new one
+        at, row = np.unique(t, return_index=True)  # for equal times the first, which is the new row
         known.t = at
         known.frame = np.concatenate([track.frame, known.frame])[row]
         known.position = np.concatenate([track.position, known.position])[row]
         return int(np.searchsorted(at, track.t[0]))
 
     def _holes(self, path: str, known: _Known, first: int) -> None:
-        """Nobody is shown where the rows have a hole."""
+        """Hide the person where the rows have a hole."""
         start = max(first - 1, 0)
         t, frame = known.t[start:], known.frame[start:]
         before = np.flatnonzero(np.diff(t) > longest_step(known.t))
@@ -201,7 +201,7 @@ class ShownPeople:
 
 
 def _trails(t: FloatArray, position: FloatArray) -> FloatArray:
-    """(n, points, 2) paths of the last seconds that lead to each of n rows; no path leads over a hole."""
+    """Return (n, points, 2) trails of n rows over the last seconds; no trail crosses a hole."""
     row = np.arange(len(t))
     after_hole = np.concatenate([[True], np.diff(t) > longest_step(t)])
     begun = np.maximum.accumulate(np.where(after_hole, row, 0))
@@ -211,7 +211,7 @@ def _trails(t: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def _unwrapped(angle: FloatArray, last: dict[str, float], name: str) -> FloatArray:
-    """Angles (n,) without jumps at ±π, going on from those before."""
+    """Return angles (n,) unwrapped at ±π, continuing the previous angles."""
     there = np.isfinite(angle)
     out = np.array(angle, dtype=float)
     if there.any():
@@ -222,13 +222,13 @@ def _unwrapped(angle: FloatArray, last: dict[str, float], name: str) -> FloatArr
 
 
 def _step(t: FloatArray, frame: IntArray) -> tuple[float, int]:
-    """Seconds and frames from row to row."""
+    """Return seconds and frames from row to row."""
     if len(t) < 2:
         return 0.04, 1
     return float(np.median(np.diff(t))), max(1, int(np.median(np.diff(frame))))
 
 
 def _next(t: FloatArray, frame: IntArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """When the row after the last would be, (1,) each."""
+    """Return the expected time of the next row, (1,) each."""
     seconds, frames = _step(t, frame)
     return t[-1:] + seconds, frame[-1:] + frames

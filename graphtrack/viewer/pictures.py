@@ -22,10 +22,10 @@ from graphtrack.viewer.layout import VIDEO
 from graphtrack.viewer.recording import IntArray, Recording
 
 READERS: Final = "graphtrack.frames"
-"""Entry points under which packages, such as ``perception``, say who reads videos and folders of images."""
+"""Entry points of packages, such as ``perception``, that read videos and folders of images."""
 
 LONGEST_SIDE: Final = 640
-"""Pixels of a picture; larger ones are made smaller."""
+"""Longest side of a picture in pixels; larger pictures are downscaled."""
 
 _QUALITY = 75
 
@@ -33,7 +33,7 @@ Image = NDArray[np.uint8]
 
 
 class PictureFrame(Protocol):
-    """A frame, from whoever reads videos; ``image`` is None where it could not be decoded."""
+    """Frame from a video reader; ``image`` is None if it could not be decoded."""
 
     @property
     def number(self) -> int: ...  # noqa: D102
@@ -45,7 +45,7 @@ class Frames(Protocol):
     """A video or a folder of images."""
 
     def where(self, wanted: Callable[[int], bool]) -> Iterator[PictureFrame]:
-        """The frames whose numbers are wanted."""
+        """Return the frames of the given numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class PersonBoxes:
 
 
 class FrameTimes:
-    """When frames were, as tracks say it; of frames between theirs by interpolation."""
+    """Times of frames from tracks; interpolated for frames in between."""
 
     def __init__(self, tracks: TrackSet) -> None:
         frame = np.concatenate([track.frame for track in tracks] or [np.empty(0, np.int64)])
@@ -73,11 +73,11 @@ class FrameTimes:
         self._t = t[row]
 
     def within(self, frame: int) -> bool:
-        """True if a frame lies between the first and the last one."""
+        """Return True if a frame lies between the first and the last."""
         return bool(len(self._frame)) and self._frame[0] <= frame <= self._frame[-1]
 
     def __call__(self, frame: IntArray) -> FloatArray:
-        """Seconds (n,) of frames (n,) that lie within."""
+        """Return the times in seconds (n,) of frames (n,) within the range."""
         return np.interp(frame, self._frame, self._t)
 
 
@@ -92,13 +92,13 @@ def open_frames(path: Path) -> Frames:
     for reader in entry_points(group=READERS):
         opened: Frames = reader.load().open(path)
         return opened
-    raise InputError("no reader of videos", "the whole package installed, with perception", path=path)
+    raise InputError("no reader of videos", "the full package installed, with perception", path=path)
 
 
 def show_frames(to: Recording, frames: Frames, times: FrameTimes) -> int:
-    """Show the frames that lie between the first and the last of the tracks, as JPEG; how many they are.
+    """Show the frames that lie between the first and the last of the tracks, as JPEG; return their number.
 
-    One at a time is in memory.
+    One frame at a time is in memory.
     """
     count, factor = 0, 0.0
     path = f"{VIDEO}/frame"
@@ -121,7 +121,7 @@ def show_frames(to: Recording, frames: Frames, times: FrameTimes) -> int:
 
 
 def small(image: Image) -> tuple[Image, float]:
-    """A picture whose longer side is at most `LONGEST_SIDE`, and its size in that of the given one."""
+    """Return a picture whose longer side is at most `LONGEST_SIDE`, and its scale factor."""
     factor = min(1.0, LONGEST_SIDE / max(image.shape[:2]))
     if factor == 1.0:
         return image, factor
@@ -150,7 +150,7 @@ def show_boxes(to: Recording, boxes: PersonBoxes, times: FrameTimes, shown: Iter
             colors=[rgb(person_colour(person))], labels=[str(person)], show_labels=True, radii=[-1.5]
         )
         to.static(path, look)
-        # In frames in which others have boxes and this person has none, there is none.
+        # Clear this person's box in frames in which only others have boxes.
         every = frames[(frames >= boxes.frame[rows[0]])]
         there = np.isin(every, boxes.frame[rows])
         half = boxes.box[rows, 2:] / 2.0
@@ -159,11 +159,11 @@ def show_boxes(to: Recording, boxes: PersonBoxes, times: FrameTimes, shown: Iter
 
 
 _BOXES, _OBSERVATIONS, _NUMBER = "boxes.txt", "observations.csv", "box"
-"""In the folder of a report: boxes of people who were detected, and rows that name theirs by its place."""
+"""Files in a report's folder: boxes of detected people, and rows that refer to them by index."""
 
 
 def boxes_of(path: Path, format: str | None, options: ReadOptions) -> PersonBoxes | None:
-    """The boxes of a file, or of the folder of a report; None where there are none, or nobody says whose.
+    """Return the boxes of a file, or of a report's folder; None without boxes or identities.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A recording of Rerun: where it goes, and rows of entities with their times."""
+"""Rerun recording: its destination, and rows of entities with their times."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIME, FRAME = "time", "frame"
 """The time lines: seconds of the table, and its frames."""
 
 CLOCK_TIMES = 1e6
-"""Seconds from which on times are those of a clock, since 1970, not of a recording."""
+"""Seconds from which times are clock times, since 1970, not times of a recording."""
 
 _LATEST = 9e9
 _PATIENCE = 10.0
@@ -49,7 +49,7 @@ def rerun() -> Any:
 
 @dataclass(frozen=True)
 class Target:
-    """Destination of a view: a file, a running viewer, or else a window of its own.
+    """Destination of a view: a file, a running viewer, or else a new window.
 
     Attributes
     ----------
@@ -61,12 +61,12 @@ class Target:
     connect: str | None = None
 
     def check(self) -> None:
-        """Refuse what could not be shown in the end.
+        """Refuse a destination that cannot be used.
 
         Raises
         ------
         InputError
-            Without the package or a display, and for a place or a URL that is none.
+            Without the package or a display, and for an invalid path or URL.
         """
         if find_spec("rerun") is None:
             rerun()
@@ -89,7 +89,7 @@ class Recording:
 
     Parameters
     ----------
-    clock : whether times are seconds since 1970
+    clock : True if times are seconds since 1970
     """
 
     def __init__(self, *, clock: bool = False) -> None:
@@ -98,11 +98,11 @@ class Recording:
         self._clock = clock
 
     def static(self, path: str, *what: Any) -> None:
-        """Log what holds of an entity at all times."""
+        """Log static properties of an entity."""
         self.stream.log(path, *what, static=True)
 
     def rows(self, path: str, t: FloatArray, frame: IntArray, *columns: Any) -> None:
-        """Rows of an entity.
+        """Log rows of an entity.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class Recording:
         return [time, column(FRAME, sequence=frame)]
 
     def arrange(self, layout: Any) -> None:
-        """Arrange the window anew."""
+        """Rearrange the window."""
         self.stream.send_blueprint(layout)
 
 
@@ -151,7 +151,7 @@ def recording(target: Target, layout: Any, *, clock: bool = False, whole: bool =
     Parameters
     ----------
     layout : of the window, as `graphtrack.viewer.layout` makes it
-    clock : whether times are seconds since 1970
+    clock : True if times are seconds since 1970
     whole : whether a file is there whole or not at all; else it grows, and what is in it can be seen
 
     Raises

@@ -44,20 +44,20 @@ def view(
 
     Parameters
     ----------
-    tracks : estimates, or observations as they are
-    save : the file (.rrd) to write; it is there whole or not at all
-    connect : the URL of a viewer that runs. Without either a window opens
-    groups : of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
-    forecast : of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
-    video : the video, or the folder of images, whose frames the tracks count
-    boxes : of people in its frames
-    person : whose series are drawn; by default theirs who have most rows
+    tracks : estimates, or unmodified observations
+    save : the file (.rrd) to write, atomically
+    connect : the URL of a running viewer. Without either a window opens
+    groups : result of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
+    forecast : result of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
+    video : video, or folder of images, with the frame numbers of the tracks
+    boxes : boxes of people in its frames
+    person : person whose time series are drawn; by default the person with most rows
 
     Raises
     ------
     InputError
-        Without the package or a display, for people and frames that the tracks have not, for files that
-        cannot be read, and a place that cannot be written to.
+        Without the package or a display, for people and frames that are not in the tracks, for files that
+        cannot be read, and a path that cannot be written.
     """
     target = Target(None if save is None else Path(save), connect)
     target.check()
@@ -68,7 +68,7 @@ def view(
     if not placed:
         raise InputError("no position", "tracks with positions in metres")
     chosen = person if person is not None else max(placed, key=len).track_id
-    tracks.by_id(chosen)  # or an error that says whom there are
+    tracks.by_id(chosen)  # raises an error that lists the ids
     given = behaviour_of(tracks, groups=groups, forecast=forecast)
     frames = None if video is None else open_frames(Path(video))
     where = Extent.of(np.concatenate([track.position for track in placed]))
@@ -97,7 +97,7 @@ def view(
 
 
 class _Places:
-    """Positions of people, from their tracks."""
+    """Return positions of people, from their tracks."""
 
     def __init__(self, tracks: TrackSet) -> None:
         self._tracks = {track.track_id: track for track in tracks}
@@ -111,12 +111,12 @@ class _Places:
 
 
 def _names(tracks: TrackSet) -> Mapping[int, str]:
-    """Names of people where the table has no numbers for them."""
+    """Return names of people if the table identifies them by text."""
     return {} if tracks.as_read is None else tracks.as_read.names
 
 
 def _series(tracks: TrackSet, person: int) -> list[str]:
-    """Which series of somebody are known."""
+    """Return the known series of a person."""
     track = tracks.by_id(person)
     angles = [name for name in ("body", "head") if observed_angle(track, name) is not None]
     return ["x", "y", *([] if track.velocity is None else ["speed"]), *angles]

@@ -1,1 +1,1 @@
-"""A camera teaches itself: body and head directions from people who surely walk."""
+"""Models of body and head orientation fitted to one camera, with walking people as labels."""

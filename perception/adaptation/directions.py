@@ -1,8 +1,8 @@
-"""Directions of bodies and heads by linear models that are learned and judged by people left out.
+"""Directions of bodies and heads by linear models, trained and evaluated with held-out people.
 
-Heads are placed by templates of the gradients of head and shoulders, one for each quarter of the directions
-of walking, whitened by what is beside heads (Hariharan, Malik & Ramanan 2012): the score is a log density
-ratio of Gaussians of one covariance.
+Heads are located by templates of the gradients of head and shoulders, one for each quarter of the directions
+of walking, whitened by the background next to heads (Hariharan, Malik & Ramanan 2012): the score is a log
+density ratio of Gaussians with a common covariance.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from perception.pose.classifier import fit_temperature_and_share, reliability, w
 from perception.pose.features import BINS
 from perception.pose.head_detection import HeadCandidates
 
-_STEP = 2  # pixels of a patch from one place to the next
+_STEP = 2  # pixels of a patch between searched positions
 _APART = 2  # steps between a template's cells
 _CELLS = 14
 _ABOVE, _BESIDE = 10, 14  # steps from a template's first cell to the middle of the head, down and across
-_ACROSS, _DOWN = 11, 10  # steps that a head is looked for from where it usually is
+_ACROSS, _DOWN = 11, 10  # search range in steps around the usual position of a head
 _USUAL = np.array([0.0, 0.085])  # the middle of the head, in heights of the box from the middle of its top
-_MARGIN = 6  # squares about the part that is looked at, for filters
+_MARGIN = 6  # margin of the searched part in squares, for filters
 _BLUR, _BLUR_AROUND = 1.0, 5.0  # 1-σ in squares
 _SQUARES = (2 * _DOWN + 1 + _APART * _CELLS, 2 * _ACROSS + 1 + _APART * _CELLS)
-"""Rows and columns that templates see from all of the places."""
+"""Rows and columns covered by templates at all positions."""
 _SHRINKAGE = 0.05
 _QUARTERS = 4
-_SHARED = 30.0  # samples that the mean of all quarters counts as in that of each
-_BESIDE_EACH = 5  # places beside each head, for the covariance
-_NOT_NEAR = 4.0  # steps from the head from which on a place is beside it
+_SHARED = 30.0  # weight in samples of the common mean in the mean of each quarter
+_BESIDE_EACH = 5  # background positions per head, for the covariance
+_NOT_NEAR = 4.0  # least distance of a background position from the head, in steps
 
 HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
 """Of the head, in heights of the box."""
@@ -50,11 +50,11 @@ HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
 _X, _Y = (
     part.ravel() for part in np.meshgrid(np.arange(-_ACROSS, _ACROSS + 1), np.arange(-_DOWN, _DOWN + 1))
 )
-_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) where a head is looked for
+_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) searched positions of a head
 
 
 def within_reach(head: FloatArray) -> NDArray[np.bool_]:
-    """Mask (n,) of heads (n, 2), in heights of the box, that are among the searched places."""
+    """Return a mask (n,) of heads (n, 2), in heights of the box, within the searched positions."""
     low, high = _PLACES.min(axis=0), _PLACES.max(axis=0)
     return np.asarray(((head >= low) & (head <= high)).all(axis=1), np.bool_)
 
@@ -105,13 +105,13 @@ def _mirrored(windows: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _correlated(layers: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Templates (k, d) on what they see at each place, (n, k)."""
+    """Apply templates (k, d) at each position, (n, k)."""
     down, across = 2 * _DOWN + 1, 2 * _ACROSS + 1
     columns = np.arange(across)[:, None] + _APART * np.arange(_CELLS)
     rows = layers[: down + _APART * (_CELLS - 1), columns].reshape(-1, _CELLS * BINS)
     by_row = weight.reshape(len(weight), _CELLS, _CELLS * BINS)
     found = np.zeros((down * across, len(weight)), np.float32)
-    # Row by row of the templates: products as small as these are not worth a second thread.
+    # One row of the templates at a time, since such small products are slower with threads.
     for i in range(_CELLS):
         found += rows[_APART * i * across :][: len(found)] @ by_row[:, i].T
     return found
@@ -123,7 +123,7 @@ def _quarter(angle: FloatArray) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class HeadTemplates:
-    """Templates of head and shoulders, and where heads are in the boxes of a recording.
+    """Templates of head and shoulders, and the distribution of heads in the boxes of a recording.
 
     Attributes
     ----------
@@ -137,13 +137,13 @@ class HeadTemplates:
     place: FloatArray
 
     def scores(self, patch: Image) -> FloatArray:
-        """Log ratios (n,) of a head at each place where one is looked for, by the likeliest template."""
+        """Return log ratios (n,) of a head at each searched position, by the likeliest template."""
         found = _correlated(orientations(patch), self.weight) + self.bias
         away = (_PLACES - self.place[0]) / self.place[1]
         return np.asarray(found.max(axis=1) - 0.5 * np.square(away).sum(axis=1), float)
 
     def candidates(self, patch: Image, most: int = 3) -> HeadCandidates:
-        """Heads in a patch, best first, in heights of the box from the middle of its top."""
+        """Return heads in a patch, best first, in heights of the box from the middle of its top."""
         scores = self.scores(patch)
         left = np.argsort(-scores, kind="stable")
         kept: list[int] = []
@@ -158,15 +158,15 @@ class HeadTemplates:
 
 @dataclass(frozen=True, eq=False)
 class HeadSamples:
-    """Samples for templates: n heads and their mirror images, and what is beside all of them.
+    """Samples for templates: n heads and their mirror images, and the background next to them.
 
     Attributes
     ----------
     place : (n, 2) middles of heads, in heights of the box from the middle of its top
     quarter : (2, n) of the directions, of the heads and of their mirror images
-    seen : (2, n, d) what a template sees of them
-    mean : (d,) beside heads
-    factor : of the covariance beside heads, as from `scipy.linalg.cho_factor`
+    seen : (2, n, d) windows of a template at the heads
+    mean : (d,) of the background
+    factor : of the covariance of the background, as from `scipy.linalg.cho_factor`
     """
 
     place: FloatArray
@@ -179,13 +179,13 @@ class HeadSamples:
     def of(
         cls, patches: Sequence[Image], place: FloatArray, angle: FloatArray, rng: np.random.Generator
     ) -> HeadSamples:
-        """Samples of people whose heads are known, or thought to be.
+        """Return samples of people with known or estimated heads.
 
         Parameters
         ----------
         patches : n of them
         place : (n, 2) as above
-        angle : (n,) radians, where they go, in the image frame
+        angle : (n,) radians, direction of travel in the image frame
         """
         nearest = np.argmin(np.square(place[:, None, :] - _PLACES).sum(axis=2), axis=1)
         seen, beside = [], []
@@ -206,7 +206,7 @@ class HeadSamples:
         return cls(place, quarter, both, mean, cho_factor(covariance.astype(float), lower=True))
 
     def templates(self, used: NDArray[np.bool_]) -> HeadTemplates:
-        """Templates of the heads (n,) that are used."""
+        """Fit templates to the used heads (n,)."""
         heads, quarter = self.seen[:, used].reshape(-1, len(self.mean)), self.quarter[:, used].ravel()
         shared = heads.mean(axis=0)
         means = []
@@ -228,11 +228,11 @@ def head_of_crop(box: FloatArray) -> FloatArray:
     return of_patch(np.array([left + width / 2.0 + _CROP[0], top + height / 2.0 + _CROP[1]]))
 
 
-_CROP = (35, 19, 90, 176)  # left, top, width, height of the part of a patch that the localiser sees
+_CROP = (35, 19, 90, 176)  # left, top, width, height of the part of a patch used by the localiser
 
 
 def crop_of(patch: Image) -> Image:
-    """The part of a patch that is a person's box with a margin."""
+    """Return the part of a patch with a person's box and a margin."""
     left, top, width, height = _CROP
     return np.ascontiguousarray(patch[top : top + height, left : left + width])
 
@@ -241,10 +241,13 @@ CLASSES = PoseClasses.circle(8)
 """Of bodies and heads."""
 
 _FOLDS = 5
-_CHOICES = ((1.0, 0.0), (3.0, 0.0))  # shrinkage and total weight of rendered people; people left out choose
-_CHOICES_WITH_RENDERED = ((10.0, 1.0), (10.0, 3.0))  # further ones where people are rendered
-_NEVER = 100.0  # log density by which a direction that nobody walked in is behind the others
-_LEAST_PEOPLE = 2  # who must have walked in a direction, or its mirror image, for it to count as seen
+_CHOICES = (
+    (1.0, 0.0),
+    (3.0, 0.0),
+)  # shrinkage and total weight of rendered people, chosen on held-out people
+_CHOICES_WITH_RENDERED = ((10.0, 1.0), (10.0, 3.0))  # further choices with rendered people
+_NEVER = 100.0  # log density penalty of a direction without walkers
+_LEAST_PEOPLE = 2  # least number of people for an observed direction, or its mirror image
 _MIRROR = (-np.arange(len(CLASSES))) % len(CLASSES)
 _COLOURS: Window = (-0.1, -0.09, 0.2, 0.18)
 _COLOUR_SIDE = 8
@@ -258,16 +261,16 @@ class View:
     Attributes
     ----------
     window : about the middle of the head, in heights of the box
-    size : columns and rows to which it is brought
+    size : columns and rows to which it is resized
     """
 
     window: Window
     size: tuple[int, int]
 
     def features(self, patch: Image, head: FloatArray) -> NDArray[np.float32]:
-        """Gradients of the window and colours of the head, (d,): first what a mirror leaves as it is.
+        """Gradients of the window and colours of the head, (d,): first those invariant to mirroring.
 
-        What changes places in a mirror image counts as sum and difference; `sign` says which is which.
+        Features exchanged by mirroring are replaced by sums and differences; `sign` marks the differences.
         """
         shape = grey(cut(patch, head, self.window, self.size))
         colours = cut(patch, head, _COLOURS, (_COLOUR_SIDE, _COLOUR_SIDE)).astype(np.float32) / 255.0
@@ -290,13 +293,13 @@ class View:
 
     @cached_property
     def sign(self) -> NDArray[np.float32]:
-        """Signs (d,) by which a mirror multiplies the features."""
+        """Return the signs (d,) of the features under mirroring."""
         same, one, _ = self._pairs
         return np.repeat(np.array([1.0, -1.0], np.float32), [len(same) + len(one), len(one)])
 
     @cached_property
     def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Places of values that a mirror leaves, and pairs of places that it exchanges."""
+        """Return indices invariant to mirroring, and pairs of indices exchanged by it."""
         columns, rows = (size // _CELL - 1 for size in self.size)
         # OpenCV goes down the blocks of a column, and down the cells of a block's column.
         gradients = np.arange(columns * rows * 4 * BINS).reshape(columns, rows, 2, 2, BINS)
@@ -313,13 +316,13 @@ HEAD = View((-0.18, -0.14, 0.36, 0.36), (64, 64))
 
 @dataclass(frozen=True, eq=False)
 class Taught:
-    """A linear model of the eight directions.
+    """Linear model of the eight directions.
 
     Attributes
     ----------
     weight : (8, d); bias : (8,)
     temperature, share : as in `fit_temperature_and_share`
-    seen : (8,) whether people walked in the direction, or its mirror image, or rendered people did
+    seen : (8,) whether people, or rendered people, walked in the direction or its mirror image
     """
 
     weight: NDArray[np.float32]
@@ -335,7 +338,7 @@ class Taught:
 
 
 def calibrated(scores: FloatArray, temperature: float, share: float, seen: NDArray[np.bool_]) -> FloatArray:
-    """Log likelihoods (n, 8); a direction that nobody walked in is as likely as the others on average."""
+    """Return log likelihoods (n, 8); directions without walkers have the mean of the others."""
     p = with_neighbours(np.exp(log_softmax(scores / temperature, axis=1)), share)
     p = np.where(seen, p, 0.0)
     p /= np.maximum(p.sum(axis=1, keepdims=True), 1e-12)
@@ -346,24 +349,24 @@ def calibrated(scores: FloatArray, temperature: float, share: float, seen: NDArr
 def _of_both(
     features: NDArray[np.float32], sign: NDArray[np.float32], weight: NDArray[np.float32], bias: FloatArray
 ) -> FloatArray:
-    """Mean log scores (n, 8) of pictures and of their mirror images, which say the mirrored directions."""
+    """Return mean log scores (n, 8) of crops and their mirror images, with directions mirrored back."""
     scores, of_mirror = features @ weight.T + bias, features @ (weight * sign).T + bias
     return np.asarray(0.5 * (log_softmax(scores, axis=1) + log_softmax(of_mirror, axis=1)[:, _MIRROR]), float)
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Output of models for people whom they have not seen.
+    """Output of models for held-out people.
 
     Attributes
     ----------
-    log_likelihood : (n, 8) calibrated, by people left out too
+    log_likelihood : (n, 8) calibrated, also on held-out people
     """
 
     log_likelihood: FloatArray
 
     def errors(self, angle: FloatArray) -> FloatArray:
-        """(n,) radians between what is said and an angle (n,)."""
+        """Return the error (n,) in radians against an angle (n,)."""
         return np.abs(difference(CLASSES.mean_pan(self.log_likelihood), angle))
 
     def loss(self, angle: FloatArray) -> float:
@@ -372,12 +375,12 @@ class HeldOut:
         return -float(self.log_likelihood[rows, CLASSES.index(angle)].mean())
 
     def calibration_error(self, angle: FloatArray) -> float:
-        """The expected one."""
+        """Expected calibration error."""
         return reliability(self.log_likelihood, CLASSES.index(angle)).expected_calibration_error
 
 
 def folds_of(person: NDArray[np.int64], rng: np.random.Generator, most: int = _FOLDS) -> NDArray[np.int64]:
-    """The part (n,) that each person's rows (n,) are in, so that no one is in two."""
+    """Return the fold (n,) of each row (n,), with each person in one fold."""
     people, place = np.unique(person, return_inverse=True)
     return np.asarray(rng.permutation(len(people))[place] % min(most, len(people)), np.int64)
 
@@ -390,7 +393,7 @@ def taught(
     fold: NDArray[np.int64],
     rendered: tuple[NDArray[np.float32], FloatArray] | None = None,
 ) -> tuple[Taught, HeldOut]:
-    """A model of all, and what models without a person say of that person.
+    """Fit a model to all people, and return held-out outputs for each person.
 
     Parameters
     ----------
@@ -398,8 +401,8 @@ def taught(
     sign : (d,) as `View.sign`
     angle : (n,) radians in the image frame
     person, fold : (n,) as from `folds_of`
-    rendered : features (m, d) and angles (m,) of rendered people, who help where that makes people left out
-        likelier
+    rendered : features (m, d) and angles (m,) of rendered people, used if that increases the likelihood of
+        held-out people
     """
     label = CLASSES.index(angle)
     more, tried = None, list(_CHOICES)
@@ -417,7 +420,7 @@ def taught(
             model = rest.helped(more, share).discriminant(sign, shrinkage)
             scores[s, fold == k] = _of_both(features[fold == k], sign, *model)
     walked = seen_directions(label, person)
-    # Who is rendered goes everywhere.
+    # Rendered people cover all directions.
     seen = [walked | (share > 0.0) for _, share in tried]
     found = [_honest(*one, label, fold) for one in zip(scores, seen, strict=True)]
     best = int(np.argmin([one.loss(angle) for one in found]))
@@ -428,7 +431,7 @@ def taught(
 
 
 def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mask (8,) of directions in which, or in whose mirror image, enough people walked by labels (n,)."""
+    """Mask (8,) of directions with enough walkers, mirror images included, by labels (n,)."""
     people = [len(np.unique(person[(label == k) | (label == _MIRROR[k])])) for k in range(len(CLASSES))]
     return np.array(people) >= _LEAST_PEOPLE
 
@@ -436,7 +439,7 @@ def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDAr
 def _honest(
     scores: FloatArray, seen: NDArray[np.bool_], label: NDArray[np.int64], fold: NDArray[np.int64]
 ) -> HeldOut:
-    """Scores (n, 8) calibrated by those of people in other parts."""
+    """Calibrate scores (n, 8) on people of the other folds."""
     result = np.empty_like(scores)
     for k in np.unique(fold).tolist():
         rest = fold != k
@@ -447,15 +450,15 @@ def _honest(
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums that make a linear discriminant; people are left out by subtraction.
+    """Sufficient statistics of a linear discriminant; people are held out by subtraction.
 
-    Pictures count with their mirror images, so that features of different `View.sign` do not go together.
+    Mirror images are included, so that features of different `View.sign` are uncorrelated.
 
     Attributes
     ----------
     weight : (8,) of each direction's pictures and mirror images
     total : (8, d) of their features
-    squares : of the products of features that a mirror leaves as they are, and of the others
+    squares : sums of products of the features invariant to mirroring, and of the others
     """
 
     weight: FloatArray
@@ -470,7 +473,7 @@ class Sums:
         label: NDArray[np.int64],
         person: NDArray[np.int64],
     ) -> Sums:
-        """Sums of n pictures; people with many pictures count less in each."""
+        """Return the sums of n crops, with less weight per crop for people with many crops."""
         _, place, count = np.unique(person, return_inverse=True, return_counts=True)
         weight = 1.0 / np.sqrt(count[place])
         weighted = features * weight[:, None].astype(np.float32)
@@ -493,7 +496,7 @@ class Sums:
         return Sums(self.weight - other.weight, self.total - other.total, (even, odd))
 
     def helped(self, others: Sums | None, share: float) -> Sums:
-        """With other people, moved to where these are, who count ``share`` of what these do in all."""
+        """Add other people, shifted to these, with a total weight of ``share`` of these."""
         if others is None or share == 0.0:
             return self
         factor = share * float(self.weight.sum()) / float(others.weight.sum())
@@ -502,9 +505,9 @@ class Sums:
         return self + Sums(factor * moved.weight, factor * moved.total, (even, odd))
 
     def moved_to(self, others: Sums) -> Sums:
-        """These, all moved by how far others are from those of the same direction on average.
+        """Shift these by the mean difference to others of the same direction.
 
-        Features that change sign in a mirror do not move: no side differs from the other.
+        Features that change sign under mirroring are not shifted, by symmetry.
         """
         even = self.squares[0].shape[0]
         means = self.total[:, :even] / np.maximum(self.weight, 1e-9)[:, None]
@@ -544,28 +547,28 @@ class Sums:
 
 
 def _parts(sign: NDArray[np.float32]) -> tuple[slice, slice]:
-    """The features that a mirror leaves as they are, and the others."""
+    """Split the features into those invariant to mirroring and the others."""
     even = int((sign > 0).sum())
     return slice(0, even), slice(even, len(sign))
 
 
 OUTLIERS = "class_outlier_probability"
-"""What the card of a camera's models calls it."""
+"""Name on the card of a camera's models."""
 _SHARES = np.linspace(0.05, 0.98, 94)
-_EQUAL = 0.01  # log likelihood a person by which no share is better than another
+_EQUAL = 0.01  # log likelihood per person within which shares are equivalent
 
 
 def class_outlier_probability(
     parts: list[FloatArray], angle: FloatArray, person: NDArray[np.int64], count: FloatArray
 ) -> float:
-    """The graph's ``likelihood.class_outlier_probability`` for what such models say.
+    """Fit the graph's ``likelihood.class_outlier_probability`` to the output of such models.
 
-    People left out are likeliest under it to go where they go, and not some eighths of a turn to the side.
+    It maximises the probability of held-out people's direction of travel against its rotations by eighths.
 
     Parameters
     ----------
-    parts : log likelihoods (n, 8) of the classes by models that have not seen the person, of body and head
-    angle : (n,) radians, where they go in the image frame
+    parts : log likelihoods (n, 8) of the classes by models without the person, of body and head
+    angle : (n,) radians, direction of travel in the image frame
     person : (n,) numbers
     count : (n,) frames that each row stands for
     """
@@ -579,13 +582,13 @@ def class_outlier_probability(
         np.add.at(of_person, whose, of_row * count[:, None])
         return -float(log_softmax(of_person, axis=1)[:, 0].mean())
 
-    # Where several do, the models are believed as far as they can be.
+    # Among equivalent shares the smallest is used.
     losses = np.array([loss(share) for share in _SHARES.tolist()])
     return float(_SHARES[np.flatnonzero(losses <= losses.min() + _EQUAL)[0]])
 
 
 def with_outliers(model: Model, share: float) -> Model:
-    """The same graph, for which a share of class likelihoods says nothing."""
+    """Return the graph with a share of uninformative class likelihoods."""
     parameters = model.parameters
     likelihood = replace(parameters.likelihood, class_outlier_probability=share)
     return model.with_parameters(replace(parameters, likelihood=likelihood))

@@ -1,6 +1,6 @@
-"""Labels for a camera's own models: who surely walks and where to, and the pictures of these people.
+"""Labels for a camera's own models: walking people with their directions of travel, and their crops.
 
-People who walk face where they go.
+Walking people face their direction of travel.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from perception.images.pixels import Image, checked_box, crop
 from perception.pose.features import LENGTH, Projection, describe, light_of
 
 TALL = 160
-"""Rows of a patch that the person's box has."""
+"""Rows of the person's box in a patch."""
 ABOVE, BELOW = 32, 32
 """Rows of a patch above and below the box."""
 ROWS, COLUMNS = ABOVE + TALL + BELOW, 160
@@ -36,7 +36,7 @@ Window = tuple[float, float, float, float]
 
 
 def patch_of(image: Image, box: ArrayLike) -> Image:
-    """The surroundings (`ROWS`, `COLUMNS`, 3) of a box (4,) in an image (h, w, 3); its border is repeated.
+    """Return the surroundings (`ROWS`, `COLUMNS`, 3) of a box (4,) in an image (h, w, 3), border replicated.
 
     The box, left, top, width and height in pixels, is in the middle, and `TALL` rows high.
     """
@@ -56,27 +56,27 @@ def surroundings(image: Image, box: ArrayLike) -> Image:
 
 
 def as_patch(found: Image) -> Image:
-    """The patch of `surroundings`."""
+    """Resize `surroundings` to a patch."""
     method = cv2.INTER_AREA if found.shape[0] > ROWS else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(found, (COLUMNS, ROWS), interpolation=method), np.uint8)
 
 
 def in_patch(place: FloatArray) -> FloatArray:
-    """Pixels (..., 2) of a patch, of places (..., 2) in heights of the box from the middle of its top."""
+    """Convert positions (..., 2), in heights of the box from the middle of its top, to pixels of a patch."""
     return np.asarray(place, float) * TALL + np.array([COLUMNS / 2.0, ABOVE])
 
 
 def of_patch(pixel: FloatArray) -> FloatArray:
-    """The inverse of `in_patch`."""
+    """Invert `in_patch`."""
     return (np.asarray(pixel, float) - np.array([COLUMNS / 2.0, ABOVE])) / TALL
 
 
 def cut(patch: Image, head: FloatArray, window: Window, size: tuple[int, int]) -> Image:
-    """A window about the head's middle (2,), as `of_patch` has it, in ``size`` columns and rows."""
+    """Return a window about the head's middle (2,), as of `of_patch`, at ``size`` columns and rows."""
     x, y = in_patch(head)
     left, top, width, height = (TALL * value for value in window)
     across, down = size[0] / width, size[1] / height
-    # Only what is needed is blurred.
+    # Only the needed part is blurred.
     edge = np.array([2.0 / across, 2.0 / down])
     begin = np.clip(np.floor(np.array([x + left, y + top]) - edge).astype(int), 0, (COLUMNS - 2, ROWS - 2))
     end = np.clip(np.ceil(np.array([x + left + width, y + top + height]) + edge).astype(int), begin + 2, None)
@@ -94,15 +94,15 @@ def cut(patch: Image, head: FloatArray, window: Window, size: tuple[int, int]) -
     return np.asarray(found, np.uint8)
 
 
-_CENTRAL = 0.25  # share of the image, on each side, in which no camera has its principal point
+_CENTRAL = 0.25  # share of the image, at each side, without principal points
 
 
 def looks_of(
     frames: Iterable[Frame], boxes: Sequence[PersonBox], refuse: Callable[[str], object]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Appearance of people (n, `LENGTH`), and a mask (n,) of boxes that are in the pictures.
+    """Return appearance of people (n, `LENGTH`), and a mask (n,) of usable boxes.
 
-    ``refuse`` is told of frames that cannot be decoded and of boxes that hold nothing.
+    ``refuse`` receives undecodable frames and empty boxes.
     """
     looks, usable = np.zeros((len(boxes), LENGTH), np.uint8), np.zeros(len(boxes), bool)
     for image, inside in _in_frames(frames, boxes, refuse):
@@ -117,9 +117,9 @@ def patches_in(
     refuse: Callable[[str], object],
     view: LeaningView | None = None,
 ) -> dict[int, Image]:
-    """The surroundings of boxes, by their places in the sequence; those that hold nothing are left out.
+    """Return the surroundings of boxes by index; empty boxes are skipped.
 
-    Who leans in a ``view`` is turned upright.
+    Leaning people in a ``view`` are rotated upright.
     """
     found: dict[int, Image] = {}
     for image, inside in _in_frames(frames, boxes, refuse):
@@ -132,7 +132,7 @@ def patches_in(
 def _in_frames(
     frames: Iterable[Frame], boxes: Sequence[PersonBox], refuse: Callable[[str], object]
 ) -> Iterator[tuple[Image, list[int]]]:
-    """Yield the image of each frame with the places of the boxes in it, where there are any."""
+    """Yield the image of each frame with boxes, and the indices of the boxes."""
     of_frame: dict[int, list[int]] = {}
     for k, item in enumerate(boxes):
         of_frame.setdefault(item.frame, []).append(k)
@@ -153,7 +153,7 @@ def _in_frames(
 
 
 def check_camera(camera: GroundCamera, size: tuple[int, int]) -> None:
-    """Refuse a calibration of another image size, as far as it shows.
+    """Refuse a calibration that is inconsistent with the image size.
 
     Parameters
     ----------
@@ -178,25 +178,25 @@ def check_camera(camera: GroundCamera, size: tuple[int, int]) -> None:
 _ROW = "row"
 
 
-# Who surely walks.
+# Criteria of walking people.
 _LEAST_SPEED, _LARGEST_STD = 0.5, float(np.deg2rad(25.0))  # metres a second; radians, of the direction
-_LEAST_BOXES, _LEAST_HEIGHT = 4, 20.0  # boxes of a track; pixels: of smaller people nothing is seen
+_LEAST_BOXES, _LEAST_HEIGHT = 4, 20.0  # boxes of a track; least height in pixels
 _LEAST_WAY = 1.0
-"""Metres between the ends of a stretch of sure boxes; who stands may be labelled here and there."""
+"""Least metres between the ends of a run of labels, which excludes sporadic labels of standing people."""
 
 
 @dataclass(frozen=True, eq=False)
 class WalkingLabels:
-    """n boxes of people who surely walk.
+    """Labelled boxes of walking people, n in number.
 
     Attributes
     ----------
-    box : (n,) which of the boxes
+    box : (n,) index of the box
     person : (n,) number of the track
-    angle : (n,) radians, where they go in the image frame: 0 is towards the camera
-    std : (n,) radians, of it
-    tracks : that were found, of walking people or not
-    count : (n,) boxes that each stands for
+    angle : (n,) radians, direction of travel in the image frame: 0 is towards the camera
+    std : (n,) radians, 1-σ of ``angle``
+    tracks : number of all tracks, walking or not
+    count : (n,) number of boxes represented by each
     """
 
     box: NDArray[np.int64]
@@ -210,13 +210,13 @@ class WalkingLabels:
         return len(self.box)
 
     def taken(self, places: NDArray[np.int64]) -> WalkingLabels:
-        """The labels at some places."""
+        """Return a subset of the labels."""
         parts = {name: getattr(self, name)[places] for name in ("box", "person", "angle", "std", "count")}
         return WalkingLabels(**parts, tracks=self.tracks)
 
     @classmethod
     def joined(cls, parts: Sequence[Sequence[NDArray[Any]]], tracks: int) -> WalkingLabels:
-        """Labels of pieces with (box, person, angle, std) each, where every box stands for itself."""
+        """Join labels of pieces with (box, person, angle, std) each, with counts of 1."""
         columns = zip(*parts, strict=True) if parts else [[np.zeros(0)]] * 4
         box, person, angle, std = (np.concatenate(column) for column in columns)
         ones = np.ones(len(box))
@@ -230,15 +230,15 @@ def walking_labels(
     clock: float | Clock,
     view: LeaningView | None = None,
 ) -> WalkingLabels:
-    """The boxes of people who surely walk, with the directions of travel.
+    """Select the boxes of walking people, with directions of travel.
 
     Parameters
     ----------
-    boxes : without identities they are associated
-    looks : (n, `LENGTH`) what the people in the boxes look like, for that; None: not known
+    boxes : associated if without identities
+    looks : (n, `LENGTH`) appearance, for the association; None: not known
     camera : over the ground
     clock : times of the frames, or frames a second
-    view : where people lean in the picture, so that their feet are not where their boxes end
+    view : view in which people lean, so that feet are not at the lower edge of boxes
     """
     pixel = feet_of(boxes, view)
     position = camera.image_to_ground(pixel)
@@ -290,7 +290,7 @@ def _of_walkers(tracks: TrackSet, camera: GroundCamera) -> WalkingLabels:
 
 
 def _leads_away(sure: NDArray[np.bool_], position: FloatArray, least_way: float) -> NDArray[np.bool_]:
-    """Mask of rows (n,) in a stretch of sure ones whose ends are far enough apart."""
+    """Return a mask (n,) of rows in runs of labels whose ends are far enough apart."""
     found = np.zeros(len(sure), bool)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], sure.astype(int), [0]])))
     for start, stop in ends.reshape(-1, 2).tolist():

@@ -1,7 +1,7 @@
-"""From recordings and the boxes of their people to the models of their camera.
+"""Fit the models of a camera to recordings and boxes of people.
 
-Where few people walk, rendered ones help: as large as people at these places, seen from as high, and before
-what the camera sees there. People left out choose how much they count.
+If few people walk, rendered people are added, with the size, elevation and background of these positions.
+Their weight is chosen on held-out people.
 """
 
 from __future__ import annotations
@@ -65,20 +65,20 @@ if TYPE_CHECKING:
 
 
 _COUNT = 900
-_PLACES = 60  # of a recording, in which people are rendered
-_FRAMES = 20  # of which the median is what a place looks like without people
-_STEEPEST = 1.2  # radians; from straight above nobody is upright
+_PLACES = 60  # positions per recording with rendered people
+_FRAMES = 20  # frames in the median that shows a position without people
+_STEEPEST = 1.2  # radians; people are not upright from straight above
 _UNKNOWN = (0.0, 0.45), 10.0  # elevation (from, to) and distance in metres for an unknown camera
 _MIDDLE = 0.9  # metres above the ground of a person's middle
 
 
 class Scenery:
-    """Pictures of the places where people walk, without the people.
+    """Backgrounds at the positions of walking people.
 
     Parameters
     ----------
-    walkers : boxes of those who walk
-    people : everybody's boxes in the recording
+    walkers : boxes of walking people
+    people : boxes of all people in the recording
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class Scenery:
         self._walkers = [walkers[k] for k in _evenly(len(walkers), _PLACES).tolist()]
         numbers = sorted({item.frame for item in people})
         self.frames = frozenset(numbers[k] for k in _evenly(len(numbers), _FRAMES).tolist())
-        """Numbers of the frames that are looked at."""
+        """Return the numbers of the needed frames."""
         self._view, self._camera = view, camera
         self._seen: list[list[Image]] = [[] for _ in self._walkers]
 
     def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The same frames; those that are needed are looked at on the way."""
+        """Yield the same frames, and collect the needed backgrounds from them."""
         for frame in frames:
             if frame.image is not None and frame.number in self.frames:
                 for item, seen in zip(self._walkers, self._seen, strict=True):
@@ -107,7 +107,7 @@ class Scenery:
             yield frame
 
     def places(self, rng: np.random.Generator) -> list[Place]:
-        """Places of some of the people who walk."""
+        """Return the backgrounds of some walking people."""
         from perception.synthetic.inserted import Place
 
         feet = self._camera.image_to_ground(feet_of(self._walkers, self._view))
@@ -126,12 +126,12 @@ class Scenery:
 
 
 def _evenly(n: int, most: int) -> NDArray[np.int64]:
-    """At most ``most`` of the places 0 … n − 1."""
+    """Return at most ``most`` of the indices 0 … n − 1."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
 
 
 def _seen_from(camera: GroundCamera, foot: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Elevation of the camera above somebody who stands at ``foot`` (2,), and its distance in metres."""
+    """Return the elevation of the camera above a person at ``foot`` (2,), and its distance in metres."""
     centre = camera.optical_centre_on_ground
     if camera.height is None or centre is None:
         elevation, distance = _UNKNOWN
@@ -142,7 +142,7 @@ def _seen_from(camera: GroundCamera, foot: FloatArray, rng: np.random.Generator)
 
 @dataclass(frozen=True, eq=False)
 class RenderedPeople:
-    """Patches of people, the middles (n, 2) of their heads, and where they go (n,), as `learn` has them."""
+    """Patches of people, middles (n, 2) of their heads and directions of travel (n,), as in `learn`."""
 
     patches: Sequence[Image]
     head: FloatArray
@@ -150,7 +150,7 @@ class RenderedPeople:
 
 
 def rendered_people(places: Sequence[Place], rng: np.random.Generator, count: int = _COUNT) -> RenderedPeople:
-    """People who walk, in all directions alike, where the camera sees people walk."""
+    """Render walking people, in all directions equally, at the positions of observed walkers."""
     from perception.synthetic.inserted import with_person
 
     angle = rng.uniform(-np.pi, np.pi, count)
@@ -162,9 +162,9 @@ def rendered_people(places: Sequence[Place], rng: np.random.Generator, count: in
     return RenderedPeople(patches, np.array(heads), angle)
 
 
-_SMOOTHNESS = 12.0  # log ratio that a step of one head height along a track costs
-_TEMPLATE_HEADS = 500  # rendered heads of which templates are learned
-_FOUND = 0.01  # 1-σ in heights of the box of where heads are found, which rendered people's heads have too
+_SMOOTHNESS = 12.0  # cost in log ratio of a step of one head height along a track
+_TEMPLATE_HEADS = 500  # rendered heads to train templates on
+_FOUND = 0.01  # 1-σ of located heads in heights of the box, also applied to rendered heads
 
 
 @dataclass(frozen=True)
@@ -173,11 +173,11 @@ class AdaptationParameters:
 
     Attributes
     ----------
-    least_people : who surely walk
-    most_of_person, most : boxes that are learned from
-    first_heads : boxes in which heads are looked for with the package's localiser, to begin with
-    rounds : of placing heads and learning what they look like
-    many_people : from whom on rendered people are no help
+    least_people : least number of walking people
+    most_of_person, most : largest number of training boxes per person, and in all
+    first_heads : boxes for the initial search of heads with the package's localiser
+    rounds : of locating heads and fitting templates
+    many_people : number from which rendered people are not used
     """
 
     least_people: int = 5
@@ -190,7 +190,7 @@ class AdaptationParameters:
 
 @dataclass(frozen=True, eq=False)
 class PackageModels:
-    """The models that a camera begins with: where heads are, and whom to be better than."""
+    """Initial models of a camera: the head localiser, and the models to compare with."""
 
     head_localiser: HeadLocaliser
     body_pose: FeatureClassifier
@@ -198,13 +198,13 @@ class PackageModels:
 
     @classmethod
     def load(cls) -> PackageModels:
-        """Load them."""
+        """Load the models."""
         return cls(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """Models that were learned with heads (n, 2) at some places."""
+    """Models fitted with heads (n, 2) at given positions."""
 
     heads: FloatArray
     body: Taught
@@ -217,22 +217,22 @@ class _Attempt:
 
 
 class TooFewWalkers(InputError):
-    """A recording from which a camera cannot teach itself."""
+    """Error: a recording with too few walking people to fit models."""
 
 
 def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingLabels:
-    """Choose the labels to learn from, evenly over each person's.
+    """Choose training labels, evenly over each person's.
 
     Raises
     ------
     TooFewWalkers
-        If too few people surely walk.
+        If too few people are walking.
     """
     people = np.unique(labels.person)
     if len(people) < parameters.least_people:
         raise TooFewWalkers(
-            f"{len(people)} people who surely walk, in {labels.tracks} tracks",
-            f"at least {parameters.least_people}: a camera learns from people who walk",
+            f"{len(people)} walking people, in {labels.tracks} tracks",
+            f"at least {parameters.least_people}: models are fitted to walking people",
         )
     each = min(parameters.most_of_person, max(1, parameters.most // len(people)))
     kept, count = [], []
@@ -255,17 +255,17 @@ def learn(
     advance: Callable[[int], None] = lambda count: None,
     places: Sequence[Place] = (),
 ) -> CameraModels:
-    """The models of a camera, of people who surely walk.
+    """Fit the models of a camera to walking people.
 
     Parameters
     ----------
     patches : n, as from `patch_of`
-    labels : n, each person's in the order of frames
+    labels : n, in the order of frames for each person
     length : of the recording, in seconds
     size : columns and rows of its frames
-    package : models to begin with
-    advance : is told when one of `stages` is done
-    places : where the camera sees people walk; where few do, others are rendered there to help
+    package : initial models
+    advance : called after each of the `stages`
+    places : backgrounds of walking people, for rendered people if there are few
     """
     angle = labels.angle
     few = len(np.unique(labels.person)) < parameters.many_people
@@ -286,7 +286,7 @@ def learn(
     best, templates, known = given, None, first
     of_rendered: _Rendered = (None, None)
     if rendered is not None:
-        # Their heads are known as well as heads are found.
+        # Their heads have the accuracy of located heads.
         nearly = rendered.head + rng.normal(0.0, _FOUND, rendered.head.shape)
         of_rendered = _of_rendered(rendered, nearly)
         by_rendered = _templates_of(rendered, rng)
@@ -309,7 +309,7 @@ def learn(
 
 
 def stages(parameters: AdaptationParameters) -> int:
-    """Number of steps that `learn` reports."""
+    """Return the number of steps that `learn` reports."""
     return 2 + parameters.rounds
 
 
@@ -320,7 +320,7 @@ def _placed(
     labels: WalkingLabels,
     fold: NDArray[np.int64],
 ) -> FloatArray:
-    """Heads (n, 2) by templates of other people, along each track."""
+    """Locate heads (n, 2) by templates of other people, along each track."""
     heads = np.zeros((len(patches), 2))
     for k in np.unique(fold).tolist():
         whose = np.unique(labels.person[fold == k])
@@ -332,7 +332,7 @@ def _placed(
 def _along_tracks(
     patches: Sequence[Image], labels: WalkingLabels, templates: HeadTemplates, people: NDArray[np.int64]
 ) -> FloatArray:
-    """Heads (n, 2) of some of the people, by templates along each track; NaN for the others."""
+    """Locate heads (n, 2) of some people, by templates along each track; NaN for the others."""
     heads = np.full((len(patches), 2), np.nan)
     for one in people.tolist():
         rows = np.flatnonzero(labels.person == one)
@@ -344,7 +344,7 @@ def _along_tracks(
 
 
 def _templates_of(rendered: RenderedPeople, rng: np.random.Generator) -> HeadTemplates:
-    """Templates of the heads of rendered people that are among the searched places."""
+    """Fit templates to the heads of rendered people within the searched positions."""
     some = np.flatnonzero(within_reach(rendered.head))[:_TEMPLATE_HEADS]
     patches = [rendered.patches[k] for k in some.tolist()]
     samples = HeadSamples.of(patches, rendered.head[some], rendered.angle[some], rng)
@@ -355,7 +355,7 @@ _Rendered = Sequence[tuple[NDArray[np.float32], FloatArray] | None]
 
 
 def _of_rendered(rendered: RenderedPeople, heads: FloatArray) -> _Rendered:
-    """Features of body and head of rendered people with heads (n, 2), and where they point."""
+    """Features of body and head of rendered people with heads (n, 2), and their directions."""
     return [(view.all_features(rendered.patches, heads), rendered.angle) for view in (BODY, HEAD)]
 
 
@@ -377,7 +377,7 @@ def _attempt(
 def _of_package(
     patches: Sequence[Image], heads: FloatArray, angle: FloatArray, package: PackageModels
 ) -> dict[str, float]:
-    """Errors of the package's models on some of the boxes as they are given."""
+    """Errors of the package's models on some of the given boxes."""
     size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * TALL
     people = [patch[ABOVE : ABOVE + TALL, COLUMNS // 2 - 33 : COLUMNS // 2 + 33] for patch in patches]
     pictures = [
@@ -416,7 +416,7 @@ def _card(
     labels: WalkingLabels, length: float, best: _Attempt, figures: dict[str, float], *, aligned: bool
 ) -> ModelCard:
     people = len(np.unique(labels.person))
-    said = f"the directions of travel of {people} people who surely walk, in {length / 60.0:.1f} minutes"
+    said = f"the directions of travel of {people} walking people, in {length / 60.0:.1f} minutes"
     walked = seen_directions(CLASSES.index(labels.angle), labels.person)
     parts = [best.body_out.log_likelihood, best.head_out.log_likelihood]
     outliers = class_outlier_probability(parts, labels.angle, labels.person, labels.count)
@@ -426,10 +426,10 @@ def _card(
         "aligned": aligned,
         OUTLIERS: outliers,
     }
-    fails = "another view or other light; people who look or stand aside are known by what walkers show"
+    fails = "another view or other light; people who look aside or stand, since labels come from walkers"
     for without, of_those in (
         (~best.body.seen, "the likelihoods are flat there"),
-        (best.body.seen & ~walked, "only rendered people showed what that looks like"),
+        (best.body.seen & ~walked, "these directions were trained on rendered people only"),
     ):
         if without.any():
             views = ", ".join(f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[without].tolist())
@@ -443,7 +443,7 @@ class Recording:
 
     Attributes
     ----------
-    people : with identities or without
+    people : with or without identities
     clock : times of the frames, or frames a second
     """
 
@@ -454,14 +454,14 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Adapted:
-    """The models that a camera has taught itself, and the people who surely walk of whom it learned."""
+    """Models fitted to a camera, and the labels of walking people used."""
 
     models: CameraModels
     labels: WalkingLabels
 
     @property
     def people(self) -> int:
-        """Number of people who surely walk."""
+        """Number of walking people."""
         return len(np.unique(self.labels.person))
 
 
@@ -474,20 +474,20 @@ def adapted(
     refuse: Callable[[str], object],
     parameters: AdaptationParameters = AdaptationParameters(),
 ) -> Adapted:
-    """Let a camera teach itself how bodies and heads point, from people who surely walk.
+    """Fit models of body and head orientation to a camera, from walking people.
 
     Parameters
     ----------
-    recordings : of the camera; people of one are others than those of another
+    recordings : of the camera, with different people in each
     camera : over the ground
-    package : models to begin with
-    progress : is told how far decoding and learning came
-    refuse : is told of frames that cannot be decoded and of boxes that hold nothing
+    package : initial models
+    progress : receives the progress of decoding and fitting
+    refuse : receives undecodable frames and empty boxes
 
     Raises
     ------
     InputError
-        If there are no people, too few surely walk, or the camera or recordings are of several image sizes.
+        If there are too few walking people, or camera and recordings differ in image size.
     """
     if not any(recording.people for recording in recordings):
         raise InputError("a recording without people", "people who walk")
@@ -513,7 +513,7 @@ def adapted(
             found = patches_in(scenery.watched(decoded), chosen, refuse, view)
         there = np.array(sorted(found), np.int64)
         places += scenery.places(rng)
-        parts.append(whose[there])  # boxes of frames that did not come are gone
+        parts.append(whose[there])  # boxes of missing frames are dropped
         taken += [found[k] for k in there.tolist()]
         numbers = [item.frame for item in one.people]
         length += float(np.diff(seconds([min(numbers), max(numbers) + 1], one.clock))[0])
@@ -528,7 +528,7 @@ def adapted(
 
 
 def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
-    """Labels of several recordings, in which nobody is the same."""
+    """Join labels of several recordings with different people."""
     start = np.append(0, _ends(walking))
     parts = [(one.box, one.person + k, one.angle, one.std) for one, k in zip(walking, start, strict=False)]
     found = WalkingLabels.joined(parts, sum(one.tracks for one in walking))
@@ -536,7 +536,7 @@ def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
 
 
 def _ends(walking: Sequence[WalkingLabels]) -> NDArray[np.int64]:
-    """The number after the last person of each recording, when recordings are joined."""
+    """Return the number after the last person of each recording, for joining."""
     return np.cumsum([int(one.person.max(initial=-1)) + 1 for one in walking])
 
 
@@ -547,7 +547,7 @@ def _labels(
     progress: Progress,
     refuse: Callable[[str], object],
 ) -> WalkingLabels:
-    """Labels of a recording; for detections the frames are decoded to describe appearance."""
+    """Return the labels of a recording; detections need decoded frames for appearance."""
     frames, people, looks = recording.frames, recording.people, None
     if not people[0].identified:
         wanted = {item.frame for item in people}

@@ -1,4 +1,4 @@
-"""The models of one camera: where heads are, how bodies and heads point; all in one file."""
+"""Models of one camera: head localisation, body and head orientation; in one file."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _SCALE = 6.0  # log ratio of a candidate that counts as a score of 1 along a tra
 
 @dataclass(eq=False)
 class CameraModels(Stored):
-    """Models that a camera has taught itself.
+    """Models fitted to one camera.
 
     Attributes
     ----------
-    templates : of heads; None: boxes are taken as they are
+    templates : of heads; None: boxes are used unaligned
     body, head : the models of the directions
     size : columns and rows of the frames
-    upright : whether it learned from people who were turned upright, as `LeaningView` says they stand
+    upright : whether training people were rotated upright, by `LeaningView`
     """
 
     kind: ClassVar[str] = "camera"
@@ -57,7 +57,7 @@ class CameraModels(Stored):
     classes = CLASSES
 
     def candidates(self, patch: Image) -> HeadCandidates:
-        """Candidates of the head in a patch, best first, in heights of the box from the middle of its top."""
+        """Return head candidates in a patch, best first, in heights of the box from the middle of its top."""
         if self.templates is not None:
             return self.templates.candidates(patch)
         left, top = self.place - np.array([HEAD_WIDTH, HEAD_HEIGHT]) / 2.0
@@ -69,20 +69,20 @@ class CameraModels(Stored):
         boxes: Sequence[tuple[float, float, float, float]],
         standing: Sequence[Standing | None] | None = None,
     ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
-        """For each box of a frame: the body's log likelihoods (8,), heads in its crop, and theirs (k, 8).
+        """Return, per box, the body's log likelihoods (8,), heads in its crop, and theirs (k, 8).
 
-        Who leans stands as ``standing`` says; heads are in the crop of the turned picture's box then.
+        ``standing`` gives the pose of leaning people; their heads are in the crop of the rotated image.
 
         Raises
         ------
         InputError
-            If the frame is not as large as those that the camera learned from.
+            If the size of the frame differs from the training frames.
         """
         size = (image.shape[1], image.shape[0])
         if size != self.size:
             raise InputError(
                 f"a frame of {size[0]} × {size[1]} pixels",
-                f"{self.size[0]} × {self.size[1]}, as of the camera that --models is of",
+                f"{self.size[0]} × {self.size[1]}, as of the camera of --models",
             )
         pictures = [
             upright_picture(image, box, how)
@@ -112,12 +112,12 @@ class CameraModels(Stored):
 
     @property
     def class_outlier_probability(self) -> float | None:
-        """The graph's share of class likelihoods that say nothing; None: not known, as of older files."""
+        """Share of uninformative class likelihoods in the graph; None: not known, as in older files."""
         share = self.card.parameters.get(OUTLIERS)
         return None if share is None else float(share)
 
     def graph(self, model: Model) -> Model:
-        """A graph that believes what the camera's models say along a track as far as people left out show."""
+        """Return the graph with the outlier share that was fitted to held-out people."""
         share = self.class_outlier_probability
         return model if share is None else with_outliers(model, share)
 
@@ -144,7 +144,7 @@ class CameraModels(Stored):
 
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
-        """The models of a file."""
+        """Load the models of a file."""
         parts = {}
         for name in ("body", "head"):
             given = card.parameters[name]
@@ -164,7 +164,7 @@ class CameraModels(Stored):
 
 
 def in_crop(heads: HeadCandidates, box: tuple[float, float, float, float]) -> HeadCandidates:
-    """Candidates of a patch in pixels of the picture that is cut out of its box."""
+    """Convert candidates of a patch to pixels of the box's crop."""
     left, top, width, height = box
     start = np.array([left - round(left) + width / 2.0, top - round(top), 0.0, 0.0])
     return HeadCandidates(heads.boxes * height + start, heads.scores / _SCALE)

@@ -1,8 +1,8 @@
-"""The command line: thin; it parses, calls and prints."""
+"""The command line: parsing of options and printing of results."""
 
 from graphtrack.cli.main import run
 
 
 def main() -> None:
-    """Entry point of the command line."""
+    """Run the command line."""
     run("perception.cli.commands", "perception")

@@ -1,6 +1,6 @@
-"""`perception calibrate` and `perception adapt`: the view of a camera, and models that it teaches itself.
+"""`perception calibrate` and `perception adapt`: estimate a camera's view, and fit its own models.
 
-`teach` does the latter within other commands, once for each recording.
+`teach` fits the models within other commands, once per recording.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 PersonHeight = Annotated[
     float,
-    typer.Option("--person-height", min=0.5, max=3.0, help="Metres that people's boxes are high on average."),
+    typer.Option("--person-height", min=0.5, max=3.0, help="Mean height of people's boxes, metres."),
 ]
 
 
@@ -49,13 +49,13 @@ def calibrate(
     person_height: PersonHeight = 1.7,
     seed: options.Seed = 0,
 ) -> None:
-    """Find out how a camera looks at the ground, from how high people's boxes are at each place.
+    """Estimate a camera's view of the ground from the heights of people's boxes.
 
-    `--calibration` takes the file. Of the frames only the size is used.
+    `--calibration` reads the file. Only the size of the frames is used.
 
     Parameters
     ----------
-    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, with identities or without.
+    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, with or without identities.
     output : Calibration to write (.ci).
     """
     from perception.detection.boxes import read_boxes
@@ -76,10 +76,10 @@ def calibrate(
 
 
 def described(found: FoundView) -> str:
-    """The view of a camera on the ground in words, with its uncertainty."""
+    """Describe a camera's view of the ground, with its uncertainty."""
     view, std = found.view, found.std
     return (
-        f"from {found.boxes} boxes of {found.people} people, of which {100 * found.inliers:.0f} % agree: "
+        f"from {found.boxes} boxes of {found.people} people ({100 * found.inliers:.0f} % inliers): "
         f"focal length {view.focal:.0f} ± {std['focal']:.0f} pixels, "
         f"{np.degrees(view.tilt):.1f} ± {np.degrees(std['tilt']):.1f}° down, "
         f"roll {np.degrees(view.roll):.1f} ± {np.degrees(std['roll']):.1f}°, "
@@ -99,10 +99,10 @@ def teach(
     *,
     seed: int = 0,
 ) -> tuple[CameraModels | None, str]:
-    """The models that a camera teaches itself, and a sentence about them.
+    """Fit a camera's own models to a recording; return them and a sentence about them.
 
-    None, where too few people surely walk. What is learned is written to ``path``, and taken from there when
-    it was learned with the same ``key`` before.
+    None if too few people are walking. The models are written to ``path``, and read from there
+    if they were fitted with the same ``key`` before.
     """
     from perception.adaptation.learning import PackageModels, Recording, TooFewWalkers, adapted
     from perception.adaptation.models import CameraModels
@@ -116,7 +116,7 @@ def teach(
         recordings = [Recording(frames, people, clock)]
         models = adapted(recordings, camera, PackageModels.load(), rng, progress_bar, refuse).models
     except TooFewWalkers as error:
-        sentence = f"the camera does not teach itself, the package's models look: {error.found}"
+        sentence = f"the package's models are used: {error.found}"
         emit(f"  note: {sentence}")
         return None, sentence
     models.card = replace(models.card, parameters={**models.card.parameters, "recording": key})
@@ -127,17 +127,17 @@ def teach(
 
 
 def check_adapt(streamed: bool, camera: Path | None, models: Sequence[object]) -> None:
-    """Refuse `--adapt` with a stream, without a camera's file, or with other models than None."""
+    """Refuse `--adapt` with a stream, without a camera file, or with other models."""
     if streamed:
         raise InputError("--adapt with -o -", "a file as the output: a camera learns from all frames")
     if camera is None:
         raise InputError("--adapt without a camera", "--calibration or --homography")
     if any(model is not None for model in models):
-        raise InputError("--adapt beside models that are given", "one of them")
+        raise InputError("--adapt with other models", "one of them")
 
 
 def stamp_of_camera(camera: GroundCamera | None) -> object:
-    """Identity of a camera."""
+    """Return a key of a camera's parameters."""
     if camera is None:
         return None
     values = (camera.homography, camera.intrinsics, camera.distortion, camera.centre_on_ground)
@@ -148,8 +148,8 @@ def _sentence(models: CameraModels) -> str:
     card = models.card
     errors = " and ".join(f"{card.figures[f'{part}_error_deg']:.0f}° ({part})" for part in ("body", "head"))
     return (
-        f"the camera taught itself body and head, by {card.parameters['people']} people who surely walk:"
-        f" of people left out the directions are {errors} off where they go, by chance 90°"
+        f"models of body and head fitted to {card.parameters['people']} walking people; mean error on "
+        f"held-out people against the direction of travel: {errors}; by chance 90°"
     )
 
 
@@ -161,18 +161,17 @@ def adapt(
     write_model: Path | None = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Let a camera teach itself how bodies and heads point, from people who surely walk.
+    """Fit models of body and head orientation to one camera, from walking people.
 
-    `perception observe --models` uses the file.
+    `perception observe --models` reads the file.
 
     Parameters
     ----------
     sources : Videos or folders of images, all of one camera.
     output : Model file to write (.npz).
-    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for
-        each recording in their order; without it people are detected.
-    write_model : Write the graph's model file (.toml) that goes with these models, for `graphtrack smooth
-        --model`.
+    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, or of a detector (ids -1), once per
+        recording, in their order; without it people are detected.
+    write_model : Write the matching model file of the graph (.toml), for `graphtrack smooth --model`.
     """
     from graphtrack.model import Model
     from perception.adaptation.labels import check_camera
@@ -185,9 +184,9 @@ def adapt(
     if len(given) != len(sources):
         raise InputError(
             f"--boxes {len(given)} times for {counted(len(sources), 'recording')}",
-            "once for each of them, in their order, or for none",
+            "once per recording, in their order, or not at all",
         )
-    # A search that was broken off goes on: each recording has journals of its own.
+    # Each recording has its own journals, so that an interrupted search continues.
     places = [output if k == 0 else output.with_name(f"{output.name}.{k}") for k in range(len(sources))]
     journals = [path for place in places for path in search_journals(place)]
     inputs = {"--boxes": boxes, **camera.files}
@@ -196,7 +195,9 @@ def adapt(
         check_places(outputs, None, source, inputs)
     on_ground = camera.on_ground()
     if on_ground is None:
-        raise InputError("no camera", "--calibration or --homography: where people go is seen on the ground")
+        raise InputError(
+            "no camera", "--calibration or --homography: directions of travel are measured on the ground"
+        )
     opened = [FrameSource.open(source) for source in sources]
     for frames in opened:
         check_camera(on_ground, frames.size())
@@ -219,17 +220,17 @@ def adapt(
             found.models.graph(Model.named(None)).save(write_model)
     print_skipped(refused)
     emit(
-        f"learned from {len(found.labels)} boxes of {found.people} people who "
-        f"surely walk, of {counted(found.labels.tracks, 'track')}"
+        f"fitted to {len(found.labels)} boxes of {found.people} walking people "
+        f"in {counted(found.labels.tracks, 'track')}"
     )
     print_figures(found.models.card)
     share = found.models.class_outlier_probability
-    emit(f"the graph is to take {share:.0%} of the class likelihoods for nothing")
+    emit(f"class_outlier_probability of the graph: {share:.2g}")
     emit(f"wrote {output}" + ("" if write_model is None else f" and {write_model}"))
 
 
 def print_figures(card: ModelCard) -> None:
-    """Errors on people left out, step by step."""
+    """Print the errors on held-out people, step by step."""
     steps = (
         ("chance", None),
         ("the package's models", "_package"),

@@ -1,4 +1,4 @@
-"""The program perception: its commands by their names."""
+"""The commands of the program `perception`."""
 
 from __future__ import annotations
 

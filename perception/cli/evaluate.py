@@ -1,4 +1,4 @@
-"""`perception evaluate`: the papers' tables, on rendered people; and trackers on recordings."""
+"""`perception evaluate`: the papers' tables on rendered people, and trackers on recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
 _REAL = ("heads", "lobby", "street", "people")
-"""Tables of recordings, which are made where they are asked for."""
+"""Tables of recordings, made on request."""
 
 
 def evaluate(
@@ -34,17 +34,17 @@ def evaluate(
     json_path: options.Json = None,
     seed: options.Seed = 1000,
 ) -> None:
-    """Judge the package's models on rendered people whom they were not trained on, as the papers do.
+    """Evaluate the package's models on held-out rendered people, as in the papers.
 
     Parameters
     ----------
     tables : pose (errors and calibration of all classifiers; Baxter et al. 2014, Fig. 3), localisation (Chen
         et al. 2011, Table 1), recognition (Ba & Odobez 2003, Tables 1-3), joint (Chen et al. 2011, Table 2),
-        published (Chen et al.'s perception as printed beside ours), keypoints (body and head by keypoints);
-        these by default. Of recordings in --data: heads (Ba & Odobez's trackers on Town Centre's heads),
-        lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), people (found in
-        Town Centre: how often detections are right).
-    count : Rendered images to judge on.
+        published (Chen et al.'s perception as published, and ours), keypoints (body and head from keypoints);
+        all of these by default. On recordings in --data: heads (Ba & Odobez's trackers on Town Centre's
+        heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), people
+        (precision of detections in Town Centre).
+    count : Rendered images to evaluate on.
     train : Rendered images to train on: localisation, published.
     clips : Rendered clips of the table joint.
     head_pose : Classifier of the table joint.
@@ -75,7 +75,7 @@ def evaluate(
 
 @dataclass(frozen=True)
 class _Asked:
-    """The options of the command."""
+    """Options of the command."""
 
     count: int
     train: int
@@ -87,7 +87,7 @@ class _Asked:
     seed: int
 
     def tables(self, name: str) -> Iterable[Table]:
-        """Make the tables of a name; they are the same alone and among others."""
+        """Compute the tables of a name; they do not depend on the other tables."""
         from perception.evaluation import classifiers
         from perception.models import load_keypoint_pose
 
@@ -112,7 +112,7 @@ class _Asked:
         return [self._of_recordings(name)]
 
     def _of_recordings(self, name: str) -> Table:
-        """Make a table of recordings, and show a progress bar."""
+        """Compute a table of recordings, with a progress bar."""
         town = self.data / "towncentre"
         if name == "heads":
             from perception.experiments.head_trackers import heads_table

@@ -49,28 +49,28 @@ def follow(
     background: Annotated[list[Path] | None, typer.Option(metavar="IMAGE|FOLDER", exists=True)] = None,
     head_pose: str = "frame",
 ) -> None:
-    """Follow one person or head through a video, and write its boxes as observations for graphtrack.
+    """Track one person or head through a video, and write its boxes as observations for graphtrack.
 
     Parameters
     ----------
     output : File to write: .csv.
     tracker : mixed-state, sigma-pi or color.
-    init : The target's box in the first frame, in pixels; without it, mixed-state looks for a head and
-        sigma-pi waits for something that moves.
-    guided : The graph tells the tracker where to look next.
+    init : The target's box in the first frame, in pixels; without it, mixed-state detects a head and
+        sigma-pi waits for motion.
+    guided : The graph predicts the next box for the tracker.
     particles : Number of particles.
-    foot_at : Where the foot point is, in box heights below the box's top; by default 1, or 7.3 for the box of
-        a head before a known camera.
-    middle_at : For a camera that looks down: metres above the ground of what is in the middle of the box, in
-        place of a foot point. By default with a fisheye: 1, or 1.6 for the box of a head.
-    pan_limit : Degrees: mixed-state leaves out heads that face away from the camera by more; 90 if they never
-        turn their backs. By default 180, in the paper 90.
-    colour_rate : Share of the colours that the tracker color remembers which a frame replaces; 0, the
-        default: the first box's stay. mixed-state has 0.05.
-    as_in_the_paper : The tracker as its paper has it, without what was found to be better.
-    background : Image, or folder of images, of what is never the person (furniture), for sigma-pi; can be
-        given several times.
-    head_pose : head_p*: frame (what each frame says by itself) or filtered (the tracker's).
+    foot_at : Foot point, in box heights below the box's top; by default 1, or 7.3 for the box of a head with
+        a known camera.
+    middle_at : For a camera that looks down: height of the box's middle above the ground in metres, instead
+        of a foot point. By default with a fisheye: 1, or 1.6 for the box of a head.
+    pan_limit : Degrees: largest pan away from the camera in mixed-state; 90 if heads never turn their backs.
+        By default 180, in the paper 90.
+    colour_rate : Share of the colour histogram that each frame replaces, for color; 0, the default: the
+        first box's histogram stays. mixed-state has 0.05.
+    as_in_the_paper : Use the published form of the tracker, without later improvements.
+    background : Image, or folder of images, without the person (furniture), for sigma-pi; can be given
+        several times.
+    head_pose : head_p*: frame (likelihoods of single frames) or filtered (the tracker's posterior).
     """
     from graphtrack.errors import InputError
     from perception.drawing.people import draw
@@ -140,7 +140,7 @@ def follow(
 
 
 def _start(box: Box | None, tracker: str, image: Image) -> Box | None:
-    """The box to begin with; a head is looked for where the tracker needs one, and nothing else."""
+    """Return the initial box; a head is detected if the tracker needs one and no box is given."""
     from graphtrack.errors import InputError
     from perception.follow.following import find_head
 

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Options of the models that look at bodies and heads.
+    """Options of the models of bodies and heads.
 
     Models of bodies and heads
     --------------------------
@@ -59,8 +59,8 @@ class ModelOptions:
     head_pose_model : A model of your own (.npz).
     body_pose_model : A model of your own (.npz).
     head_localiser_model : A model of your own (.npz).
-    camera_models : What the camera has taught itself (.npz, of `perception adapt`).
-    adapt : Let the camera teach itself first, as `perception adapt` does.
+    camera_models : The camera's own models (.npz, from `perception adapt`).
+    adapt : Fit the camera's own models first, as `perception adapt` does.
     """
 
     head_pose: str = "deep_belief"
@@ -72,26 +72,26 @@ class ModelOptions:
 
     @property
     def parts(self) -> tuple[Path | None, ...]:
-        """The files of models for one part each."""
+        """Return the files of models for one part each."""
         return self.head_pose_model, self.body_pose_model, self.head_localiser_model
 
     @property
     def files(self) -> dict[str, Path | None]:
-        """The files to read, by the names of their options."""
+        """Return the files to read, by option name."""
         names = ("--head-pose-model", "--body-pose-model", "--head-localiser-model", "--models")
         return dict(zip(names, (*self.parts, self.camera_models), strict=True))
 
     def check(self, keypoints: Path | None) -> None:
-        """Refuse models beside each other that have the same part."""
+        """Refuse two models of the same part."""
         from perception.models import HEAD_POSE
 
         if self.head_pose not in HEAD_POSE:
             raise InputError(f"--head-pose {self.head_pose}", " or ".join(HEAD_POSE))
         has_parts = any(path is not None for path in self.parts)
         if self.camera_models is not None and has_parts:
-            raise InputError("--models beside a model for one of its parts", "one of them")
+            raise InputError("--models with a model for one of its parts", "one of them")
         if keypoints is not None and (has_parts or self.camera_models is not None):
-            raise InputError("--keypoints beside a model for body or head", "one of them")
+            raise InputError("--keypoints with a model for body or head", "one of them")
 
     def load(self, *, appearance: bool, has_keypoints: bool) -> Models:
         """The models."""
@@ -122,21 +122,21 @@ def observe(
     causal: Annotated[bool | None, typer.Option("--causal/--whole-track")] = None,
     appearance: bool | None = None,
 ) -> None:
-    """Find people and say where they are and how their bodies and heads point, frame by frame.
+    """Detect people and estimate their positions and body and head orientation, frame by frame.
 
-    Boxes without identities, such as those that are detected without --boxes, stand alone, and so do the rows
-    of the table, whose ids are -1: `graphtrack smooth` finds out who is who.
+    Boxes without identities, such as detections, give rows with id -1: `graphtrack smooth` associates them
+    to tracks.
 
-    A run that was broken off goes on where it was when it is called again in the same way.
+    An interrupted run continues when it is called again with the same options.
 
     Parameters
     ----------
     output : File to write: .csv, .csv.gz, .parquet or .ndjson; - for NDJSON rows on standard output, frame by
         frame.
     write_boxes_to : Write the detected boxes here, as MOT text, whose frames count from 1.
-    causal : Choose heads from what came before alone, or along whole tracks, and find people by each frame
-        alone, or by what all frames teach; the former with -o -, else the latter.
-    appearance : Write what people look like (appearance_0 ...), by which they are told apart; on for boxes
+    causal : Choose heads and detect people from past frames only, or from the whole recording. By default
+        causal with -o -, else the whole recording.
+    appearance : Write appearance descriptors (appearance_0 ...), which distinguish people; on for boxes
         without identities, else off.
     """
     from graphtrack.io.read_write import check_table_name
@@ -146,7 +146,7 @@ def observe(
     model.check(network.keypoints)
     for name, path in (("--detector", network.detector), ("--write-boxes", write_boxes_to)):
         if boxes is not None and path is not None:
-            raise InputError(f"{name} beside --boxes", "one of them: given boxes are not detected")
+            raise InputError(f"{name} with --boxes", "one of them: given boxes are not detected")
     streamed = str(output) == "-"
     if model.adapt:
         given_models = (*model.parts, model.camera_models, network.keypoints)
@@ -166,7 +166,7 @@ def observe(
         table=None if streamed else output,
     )
     frames = FrameSource.open(source)
-    refused: dict[str, None] = {}  # what cannot be decoded may be told twice
+    refused: dict[str, None] = {}  # undecodable frames may be reported twice
     networks = network.load(frames)
     if boxes is None and boxes_first_frame is not None:
         raise InputError("--boxes-first-frame without --boxes", "both, or neither")
@@ -199,7 +199,7 @@ def observe(
 
 
 def _places(output: Path) -> list[Path]:
-    """The journals of keypoints and of frames, and what the camera learned, while a run goes on."""
+    """Return the journals of keypoints and frames, and the file of the camera's models, of a run."""
     return [output.with_name(f"{output.name}.{name}") for name in ("keypoints", "journal", "camera.npz")]
 
 
@@ -218,7 +218,7 @@ def _observe_file(
     write_boxes_to: Path | None,
     refused: dict[str, None],
 ) -> None:
-    """Find people, look at them, and write the table; what is known so far stays beside the output."""
+    """Detect and observe people, and write the table; journals are kept next to the output."""
     from graphtrack.io.read_write import write_table
     from perception.detection.boxes import Detections, write_boxes
     from perception.images.pixels import is_video
@@ -232,7 +232,7 @@ def _observe_file(
     one_size = render is not None and is_video(render)
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
-        if people is None and not networks.makes_boxes:  # else boxes are made of keypoints
+        if people is None and not networks.makes_boxes:  # else boxes follow from keypoints
             asked = (*options_of_camera.stamps, networks.asked)
             search = PeopleSearch(frames, camera, clock, output, asked, causal, one_size, networks.detector)
             people, searched = unfinished.enter_context(search.people(refuse))
@@ -255,7 +255,7 @@ def _observe_file(
         asked_of = (chosen.head_pose, own, people, models.appearance, networks.has_keypoints, leaning)
         key = key_of(frames.stamp(), *asked_of)
         journal = unfinished.enter_context(FrameJournal(frames_place, key, SeenFrame))
-        # Where people were detected, nothing new is to be found in frames without any.
+        # Frames without detections need no second pass.
         empty = frozenset() if given else searched - {item.frame for item in people}
         count = look_at_people(frames, people, models, journal, refuse, empty, one_size=one_size)
         seconds = time.perf_counter() - looked
@@ -282,12 +282,12 @@ def _observe_file(
 
 
 def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -> None:
-    """Refuse what cannot be had of frames that are gone when the next comes."""
+    """Refuse options that need past frames, with a stream as the output."""
     for name, path in files.items():
         if path is not None:
-            raise InputError(f"{name} with -o -", "a file as the output: rows are given away as they come")
+            raise InputError(f"{name} with -o -", "a file as the output: rows are written frame by frame")
     if causal is False:
-        raise InputError("--whole-track with -o -", "a file as the output: rows are given before the rest")
+        raise InputError("--whole-track with -o -", "a file as the output: rows are written frame by frame")
 
 
 def _stream(
@@ -297,7 +297,7 @@ def _stream(
     refused: dict[str, None],
     networks: OwnNetworks,
 ) -> None:
-    """Give the rows of every frame as soon as it was looked at; what was left out is told in the end."""
+    """Write the rows of each frame as soon as it is observed; report skipped input at the end."""
     from graphtrack.streaming.session import give
     from perception.observe.live import (
         boxes_of_keypoints,
@@ -322,7 +322,7 @@ def _stream(
 def _render(
     frames: FrameSource, observed: SeenTracks, seen: Mapping[int, SeenFrame], path: Path, fps: float
 ) -> None:
-    """Decode the frames once more, now that all tracks are known, and draw what was seen in them."""
+    """Decode the frames again, now that all tracks are known, and draw the observations."""
     from perception.drawing.people import draw_people, people_by_frame
     from perception.images.pixels import pictures
 

@@ -1,4 +1,4 @@
-"""Options that commands on video share, checks of places, and what the commands say."""
+"""Options shared by commands on video, checks of paths, and common messages."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ VideoOrFolder = Annotated[
 Boxes = Annotated[
     Path | None,
     typer.Option(
-        help="People's boxes as MOT text, COCO JSON or CAVIAR XML, or a detector's, whose ids are -1; "
+        help="People's boxes as MOT text, COCO JSON or CAVIAR XML, or of a detector (ids -1); "
         "without it people are detected.",
         exists=True,
         dir_okay=False,
@@ -39,24 +39,24 @@ FirstFrame = Annotated[
     int | None,
     typer.Option(
         "--boxes-first-frame",
-        help="Number that --boxes gives the recording's first frame: by default 1 in MOT text (0 where it "
-        "has a frame 0), and in other formats that of the recording.",
+        help="Number of the recording's first frame in --boxes: by default 1 in MOT text (0 if it has a "
+        "frame 0), in other formats the recording's own number.",
     ),
 ]
 Render = Annotated[
-    Path | None, typer.Option(help="Draw it all: a video .mp4 or .avi, or else a folder of images.")
+    Path | None, typer.Option(help="Draw the result: a video (.mp4, .avi), or a folder of images.")
 ]
 
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """Options that say how a camera looks at the ground, and how often.
+    """Options of a camera: its view of the ground, and its frame rate.
 
     Camera
     ------
     homography : File with 3×3 numbers: image → ground in metres.
-    calibration : Camera calibration (.ci), of a fisheye too.
-    fps : Frames a second, if not the video's (else 25).
+    calibration : Camera calibration (.ci), also of a fisheye.
+    fps : Frames a second; by default the video's, or 25.
     """
 
     homography: options.InputFile | None = None
@@ -65,22 +65,22 @@ class CameraOptions:
 
     @property
     def files(self) -> dict[str, Path | None]:
-        """The files to read, by the names of their options."""
+        """Return the files to read, by option name."""
         return {"--homography": self.homography, "--calibration": self.calibration}
 
     @property
     def stamps(self) -> tuple[object, object]:
-        """Identity of the files' contents: path, size and time."""
+        """Return a key of the files' contents: path, size and time."""
         return stamp_of(self.homography), stamp_of(self.calibration)
 
     def clock(self, frames: FrameSource) -> Clock:
-        """Return the times of frames: by the rate that is asked for, or else by the video."""
+        """Return the times of frames, from the requested rate or else from the video."""
         from perception.images.frames import Clock
 
         return Clock(self.fps) if self.fps is not None else frames.clock(frames.fps or _FPS)
 
     def on_ground(self) -> GroundCamera | None:
-        """The camera; None if the options name none."""
+        """Return the camera; None without options."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration, read_homography
 
@@ -96,9 +96,9 @@ class CameraOptions:
 def read_given_boxes(
     boxes: Path, frames: FrameSource, named: int | None, refuse: Callable[[str], object]
 ) -> list[PersonBox]:
-    """Boxes of a file with the frames of a recording; a note is printed on how they belong together.
+    """Read the boxes of a recording, and print a note on how their frame numbers are matched.
 
-    ``named``: number that the file gives the recording's first frame; None: see `read_boxes`
+    ``named``: number of the recording's first frame in the file; None: see `read_boxes`
     """
     from perception.detection.boxes import read_boxes
 
@@ -108,7 +108,7 @@ def read_given_boxes(
 
 
 def stamp_of(path: Path | None) -> object:
-    """Identity of a file's content: path, size and time."""
+    """Return a key of a file's content: path, size and time."""
     if path is None:
         return None
     state = path.stat()
@@ -123,11 +123,11 @@ def check_places(
     *,
     table: Path | None = None,
 ) -> None:
-    """Refuse, before the work, what could not be written in the end, as `check_outputs` does.
+    """Refuse paths that cannot be written, before the work starts, as `check_outputs` does.
 
     Parameters
     ----------
-    outputs, inputs, table : as there, besides the two that follow
+    outputs, inputs, table : as in `check_outputs`
     render : a video or a folder of images to write
     source : a video or a folder of images to read
     """
@@ -154,11 +154,11 @@ def decoded_frames(
     unit: str = "frames",
     one_size: bool = False,
 ) -> Iterator[Iterator[Frame]]:
-    """The frames whose numbers are wanted, ``count`` of them, with a progress bar.
+    """Return the wanted frames, ``count`` in number, with a progress bar.
 
     Parameters
     ----------
-    one_size : whether a frame of another size than the first is an `InputError`
+    one_size : whether a change of the frames' size is an `InputError`
     """
     from perception.images.frames import told_frames
 
@@ -167,29 +167,29 @@ def decoded_frames(
 
 
 def in_time(count: int, seconds: float) -> str:
-    """Describe the time that so many frames took."""
+    """Describe the processing time of frames."""
     return f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)"
 
 
 def skipped(reasons: Iterable[str]) -> list[str]:
-    """What was left out in words: the first few reasons, and how many more there are."""
+    """Return lines on skipped input: the first few reasons, and the number of the rest."""
     every = [f"skipped: {reason}" for reason in reasons]
     more = len(every) - _SHOWN
     return [*every[:_SHOWN], f"skipped: {more} more"] if more > 0 else every
 
 
 def print_skipped(reasons: Iterable[str]) -> None:
-    """Print what was left out."""
+    """Print skipped input."""
     for line in skipped(reasons):
         emit(f"  {line}")
 
 
 def print_camera_note(camera: GroundCamera | None) -> None:
-    """Say what positions are if no camera is known."""
+    """Print a note on the unit of positions if no camera is known."""
     if camera is None:
         emit("  note: no camera is known: positions are pixels times a scale")
 
 
 def print_written(output: Path, render: Path | None) -> None:
-    """Say where everything is."""
+    """Print the paths of the outputs."""
     emit(f"wrote {output}" + ("" if render is None else f" and {render}"))

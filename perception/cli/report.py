@@ -49,19 +49,19 @@ def report(
     seed: options.Seed = 0,
     view: bool = False,
 ) -> None:
-    """Everything in one call: who is where, how they move and point, as a table, a video and a page.
+    """Detect, track and smooth people in one call: a table, an annotated video and a page.
 
-    Without a camera the view is found out from the boxes, as `perception calibrate` does.
+    Without a camera its view is estimated from the boxes, as in `perception calibrate`.
 
-    A run that was broken off, or is called again with other options, does only what is not done yet.
+    An interrupted run, or one with changed options, repeats only the stages that are out of date.
 
     Parameters
     ----------
-    output : Folder to write, or to go on with.
-    adapt : Let the camera teach itself body and head first.
-    method : smoother: the graph, whole tracks. particle: the joint particle filter, from the past; ffbs: the
-        same, whole tracks. chain, isam2, fixed-lag: the graph, from the past.
-    view : Show it in Rerun in the end.
+    output : Folder to write or to continue.
+    adapt : Fit the camera's own models of body and head first.
+    method : smoother: the graph, offline. particle: the joint particle filter, online; ffbs: the same,
+        offline. chain, isam2, fixed-lag: the graph, online.
+    view : Show the result in Rerun.
     """
     from graphtrack.io.atomic import check_distinct
     from perception.adaptation.labels import check_camera
@@ -71,7 +71,7 @@ def report(
     if view:
         showing.target()
     elif showing.save is not None or showing.connect is not None:
-        raise InputError("--save" if showing.connect is None else "--connect", "--view beside it")
+        raise InputError("--save" if showing.connect is None else "--connect", "--view with it")
     check_folder(output)
     inputs = {
         "the input": FrameSource.files(source),
@@ -110,7 +110,13 @@ def report(
 
 
 def _of_rate(frames: FrameSource, clock: Clock, fps: float | None) -> str:
-    source = "as given" if fps else "as the video says" if frames.fps else "assumed, since nothing says it"
+    source = (
+        "as given"
+        if fps
+        else "as the video says"
+        if frames.fps
+        else "assumed: neither the video nor --fps gives it"
+    )
     if clock.stamps is not None:
         source = "on average; times are the video's time stamps"
     return f"{counted(frames.count, 'frame')}, {clock.rate:g} a second ({source})"
@@ -118,7 +124,7 @@ def _of_rate(frames: FrameSource, clock: Clock, fps: float | None) -> str:
 
 @dataclass
 class _Run:
-    """A run through the stages; what one was done before gives the next, it gives from its files."""
+    """Run of the stages; results of completed stages are read from their files."""
 
     folder: ReportFolder
     frames: FrameSource
@@ -132,7 +138,7 @@ class _Run:
     assumed: list[str] = field(default_factory=list)
 
     def find_people(self, boxes: Path | None, given: list[PersonBox] | None, left_out: list[str]) -> None:
-        """Stage 1: boxes, detected or ``given`` by a file, of which some rows were ``left_out``."""
+        """Stage 1: boxes, detected or ``given`` by a file, without the rows ``left_out``."""
         from perception.detection.boxes import read_boxes, write_boxes
 
         detected = self.folder.file("boxes")
@@ -147,21 +153,23 @@ class _Run:
             )
             with search.people(refused.setdefault) as (found, _):
                 if not found:
-                    nobody = "a recording in which nobody is found"
+                    nobody = "a recording without detections of people"
                     raise InputError(nobody, "people, or their boxes (--boxes)")
                 write_boxes(found, detected, first=self.frames.first)
-            return [f"{len(found)} boxes of people who were detected", *skipped(refused)]
+            return [f"{len(found)} detected boxes of people", *skipped(refused)]
 
         asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given
         self.assumed += self.folder.stage("people", asked, () if given else ("boxes",), work)
         self.people = read_boxes(detected) if given is None else given
         if not self.people:
-            raise InputError("boxes of nobody", "at least one person", path=boxes)
+            raise InputError("no boxes of people", "at least one person", path=boxes)
         if not self.people[0].identified:
-            self.assumed.append("nobody says who is who: that is found out, and joins may be wrong")
+            self.assumed.append(
+                "the boxes have no identities: they are associated to tracks, with possible errors"
+            )
 
     def find_ground(self, given: Path | None) -> None:
-        """Stage 2: the camera, as given or found out."""
+        """Stage 2: the camera, given or estimated."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
         from perception.ground.calibration import ViewUnknown, found_view
@@ -178,11 +186,11 @@ class _Run:
             except ViewUnknown as error:
                 height = self.person_height
                 return [
-                    f"no camera is known ({error.found}): positions are pixels times a scale, by which the "
-                    f"median box is {height:g} m high, with no regard to perspective; directions are rough"
+                    f"no camera is known ({error.found}): positions are pixels times a scale, with the "
+                    f"median box is {height:g} m high, without perspective; directions are approximate"
                 ]
             found.write(place)
-            return [f"the camera is found {described(found)}", *found.notes]
+            return [f"the camera is estimated {described(found)}", *found.notes]
 
         asked = (stamp_of_camera(self.known), str(given), self.person_height, self.seed)
         self.assumed += self.folder.stage("ground", asked, (), work)
@@ -196,13 +204,13 @@ class _Run:
             self.camera = GroundCamera.from_scale(self.person_height / height)
 
     def teach(self, adapt: bool) -> None:
-        """Stage 3: what the camera teaches itself."""
+        """Stage 3: the camera's own models."""
         place = self.folder.file("models")
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
             refused: dict[str, None] = {}
-            said = "the camera does not teach itself, the package's models look"
+            said = "no models of the camera's own are fitted, the package's models are used"
             if not adapt or self.to_scale:
                 place.unlink(missing_ok=True)
                 return [f"{said}: {'as asked' if not adapt else 'no ground is known'}"]
@@ -217,7 +225,7 @@ class _Run:
         self.assumed += self.folder.stage("models", (adapt, self.clock, self.seed), (), work)
 
     def observe(self) -> None:
-        """Stage 4: what is seen of everybody, and who is who."""
+        """Stage 4: observations of all people, and data association."""
         from graphtrack.io import write
         from perception.observe.journal import FrameJournal
         from perception.observe.pipeline import SeenFrame
@@ -249,7 +257,7 @@ class _Run:
         self.assumed += self.folder.stage("observations", self.clock, ("observations",), work)
 
     def estimate(self, method: str) -> None:
-        """Stage 5: where everybody is, how they move and point."""
+        """Stage 5: position, motion and orientation of all people."""
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
         from perception.observe.tables import FILTERS, estimated
@@ -284,7 +292,7 @@ class _Run:
         self.folder.stage("video", self.clock, ("video",), work)
 
     def write_page(self, title: str) -> None:
-        """Stage 7: the page, the view from above, and what was assumed."""
+        """Stage 7: the page, the view from above, and the assumptions."""
         from graphtrack.io.atomic import atomic_path
         from perception.report import write_above, write_page
 
@@ -302,7 +310,7 @@ class _Run:
         self.folder.stage("page", (title, lines), ("above", "assumptions", "page"), work)
 
     def view(self, showing: options.Showing) -> None:
-        """Show it all in Rerun."""
+        """Show the result in Rerun."""
         from graphtrack.interaction.groups import groups
         from graphtrack.viewer.shown import view
         from perception.report import boxes_shown, shown_by_frame

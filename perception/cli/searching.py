@@ -1,4 +1,4 @@
-"""The search for people and keypoints in a recording, with progress, journals and a user's own networks."""
+"""Detection of people and keypoints in a recording, with progress, journals and the user's own networks."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class OwnNetworks:
-    """Networks and keypoints that the options name.
+    """Networks and keypoints given by options.
 
     Attributes
     ----------
-    detector : finds boxes; None: the package's
-    pose : finds keypoints; None: none, or they are known
-    known : keypoints by frame, of files; None: of none
-    asked : all that the results depend on, but files with keypoints
+    detector : detects boxes; None: the package's detector
+    pose : detects keypoints; None: none, or they are known
+    known : keypoints by frame, from files; None: no files
+    asked : all settings that the results depend on, except files with keypoints
     """
 
     detector: YoloNetwork | None
@@ -51,16 +51,16 @@ class OwnNetworks:
 
     @property
     def has_keypoints(self) -> bool:
-        """Return True if body and head are told by keypoints."""
+        """Return True if body and head are estimated from keypoints."""
         return self.pose is not None or self.known is not None
 
     @property
     def makes_boxes(self) -> bool:
-        """Return True if the boxes of people are those of their keypoints, where none are given."""
+        """Return True if missing boxes are derived from keypoints."""
         return self.has_keypoints and self.detector is None
 
     def look(self, frame: int, image: Image) -> Detections:
-        """The people of a frame with their keypoints."""
+        """Return the people of a frame with their keypoints."""
         from perception.detection.boxes import Detections
 
         if self.pose is not None:
@@ -71,16 +71,16 @@ class OwnNetworks:
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """Options of networks of one's own, and of keypoints of others.
+    """Options of the user's own networks and keypoints.
 
     Networks and keypoints of your own
     ----------------------------------
     detector : A YOLO network of your own (.onnx), in place of the package's.
-    keypoints : A YOLO-pose network (.onnx), or keypoints as COCO, OpenPose or MMPose write them (.json, or a
-        folder with one for each frame): body and head by them, and boxes where none are given.
+    keypoints : A YOLO-pose network (.onnx), or keypoints of COCO, OpenPose or MMPose (.json, or a folder with
+        one file per frame): they give body and head, and boxes if there are none.
     person_class : Name or number of the network's class of people, if not person.
     input_size : Size of the network's input, such as 640 or 1280x736, if its file leaves it open.
-    least_score : Of people whom networks find (else 0.25).
+    least_score : Least score of detections by networks (default 0.25).
     """
 
     detector: options.InputFile | None = None
@@ -91,14 +91,14 @@ class NetworkOptions:
 
     @property
     def files(self) -> dict[str, Path | list[Path] | None]:
-        """The files to read, by the names of their options."""
+        """Return the files to read, by option name."""
         points: Path | list[Path] | None = self.keypoints
         if self.keypoints is not None and self.keypoints.is_dir():
             points = sorted(self.keypoints.glob("*.json"))
         return {"--detector": self.detector, "--keypoints": points}
 
     def load(self, frames: FrameSource) -> OwnNetworks:
-        """Load what the options name."""
+        """Load the networks and keypoints."""
         from perception.detection.boxes import found_by_frame
         from perception.detection.yolo import YoloNetwork
         from perception.pose.keypoints import read_keypoints
@@ -136,7 +136,7 @@ class NetworkOptions:
 
 
 Refuse = Callable[[str], object]
-"""Takes the reason why a frame or a box is left out."""
+"""Receives the reason why a frame or a box is skipped."""
 
 
 def searched(
@@ -149,12 +149,12 @@ def searched(
     unit: str = "frames searched",
     one_size: bool,
 ) -> int:
-    """Detect people in the frames that the journal has not, into it; return the number of these frames.
+    """Detect people in the frames missing from the journal, add them, and return the number of frames.
 
     Parameters
     ----------
-    refuse : takes frames that cannot be decoded
-    numbers : of the frames that may hold somebody; None: all
+    refuse : receives frames that cannot be decoded
+    numbers : frames that may show people; None: all
     """
     known, count = frozenset(journal), 0
 
@@ -173,7 +173,7 @@ def searched(
 
 
 def say_how_far(journal: FrameJournal[Any]) -> None:
-    """Report how many frames are known, if any are."""
+    """Report the number of known frames, if there are any."""
     if journal:
         emit(f"going on after {counted(len(journal), 'frame')}")
 
@@ -187,9 +187,9 @@ def find_keypoints(
     *,
     one_size: bool,
 ) -> list[PersonBox]:
-    """Return the people with their keypoints; where no boxes are known, those of the keypoints.
+    """Return the people with their keypoints; without known boxes, with boxes from the keypoints.
 
-    ``refuse`` takes how many have none. Frames that the journal has are not looked at again.
+    ``refuse`` receives the number of people without keypoints. Frames in the journal are not processed again.
     """
     from perception.detection.boxes import boxes_of, with_keypoints
 
@@ -199,7 +199,7 @@ def find_keypoints(
         say_how_far(journal)
         numbers = None if people is None else {item.frame for item in people}
         count = searched(frames, journal, networks.look, refuse, numbers, unit="frames", one_size=one_size)
-        emit(f"looked for keypoints in {in_time(count, time.perf_counter() - start)}")
+        emit(f"detected keypoints in {in_time(count, time.perf_counter() - start)}")
         found = journal
     if people is None:
         return boxes_of(found, refuse)
@@ -220,11 +220,11 @@ def look_at_people(
     *,
     one_size: bool = True,
 ) -> int:
-    """Look at everybody in the frames that the journal has not, into it; return the number of these frames.
+    """Observe all people in the frames missing from the journal, add them; return the number of frames.
 
     Parameters
     ----------
-    empty : frames in which nobody is
+    empty : frames without people
     """
     from perception.observe import pipeline
 
@@ -236,24 +236,24 @@ def look_at_people(
 
 
 def search_journals(output: Path) -> list[Path]:
-    """Return the files beside an output that know how far the search for it came."""
+    """Return the journals next to an output, which hold the progress of its search."""
     return [output.with_name(f"{output.name}.{name}") for name in ("detections", "taught")]
 
 
 @dataclass(frozen=True, eq=False)
 class PeopleSearch:
-    """A search for people in a recording.
+    """Search for people in a recording.
 
     Attributes
     ----------
     frames : the recording
-    camera : over the ground; None: people may have any size
+    camera : view of the ground; None: people may have any size
     clock : times of the frames
-    output : of the command; what is known goes to journals beside it
-    asked : what the result depends on besides the frames
-    causal : whether a detection depends on its frame alone: without a background, and nothing is learned
-    one_size : whether frames of several sizes are refused, as they are with a camera
-    detector : of the user's own, for every frame; None: the package's
+    output : of the command; journals are written next to it
+    asked : settings that the result depends on, in addition to the frames
+    causal : whether a detection depends on its frame alone, without background or learning
+    one_size : whether frames of several sizes are refused, as with a camera
+    detector : the user's own, for every frame; None: the package's
     """
 
     frames: FrameSource
@@ -267,10 +267,10 @@ class PeopleSearch:
 
     @contextmanager
     def people(self, refuse: Refuse) -> Iterator[tuple[list[PersonBox], frozenset[int]]]:
-        """Detect people, without identities; and the frames that were searched.
+        """Return detections of people, without identities, and the searched frames.
 
-        The journals stay where the run is broken off within this context; then frames that they have are not
-        searched again. ``refuse`` takes frames that cannot be decoded.
+        If the run is interrupted within this context, the journals stay, and their frames are not searched
+        again. ``refuse`` receives frames that cannot be decoded.
         """
         from perception.detection.boxes import Detections, boxes_of
         from perception.detection.hog import PeopleDetector
@@ -297,7 +297,7 @@ class PeopleSearch:
             count = len(journal) - count
             spent = (time.process_time() - started) / max(count, 1)
             emit(
-                f"looked for people in {in_time(count, time.perf_counter() - before)}, "
+                f"searched for people in {in_time(count, time.perf_counter() - before)}, "
                 f"{spent:.2f} s of processor time each"
             )
             yield boxes_of(journal), frozenset(journal)
@@ -351,7 +351,7 @@ class PeopleSearch:
         searched(self.frames, journal, detect, refuse, one_size=True)
 
     def _some(self, wanted: set[int], unit: str) -> AbstractContextManager[Iterator[Frame]]:
-        """Decode some frames, with a progress bar; none at all, if none are wanted."""
+        """Decode some frames, with a progress bar; none if none are wanted."""
         if not wanted:
             return nullcontext(iter(()))
         return decoded_frames(self.frames, wanted.__contains__, len(wanted), unit=unit, one_size=True)
@@ -362,16 +362,16 @@ class PeopleSearch:
         found = taught(candidates, camera, self.clock, np.random.default_rng(0))
         if found is None:
             emit(
-                "  note: too few people surely walk: detections are not taught by this recording, and their "
-                "scores are no probabilities of it"
+                "  note: too few walking people: the detector is not adapted to this recording, and its "
+                "scores are not calibrated for it"
             )
         else:
-            emit(f"taught by {counted(found.boxes, 'detection')} of {found.people} people who surely walk")
+            emit(f"adapted to {counted(found.boxes, 'detection')} of {found.people} walking people")
         return found
 
 
 def ground_search(camera: GroundCamera, image: np.ndarray) -> GroundSearch:
-    """Return the search in images like this one; a calibration of another size is refused."""
+    """Return the search for images of this size; a calibration of another size is refused."""
     from perception.adaptation.labels import check_camera
     from perception.detection.ground_search import GroundSearch
 

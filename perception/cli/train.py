@@ -25,19 +25,19 @@ def simulate(
     target: str | None = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Render people whose truth is known: a short clip, or crops to train on.
+    """Render people with ground truth: a short clip, or crops to train on.
 
     Parameters
     ----------
-    output : Folder to make, with frames, boxes, camera and truth.
-    kind : A clip: street (people who walk), ceiling (somebody in a room, from above), head (one that moves
+    output : Folder to create, with frames, boxes, camera and ground truth.
+    kind : A clip: street (people walking), ceiling (a person in a room, from above), head (a head that moves
         and turns); or crops to train on: heads, people.
     people : People in a street, by default 3.
     frames : By default 25 (street), 150 (ceiling) or 75 (head).
     fps : Frames a second, by default 5 (street), 12.5 or 25 (head).
     images : Frames as a folder of images, in place of a video.
     count : Crops of heads or people, by default 400.
-    target : Who comes into the room (ceiling): person, the default, or robot.
+    target : The target that enters the room (ceiling): person, the default, or robot.
     """
     import numpy as np
 
@@ -76,7 +76,7 @@ Name = Annotated[
     str,
     typer.Argument(
         help="templates, exemplars, deep_belief, body_pose, head_localiser, head_exemplars (of the "
-        "mixed-state tracker), or keypoints (body and head by a pose network's points)."
+        "mixed-state tracker), or keypoints (body and head from a pose network's points)."
     ),
 ]
 
@@ -90,17 +90,17 @@ def train(
     as_published: bool = False,
     seed: options.Seed = 0,
 ) -> None:
-    """Train a model on your labelled images, or on rendered ones.
+    """Train a model on your labelled images, or on rendered images.
 
     Parameters
     ----------
     output : Model file to write (.npz).
-    images : Folder of your images; without it, rendered ones.
+    images : Folder of your images; without it, images are rendered.
     labels : CSV with a column image and pan_deg, tilt_deg (head pose), body_deg (body_pose), or left, top,
         width, height (head_localiser).
-    count : Rendered images, or skeletons, to train on, if not as many as the package's model.
-    as_published : body_pose, templates or head_localiser as Chen, Heili & Odobez (2011) printed them;
-        exemplars or head_exemplars as Ba & Odobez (2003) did.
+    count : Rendered images, or skeletons, to train on; by default as for the package's model.
+    as_published : body_pose, templates or head_localiser as published by Chen, Heili & Odobez (2011);
+        exemplars or head_exemplars as by Ba & Odobez (2003).
     """
     from perception.images.frames import FrameSource
     from perception.training import COUNTS, train_on_files, train_on_rendered
@@ -114,7 +114,7 @@ def train(
     if images is not None and labels is not None:
         model = train_on_files(name, images, labels, seed=seed, as_published=as_published)
     else:
-        total = count or COUNTS.get(name, 0)  # another name is refused
+        total = count or COUNTS.get(name, 0)  # other names are refused
         with progress_bar(total, "images to train on") as advance:
             model = train_on_rendered(
                 name, images=count, seed=seed, as_published=as_published, advance=advance
@@ -127,7 +127,7 @@ def train(
 def card(
     model: Annotated[str, typer.Argument()],
 ) -> None:
-    """Print a model's card: what it was trained on, how good it is, when it fails.
+    """Print a model's card: its training data, accuracy and failure cases.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def sheet(
     rows: Annotated[int, typer.Option(min=1, max=40)] = 6,
     seed: options.Seed = 0,
 ) -> None:
-    """Draw rendered heads at twelve pans, to look at.
+    """Draw rendered heads at twelve pans, for visual inspection.
 
     Parameters
     ----------

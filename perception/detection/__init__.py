@@ -1,4 +1,4 @@
-"""People found in frames, and boxes that others found."""
+"""Detection of people in frames, and boxes of other detectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Background of a camera that stands still, and the foreground before it."""
+"""Background of a static camera, and the foreground."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from perception.images.frames import Frame
 from perception.images.pixels import Image
 
-_COLUMNS = 960  # to which frames are reduced
+_COLUMNS = 960  # width of reduced frames
 _NOISE = 4.0  # least standard deviation of a pixel, in grey levels
 _UNSURE, _SURE = 2.0, 8.0  # standard deviations of no and of sure foreground
 _ROWS_AT_ONCE = 32
@@ -22,12 +22,12 @@ _LONGEST, _SHORTEST = 600.0, 10.0  # seconds of a part of the recording with one
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """The median of frames, and how much they differ from it.
+    """Median of frames, and deviation from it.
 
     Attributes
     ----------
     median : (h, w, 3) of reduced frames
-    deviation : (h, w) standard deviation of a pixel, by the median absolute one
+    deviation : (h, w) standard deviation of a pixel, from the median absolute deviation
     """
 
     median: NDArray[np.float32]
@@ -35,7 +35,7 @@ class Background:
 
     @classmethod
     def of(cls, images: Sequence[Image]) -> Background:
-        """The background of n reduced frames (h, w, 3)."""
+        """Return the background of n reduced frames (h, w, 3)."""
         h, w = images[0].shape[:2]
         median, deviation = np.empty((h, w, 3), np.float32), np.empty((h, w), np.float32)
         for row in range(0, h, _ROWS_AT_ONCE):
@@ -50,9 +50,9 @@ class Background:
         return cls(median, np.maximum(deviation, _NOISE))
 
     def foreground(self, image: Image) -> NDArray[np.float32]:
-        """Foreground (h, w) of the reduced frame, from 0 to 1."""
+        """Return the foreground (h, w) of the reduced frame, from 0 to 1."""
         small = reduced(image).astype(np.float32)
-        # The light changes, and the camera adapts to it; most of the frame is background.
+        # Most of the frame is background, which gives the change of light and exposure.
         gain = np.median(small[::4, ::4] + 1.0, axis=(0, 1)) / np.median(
             self.median[::4, ::4] + 1.0, axis=(0, 1)
         )
@@ -61,7 +61,7 @@ class Background:
 
 
 def reduced(image: Image) -> Image:
-    """A frame at the size at which the background is kept."""
+    """Resize a frame to the size of the background."""
     factor = min(1.0, _COLUMNS / image.shape[1])
     if factor == 1.0:
         return image
@@ -71,28 +71,28 @@ def reduced(image: Image) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class Backgrounds:
-    """Backgrounds of the parts of a recording, one after the other.
+    """Backgrounds of consecutive parts of a recording.
 
     Attributes
     ----------
-    part_of : number of the part that each frame is in
-    parts : backgrounds by number; a part without one is not there
+    part_of : number of each frame's part
+    parts : backgrounds by number; parts without background are missing
     """
 
     part_of: Mapping[int, int]
     parts: Mapping[int, Background]
 
     def at(self, frame: int) -> Background | None:
-        """The background of a frame; None: not known."""
+        """Return the background of a frame; None: not known."""
         return self.parts.get(self.part_of.get(frame, -1))
 
     @classmethod
     def of(
         cls, frames: Iterable[Frame], samples: Sequence[Sequence[int]], numbers: Sequence[int]
     ) -> Backgrounds:
-        """Backgrounds of a recording whose frames have these ``numbers``, by `background_samples`.
+        """Compute backgrounds of a recording with these frame ``numbers``, from `background_samples`.
 
-        Only the frames of one part are kept at a time. Frames that cannot be decoded count for nothing.
+        Only the frames of one part are in memory at a time. Undecodable frames are skipped.
 
         Parameters
         ----------
@@ -117,14 +117,14 @@ class Backgrounds:
 
 
 def _parts(frames: int, parts: int) -> NDArray[np.int64]:
-    """The part (frames,) that each frame is in."""
+    """Return the part (frames,) of each frame."""
     return np.arange(frames) * max(parts, 1) // max(frames, 1)
 
 
 def background_samples(numbers: Sequence[int], fps: float) -> list[list[int]]:
     """Frames, of each part of a recording, whose median is its background.
 
-    Recordings of less than ten seconds have none: people have not left their places.
+    Recordings shorter than ten seconds have none, since people have not moved away.
     """
     seconds = len(numbers) / fps
     if seconds < _SHORTEST:

@@ -1,4 +1,4 @@
-"""Boxes of people, with their keypoints: from files, from keypoints, and from objects of other libraries."""
+"""Boxes of people with keypoints: from files, from keypoints, and from objects of other libraries."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class PersonBox:
     frame, track_id : whole numbers; ids from 0
     box : left, top, width, height in pixels
     confidence : of the detector
-    identified : False: nobody knows who it is, and the id is a number of its own
-    score : (detections without identities) the confidence as graphtrack reads it, from 0 on; None: not known
-    keypoints : COCO's 17 points; None: no pose network has looked
+    identified : False: no identity is known, and the id is a unique number
+    score : (detections without identities) confidence as read by graphtrack, at least 0; None: not known
+    keypoints : COCO's 17 points; None: no pose network was run
     """
 
     frame: int
@@ -67,29 +67,29 @@ def read_boxes(
     named: int | None = None,
     note: Callable[[str], object] = lambda line: None,
 ) -> list[PersonBox]:
-    """Boxes of a file of any format that has some (MOT text, COCO, CAVIAR, Town Centre), in their order.
+    """Read the boxes of a file of any format with boxes (MOT text, COCO, CAVIAR, Town Centre), in file order.
 
-    Where all ids are −1, as those of detections, each box is numbered, from 1 on.
+    If all ids are −1, as for detections, the boxes are numbered from 1.
 
     Parameters
     ----------
-    refuse : receives the counts of rows that the file itself says to leave out (marked to be ignored, of
-        other classes than pedestrians), and of those without a box
-    first : number of the first frame of the recording to which the boxes belong; None: frames are the file's
-    named : number that the file gives that frame; None: 1 in MOT text, unless it has a frame 0, and ``first``
-        in all other formats
-    note : receives a sentence on how the frames of file and recording belong together
+    refuse : receives the number of rows excluded by the file (marked to be ignored, classes other than
+        pedestrians), and of rows without a box
+    first : number of the first frame of the boxes' recording; None: frames are the file's
+    named : number of that frame in the file; None: 1 in MOT text, unless it has a frame 0, and ``first`` in
+        all other formats
+    note : receives a sentence on the correspondence of the frames of file and recording
 
     Raises
     ------
     InputError
-        With line and column of the first cell that cannot be used, such as a box of zero size or an id of −1
-        beside others; and with the line of a person's second box in a frame.
+        With line and column of the first unusable cell, such as a box of zero size or an id of −1 among
+        others; and with the line of a person's second box in a frame.
     """
     rows = boxes_of_file(path, None, ReadOptions())
     if rows is None:
         formats = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
-        raise InputError("a format of which no boxes are read", f"one of {formats}", path=path)
+        raise InputError("a format without boxes", f"one of {formats}", path=path)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     if not rows.has_identity:
         rows = replace(with_scores(rows), track_id=np.arange(1, len(rows) + 1))
@@ -112,7 +112,7 @@ def read_boxes(
 
 
 def _numbering(rows: Rows, first: int, named: int | None) -> tuple[int, str]:
-    """By how much frames of a file are ahead of the recording's, and a sentence on why."""
+    """Return the offset of a file's frames from the recording's, and a sentence on the reason."""
     if named is not None:
         return named - first, f"frame {named} is the first of the recording, as asked for"
     if SHIFTED in rows.notes:
@@ -120,7 +120,7 @@ def _numbering(rows: Rows, first: int, named: int | None) -> tuple[int, str]:
     if rows.format != MOT.name:
         return 0, "frames are those of the recording"
     if (rows.frame == 0).any():
-        return 0, "frames begin at 0, not at 1 as in MOT text, and are taken to be those of the recording"
+        return 0, "frames begin at 0, not at 1 as in MOT text, and are used as those of the recording"
     if first == 0:
         return 1, "frame 1 of MOT text is the first of the recording, which is numbered 0"
     return 0, "frames of MOT text are those of the numbered images"
@@ -131,13 +131,13 @@ def write_boxes(boxes: Iterable[PersonBox], path: str | Path, *, first: int = 0)
 
     Parameters
     ----------
-    first : number of the recording's first frame; of one that begins at 0 frames are written as one more,
-        with the mark `FROM_ZERO` by which readers here know it
+    first : number of the recording's first frame; if it is 0, frame numbers are written plus one, with the
+        mark `FROM_ZERO` for the readers here
 
     Raises
     ------
     InputError
-        If the place cannot be written to.
+        If the path cannot be written to.
     """
     ahead, z = (1, FROM_ZERO) if first == 0 else (0, "-1")
     with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
@@ -148,7 +148,7 @@ def write_boxes(boxes: Iterable[PersonBox], path: str | Path, *, first: int = 0)
 
 
 def boxes_by_frame(boxes: Iterable[PersonBox]) -> dict[int, list[PersonBox]]:
-    """Group boxes by the numbers of their frames."""
+    """Group boxes by frame number."""
     groups: dict[int, list[PersonBox]] = {}
     for item in boxes:
         groups.setdefault(item.frame, []).append(item)
@@ -163,13 +163,13 @@ def foot_point(box: tuple[float, float, float, float]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """The people who are found in one frame, best first.
+    """Detected people of one frame, best first.
 
     Attributes
     ----------
     boxes : (n, 4) left, top, width, height in pixels; NaN where only points are known
     scores : (n,) from 0 to 1
-    points : (n, 17, 3) COCO's points with their confidences; None: the detector gives none
+    points : (n, 17, 3) COCO's points with their confidences; None: without keypoints
     """
 
     boxes: FloatArray
@@ -181,7 +181,7 @@ class Detections:
 
 
 class Detector(Protocol):
-    """Anything that finds people in an image."""
+    """Interface of detectors of people in an image."""
 
     def detect(self, image: Image) -> Detections:
         """Return the people of an image, best first."""
@@ -191,7 +191,7 @@ class Detector(Protocol):
 _LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1  # least share of points in a box, and overlap of boxes
 _SURE = 0.3
 _ABOVE, _BELOW, _BESIDE = 0.09, 0.04, 0.06
-"""How far a person reaches beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
+"""Extent of a person beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
 _TRUNKS = 1.86  # from hips to soles, in lengths from shoulders to hips
 
 
@@ -211,9 +211,9 @@ def found_by_frame(people: Iterable[PersonPoints]) -> dict[int, Detections]:
 
 
 def box_of(points: FloatArray) -> FloatArray | None:
-    """The box (4,) of whoever has these points (17, 3); None if they do not say where the feet are.
+    """Return the box (4,) of a person from points (17, 3); None if the feet cannot be located.
 
-    Hidden feet are as far below the hips as they are of somebody who stands.
+    Hidden feet are placed below the hips as for a standing person.
     """
     there = points[:, 2] >= _SURE
     if there.sum() < 2:
@@ -259,12 +259,12 @@ def boxes_of(
             number = len(boxes) + 1
             boxes.append(PersonBox(frame, number, (left, top, width, height), score, False, score, points))
     if without:
-        refuse(f"{without} people whose keypoints do not say where they stand")
+        refuse(f"{without} people whose keypoints do not locate their feet")
     return boxes
 
 
 def _own_box(people: Detections, k: int) -> FloatArray | None:
-    """Somebody's box: the given one, or that of their points."""
+    """Return a person's given box, or that of the keypoints."""
     box = people.boxes[k]
     if np.isfinite(box).all() and box[2] >= 1.0 and box[3] >= 1.0:
         return box
@@ -272,9 +272,9 @@ def _own_box(people: Detections, k: int) -> FloatArray | None:
 
 
 def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) -> list[PersonBox]:
-    """The same boxes with the keypoints of those whom they hold; who has none has none.
+    """Assign keypoints to boxes.
 
-    Within a frame everybody's points are given to one box at most, so that overlaps are the largest in all.
+    Within a frame the keypoints of each person go to one box at most, maximising the total score.
     """
     groups: dict[int, list[int]] = {}
     result = list(boxes)
@@ -293,7 +293,7 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) 
 
 
 def _fit(box: tuple[float, float, float, float], people: Detections, k: int) -> float:
-    """Score of a person in a box; 0: they do not fit."""
+    """Return the score of a person in a box; 0: no match."""
     assert people.points is not None
     points, (left, top, width, height) = people.points[k], box
     sure = points[:, 2]
@@ -311,7 +311,7 @@ def _fit(box: tuple[float, float, float, float], people: Detections, k: int) -> 
 
 
 def points_of(item: PersonBox) -> FloatArray:
-    """The keypoints (17, 3) of a box; all 0 if it has none."""
+    """Return the keypoints (17, 3) of a box; all 0 if it has none."""
     return np.zeros((N_POINTS, 3)) if item.keypoints is None else np.array(item.keypoints, float)
 
 
@@ -324,7 +324,7 @@ def from_supervision(
     first: int = 1,
     refuse: Callable[[str], object] = lambda reason: None,
 ) -> list[PersonBox]:
-    """The people of a ``supervision.Detections``, with its tracker's ids where it has any.
+    """Convert a ``supervision.Detections``, with tracker ids if it has any.
 
     Parameters
     ----------
@@ -332,13 +332,13 @@ def from_supervision(
     frame : number
     person : the class of people; None: all are people
     keypoints : a ``supervision.KeyPoints`` of the same people in the same order
-    first : number of the first detection without an id; give other numbers to other frames
-    refuse : receives a sentence for each reason for which boxes are left out, with their number
+    first : number of the first detection without an id; numbers must differ between frames
+    refuse : receives a sentence per reason for refused boxes, with their number
 
     Raises
     ------
     InputError
-        If it is no such object, or its arrays do not fit together.
+        If it is no such object, or its arrays are inconsistent.
     """
     found = boxes_of_supervision(detections, person)
     points = None
@@ -358,18 +358,18 @@ def from_ultralytics(
     first: int = 1,
     refuse: Callable[[str], object] = lambda reason: None,
 ) -> list[PersonBox]:
-    """The people of Ultralytics' ``Results`` of one image, with ids and keypoints where it has any.
+    """Convert Ultralytics' ``Results`` of one image, with ids and keypoints if it has any.
 
     Parameters
     ----------
     results : with ``boxes`` (``xyxy``, ``conf``, ``cls``, ``id``) and perhaps ``keypoints``
-    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
+    person : the class of people; None: the class "person" of ``results.names``, or else 0
     frame, first, refuse : as in `from_supervision`
 
     Raises
     ------
     InputError
-        As there.
+        As in `from_supervision`.
     """
     found = boxes_of_ultralytics(results, person)
     points = None
@@ -381,13 +381,13 @@ def from_ultralytics(
 
 
 def _joined(places: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArray:
-    """COCO's points (n, 17, 3) out of places (n, k, 2) and confidences (n, k) of so many boxes."""
+    """Return COCO's points (n, 17, 3) from positions (n, k, 2) and confidences (n, k)."""
     if places.ndim != 3 or places.shape[2] != 2:
         raise InputError(f"keypoints of shape {places.shape}", "(n, k, 2)")
     if places.shape[1] not in BY_NUMBER:
         raise InputError(f"{places.shape[1]} keypoints", KNOWN)
     if sure is None:
-        sure = (places != 0.0).any(axis=2).astype(float)  # who is nowhere is at 0, 0
+        sure = (places != 0.0).any(axis=2).astype(float)  # missing points are at 0, 0
     if sure.shape != places.shape[:2]:
         raise InputError(f"confidences of shape {sure.shape}", f"{places.shape[:2]}")
     if len(places) != boxes:

@@ -1,4 +1,4 @@
-"""Candidates of people in a camera whose ground plane is known: only of a person's height at each place."""
+"""Candidates of people in a camera with a known ground plane, restricted to a person's height."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from perception.detection.hog import (
 from perception.images.pixels import Image
 
 LEAN = 0.5
-"""Largest shift of the head to the side, in heights, of a person who counts as upright in the image."""
+"""Largest lateral shift of the head, in heights, of a person treated as upright in the image."""
 
 
 @dataclass(frozen=True, eq=False)
 class PersonSizes:
-    """Places of heads and heights in the image of people who stand on the ground.
+    """Head positions and image heights of people standing on the ground.
 
     Attributes
     ----------
     camera : over the ground
-    lift : (3,) what a metre of height adds to the homogeneous ideal pixel of a ground point
+    lift : (3,) change of the homogeneous ideal pixel of a ground point per metre of height
     height : of a person, in metres
     """
 
@@ -49,10 +49,10 @@ class PersonSizes:
 
     @classmethod
     def of(cls, camera: GroundCamera, size: tuple[int, int], height: float = PERSON_HEIGHT) -> PersonSizes:
-        """Sizes for a camera whose images have ``size`` columns and rows.
+        """Return the sizes for a camera with images of ``size`` columns and rows.
 
-        Where its matrix is not known, pixels are taken to be square, the principal point to be the middle of
-        the image, and the focal length follows from the ground plane (Zhang 2000, eq. 3–4).
+        Without a camera matrix, pixels are assumed to be square, the principal point in the middle of the
+        image, and the focal length follows from the ground plane (Zhang 2000, eq. 3–4).
         """
         to_image = np.asarray(np.linalg.inv(camera.homography), float)
         matrix = camera.intrinsics
@@ -66,7 +66,7 @@ class PersonSizes:
         return cls(camera, matrix @ up, height)
 
     def heads(self, foot: ArrayLike) -> FloatArray:
-        """Raw pixels (n, 2) of the heads of people whose feet are at (n, 2); NaN beyond the horizon."""
+        """Return raw pixels (n, 2) of heads for feet at (n, 2); NaN beyond the horizon."""
         ground = self.camera.image_to_ground(foot)
         flat = np.column_stack([ground, np.ones(len(ground))])
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -75,7 +75,7 @@ class PersonSizes:
         return self.camera.distort(ideal)
 
     def heights(self, foot: ArrayLike) -> FloatArray:
-        """Pixels (n,) from head to foot; NaN where a person does not stand upright in the image."""
+        """Return pixels (n,) from head to foot; NaN if a person is not upright in the image."""
         foot = np.asarray(foot, float)
         up = foot - self.heads(foot)
         with np.errstate(invalid="ignore"):
@@ -84,7 +84,7 @@ class PersonSizes:
 
 
 def _square_matrix(to_image: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """The camera matrix (3, 3) under which the ground's axes are square."""
+    """Return the camera matrix (3, 3) that makes the ground's axes orthogonal and equally long."""
     middle = np.array([size[0], size[1]], float) / 2.0
     centred = to_image.copy()
     centred[:2] -= middle[:, None] * to_image[2]
@@ -93,19 +93,19 @@ def _square_matrix(to_image: FloatArray, size: tuple[int, int]) -> FloatArray:
     right = -np.array([w1 * w2, w1**2 - w2**2])
     share = float(left @ right) / max(float(left @ left), 1e-300)  # 1 / focal²
     widest = float(max(size))
-    # From straight above, or with rounding, the ground does not tell.
+    # The focal length is not observable from straight above, or with rounding.
     focal = np.clip(1.0 / np.sqrt(share), 0.3 * widest, 10.0 * widest) if share > 0.0 else 1.2 * widest
     return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
 
 
 _STEP = 1.12  # ratio of the heights of neighbouring bands
-_LEAST, _MOST = 28.0, 1200.0  # heights of people in pixels who are looked for
+_LEAST, _MOST = 28.0, 1200.0  # range of people's heights, pixels
 _LATTICE = 16
 
 
 @dataclass(frozen=True)
 class Band:
-    """A part of the image, enlarged or reduced.
+    """Part of the image, enlarged or reduced.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Band:
     size: tuple[int, int]
 
     def cut(self, image: Image) -> Image:
-        """The band of an image; beyond the border the image is repeated."""
+        """Return the band of an image; the border is replicated."""
         columns, rows = (round(length / self.scale) for length in self.size)
         h, w = image.shape[:2]
         first, last = max(self.top, 0), min(self.top + rows, h)
@@ -132,7 +132,7 @@ class Band:
         return resized(np.asarray(part, np.uint8), self.size)
 
     def feet(self) -> FloatArray:
-        """Pixels (rows, columns, 2) of the image where the feet of each window are."""
+        """Return image pixels (rows, columns, 2) of the feet of each window."""
         columns, rows = (length // CELL - blocks for length, blocks in zip(self.size, WINDOW, strict=True))
         u = self.left + (CELL * np.arange(columns) + FOOT[0]) / self.scale
         v = self.top + (CELL * np.arange(rows) + FOOT[1]) / self.scale
@@ -141,13 +141,13 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class GroundBands:
-    """Bands of a camera over the ground, and their windows in which somebody may stand.
+    """Bands of a camera over the ground, and their windows with possible people.
 
     Attributes
     ----------
     bands : by height
     windows : of each band, (n, 2) rows and columns of windows
-    foot : of each band, (n, 2) pixels where their feet are
+    foot : of each band, (n, 2) pixels of their feet
     expected : of each band, (n,) log of the window's height over that of a person of mean height
     """
 
@@ -158,7 +158,7 @@ class GroundBands:
 
     @classmethod
     def of(cls, sizes: PersonSizes, size: tuple[int, int], tolerance: float = 0.1) -> GroundBands:
-        """Bands of images of ``size`` columns and rows.
+        """Return the bands of images of ``size`` columns and rows.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class GroundBands:
         return cls(*(tuple(values) for values in zip(*kept, strict=True))) if kept else cls((), (), (), ())
 
     def grids(self, image: Image, foreground: NDArray[np.float32] | None) -> list[Grid]:
-        """Blocks (rows, columns, 37) of each band: gradients, and the share of the foreground.
+        """Yield blocks (rows, columns, 37) of each band: gradients, and the share of the foreground.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class GroundBands:
 
 
 def _of_smaller(band: Band, values: NDArray[np.float32], columns: int) -> NDArray[np.float32]:
-    """The band of values (h, w) that were reduced from so many columns."""
+    """Return the band of values (h, w) that were reduced from images with ``columns``."""
     factor = values.shape[1] / columns
     move = np.array(
         [
@@ -233,15 +233,15 @@ def _band(
 
 
 FEATURES = WINDOW[0] * WINDOW[1] * (ORIENTATIONS + 1)
-"""Numbers that are kept of a candidate's window."""
-_MOST_FOREGROUND = 0.5  # share of the frame; where it is more, the camera moved or the light was switched
+"""Number of features of a candidate's window."""
+_MOST_FOREGROUND = 0.5  # share of the frame; above it the camera moved or the light changed
 
 
 APART = 0.4, 0.6
-"""Metres to the side and upwards within which detections are one."""
+"""Metres to the side and upwards within which detections are merged."""
 _CLOSE = 0.15, 0.25  # the same, of candidates
 _MOST_CANDIDATES = 120  # of a frame
-_INSIDE, _OUTSIDE = 4.0, 2.0  # scores of the SVM that foreground in a person and around is worth
+_INSIDE, _OUTSIDE = 4.0, 2.0  # weights of foreground in a person and around, in scores of the SVM
 _PERSON = 1.7  # metres of a person's height
 
 
@@ -266,16 +266,16 @@ class Candidates:
         return len(self.score)
 
     def taken(self, places: NDArray[np.int64]) -> Candidates:
-        """The candidates at some places."""
+        """Return a subset of the candidates."""
         return Candidates(self.foot[places], self.height[places], self.score[places], self.features[places])
 
     def scored(self, score: FloatArray) -> Candidates:
-        """The same with other scores (n,)."""
+        """Return the candidates with other scores (n,)."""
         return replace(self, score=score)
 
 
 class GroundSearch:
-    """Looks for people where they have the height of a person.
+    """Search for windows with the height of a person.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ class GroundSearch:
     Raises
     ------
     InputError
-        If nobody would stand upright in the image, or be as high as 28 pixels.
+        If no person would be upright in the image, or at least 28 pixels high.
     """
 
     def __init__(self, camera: GroundCamera, size: tuple[int, int]) -> None:
@@ -293,7 +293,7 @@ class GroundSearch:
         self._bands = bands = GroundBands.of(PersonSizes.of(camera, size), size)
         if not bands.bands:
             raise InputError(
-                f"images of {size[0]} × {size[1]} pixels in which nobody is upright and large enough",
+                f"images of {size[0]} × {size[1]} pixels in which people are not upright or too small",
                 "a calibration of this view, or --boxes",
             )
         self._first = first_filter()
@@ -304,7 +304,7 @@ class GroundSearch:
         self._height = TALL / np.repeat([band.scale for band in bands.bands], counts)
 
     def candidates(self, image: Image, background: Background | None) -> Candidates:
-        """The best of a frame, best first; without a background by gradients alone.
+        """Return the best candidates of a frame, best first; without a background from gradients only.
 
         Raises
         ------
@@ -339,7 +339,7 @@ class GroundSearch:
 
 
 def first_filter() -> WindowFilter:
-    """OpenCV's people detector, and the foreground in the middle of the window against that around it."""
+    """Return OpenCV's people detector plus the foreground in the middle of the window against its border."""
     svm = WindowFilter.of_opencv()
     across, down = WINDOW
     inside, outside = np.zeros((2, down, across, 1), np.float32)
@@ -356,13 +356,13 @@ def strongest(
     apart: tuple[float, float],
     most: int | None = None,
 ) -> NDArray[np.int64]:
-    """Choose the strongest of n, best first; each drops the weaker ones about it.
+    """Apply non-maximum suppression to n candidates; return the strongest, best first.
 
     Parameters
     ----------
     foot, height, score : (n, 2), (n,) pixels and (n,)
     apart : metres to the side and upwards, half axes of an ellipse in the upright plane at the person
-    most : that are left; None: all
+    most : largest number of results; None: all
     """
     alive, kept = np.ones(len(score), bool), []
     for k in np.argsort(-score, kind="stable").tolist():
@@ -376,9 +376,9 @@ def strongest(
 
 
 def joined(candidates: Candidates, apart: tuple[float, float] = APART) -> Candidates:
-    """Return the strongest candidates, whose scores are probabilities, each at the mean of those about it.
+    """Return the strongest candidates, scored by probabilities, each at the mean of its neighbourhood.
 
-    The mean is weighed by the probabilities, so that places between the grid's come out.
+    The mean is weighted by the probabilities, which interpolates between grid positions.
     """
     kept = strongest(candidates.foot, candidates.height, candidates.score, apart)
     foot, height = np.empty((len(kept), 2)), np.empty(len(kept))

@@ -32,14 +32,14 @@ Grid = NDArray[np.float32]
 
 
 def gradient_blocks(image: Image) -> Grid:
-    """Blocks (rows, columns, `ORIENTATIONS`) of an image, as OpenCV's people detector has them."""
+    """Return blocks (rows, columns, `ORIENTATIONS`) of an image, as in OpenCV's people detector."""
     rows, columns = ((length - 2 * CELL) // CELL + 1 for length in image.shape[:2])
     found = np.asarray(_BLOCK.compute(image, winStride=(CELL, CELL)), np.float32)
     return found.reshape(rows, columns, ORIENTATIONS)
 
 
 def resized(image: Image, size: tuple[int, int]) -> Image:
-    """An image at a size in columns and rows, halved first as long as it stays larger."""
+    """Resize an image to columns and rows, by halving it first while it is larger."""
     while image.shape[0] >= 2 * size[1] and image.shape[1] >= 2 * size[0]:
         half = image.shape[1] // 2, image.shape[0] // 2
         image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
@@ -47,7 +47,7 @@ def resized(image: Image, size: tuple[int, int]) -> Image:
 
 
 def mean_blocks(values: NDArray[np.float32]) -> Grid:
-    """Means (rows, columns, 1) over the pixels of the same blocks, of values (h, w)."""
+    """Return block means (rows, columns, 1) of values (h, w)."""
     rows, columns = (length // CELL for length in values.shape)
     cells = cv2.resize(
         values[: rows * CELL, : columns * CELL], (columns, rows), interpolation=cv2.INTER_AREA
@@ -58,12 +58,12 @@ def mean_blocks(values: NDArray[np.float32]) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class WindowFilter:
-    """A linear function of the blocks of a window.
+    """Linear function of the blocks of a window.
 
     Attributes
     ----------
     weight : (15, 7, channels)
-    bias : of it
+    bias : constant term
     """
 
     weight: NDArray[np.float32]
@@ -71,14 +71,14 @@ class WindowFilter:
 
     @classmethod
     def of_opencv(cls) -> WindowFilter:
-        """OpenCV's default people detector; its weights come with the library."""
+        """Return OpenCV's default people detector; its weights come with the library."""
         values = np.asarray(cv2.HOGDescriptor.getDefaultPeopleDetector(), np.float32).ravel()
         across, down = WINDOW
         weight = values[:-1].reshape(across, down, ORIENTATIONS).transpose(1, 0, 2)
         return cls(np.ascontiguousarray(weight), float(values[-1]))
 
     def scores(self, grid: Grid) -> NDArray[np.float32]:
-        """The function at every window (rows − 14, columns − 6) of a grid."""
+        """Evaluate the function at every window (rows − 14, columns − 6) of a grid."""
         across, down = WINDOW
         rows, columns = grid.shape[0] - down + 1, grid.shape[1] - across + 1
         if rows < 1 or columns < 1:
@@ -108,7 +108,7 @@ _ROWS = 720
 _OVERLAP = 0.4  # intersection over union above which the weaker of two boxes is dropped
 _STEP = 1.08  # ratio of neighbouring scales
 _MARGIN = 16  # pixels by which a window may reach beyond the image
-_SLOPE = 2.0  # log odds of a score of one; those of zero are even
+_SLOPE = 2.0  # log odds per unit of the score
 
 
 class PeopleDetector:
@@ -126,7 +126,7 @@ class PeopleDetector:
         self._filter = WindowFilter.of_opencv()
 
     def detect(self, image: Image) -> Detections:
-        """Return people with the probabilities of them, best first."""
+        """Return people with their probabilities, best first."""
         found, heights, scores = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
         for scale in self._scales(image):
             feet, values = self._at(image, scale)
@@ -139,7 +139,7 @@ class PeopleDetector:
         return Detections(boxes[best], np.asarray(expit(_SLOPE * score[best]), float))
 
     def _scales(self, image: Image) -> list[float]:
-        """Factors of the image, from the largest to the last at which a window fits in it."""
+        """Return scales of the image, from the largest to the last at which a window fits."""
         rows, columns = image.shape[:2]
         largest = float(np.clip(_ROWS / rows, 1.0, 8.0))
         least = max(128 / rows, 64 / columns)

@@ -1,7 +1,7 @@
-"""Detections of a camera over the ground, with probabilities that the recording itself teaches.
+"""Detections of a camera over the ground, with probabilities learned from the recording itself.
 
-People who surely walk are told from all else that is seen; how often that is right, tracks judge that have
-not seen the frame.
+A classifier is trained on tracks of walking people against the background; its probabilities are calibrated
+by tracks estimated without the frame.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from perception.detection.hog import foot_boxes
 from perception.images.frames import Clock, seconds
 from perception.images.pixels import Image
 
-_PARTS = 3  # every third frame is left out at a time
-_LEAST_SEEN = 3  # detections in other frames, for a track to say where somebody is
-_ORDER = 1e-3  # slope beyond the ends: what is likelier stays likelier
+_PARTS = 3  # folds of frames
+_LEAST_SEEN = 3  # least detections in other frames, for a track to predict a position
+_ORDER = 1e-3  # slope beyond the ends, which keeps the order
 
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Calibration of a model's log odds of a person: isotonic, and linear in between.
+    """Calibration of a model's log odds of a person: isotonic, with linear interpolation.
 
     Attributes
     ----------
@@ -77,18 +77,18 @@ def judged_by_other_frames(
     least_boxes: int,
     least_way: float,
 ) -> FloatArray:
-    """Return whether detections (n,) are of people: 1, 0, or NaN where that is not known.
+    """Return labels (n,) of detections: 1 person, 0 background, NaN unknown.
 
-    A track is smoothed without the frame, so that it does not follow the detection that it judges: a
-    detection that lies off is none of a person.
+    A track is smoothed without the frame, so that it does not follow the labelled detection: detections off
+    the track are labelled 0.
 
     Parameters
     ----------
     frame, place : (n,), (n, 2) metres, of each detection
     tracks : of detections
-    radius : metres, within which a detection is of a track
-    least_boxes, least_way : detections, and metres from its first to its last place, of a track that is
-        surely a person's
+    radius : metres, within which a detection belongs to a track
+    least_boxes, least_way : least number of detections, and metres from first to last position, of a
+        confirmed person's track
     """
     known = _places(tracks, least_boxes, least_way)
     right = np.full(len(frame), np.nan)
@@ -99,7 +99,7 @@ def judged_by_other_frames(
         sure = np.array([certain for _, certain in there], bool)
         away = np.linalg.norm(place[rows][:, None] - at, axis=2)
         near = away < radius
-        # Nobody's: where no track is, and what is too many about those that are sure.
+        # Background: detections without track, and surplus detections around confirmed tracks.
         right[rows[~near[:, ~sure].any(axis=1)]] = 0.0
         one, track = linear_sum_assignment(np.minimum(away, 2.0 * radius))
         good = near[one, track]
@@ -108,7 +108,7 @@ def judged_by_other_frames(
 
 
 def _places(tracks: TrackSet, least_boxes: int, least_way: float) -> dict[int, list[tuple[FloatArray, bool]]]:
-    """By frame: where each track is, and whether it is surely a person's and seen before and after."""
+    """Return by frame: each track's position, and whether it is confirmed and observed before and after."""
     frames = np.unique(np.concatenate([track.frame for track in tracks]))
     found: dict[int, list[tuple[FloatArray, bool]]] = {}
     for part in range(_PARTS):
@@ -128,7 +128,7 @@ def _places(tracks: TrackSet, least_boxes: int, least_way: float) -> dict[int, l
 def _without(
     tracks: TrackSet, left_out: Sequence[int] | NDArray[np.int64]
 ) -> tuple[list[Any], dict[int, tuple[int, int, int]]]:
-    """Tracks that have not seen some frames; how often each was seen in all, and first and last in others."""
+    """Return tracks without some frames; their number of detections, and first and last other frames."""
     rest, seen = [], {}
     for track in tracks:
         detected = np.isfinite(track.position).all(axis=1)
@@ -145,13 +145,13 @@ _FRAMES, _RUNS, _STEP = 150, 3, 0.4  # frames to learn from, pieces of the recor
 
 
 LEAST_BOXES, LEAST_PEOPLE = 5, 6
-"""Detections of a track for it to be surely a person's; such tracks for anything to be learned."""
-_LEAST_SCORE = 1.0  # of the first filter, for a detection to be associated
-_LEAST_WAY = 1.5  # metres from a track's first to its last place, for it to be surely a person's
+"""Least detections of a confirmed person's track; least number of such tracks for learning."""
+_LEAST_SCORE = 1.0  # least score of the first filter of associated detections
+_LEAST_WAY = 1.5  # least metres from first to last position of a confirmed person's track
 _HIT, _MISS = 0.5, 0.8
-"""Metres; a candidate so near to a sure track may be that person, one so far from all tracks is nobody."""
-_FOLDS = 3  # parts into which people are divided
-_STRENGTH, _COMPONENTS = 0.05, 120  # freedom of the weights; principal components that they act on
+"""Metres: radius of positives around confirmed tracks; least distance of negatives from all tracks."""
+_FOLDS = 3  # folds of people
+_STRENGTH, _COMPONENTS = 0.05, 120  # regularisation of the weights; number of principal components
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +162,8 @@ class PersonProbability:
     ----------
     weight : (d,) of the features; bias
     first, taught, offset : first · score + taught · (weight · features + bias) + offset are log odds
-    certainty : how often it is a person at such log odds; None: they are believed
-    people, boxes : sure tracks that it learned from, and their detections; 0: of no recording
+    certainty : calibration of the log odds; None: uncalibrated
+    people, boxes : confirmed tracks used for training, and their detections; 0: no recording
     """
 
     weight: NDArray[np.float32]
@@ -177,12 +177,12 @@ class PersonProbability:
 
     @property
     def even(self) -> float:
-        """The probability of a candidate whose log odds are 0."""
+        """Probability of a candidate with log odds 0."""
         return 0.5 if self.certainty is None else float(self.certainty.of(np.zeros(1))[0])
 
     @classmethod
     def untaught(cls, *, foreground: bool) -> PersonProbability:
-        """A model of no recording: even where the first filter's scores are 0, or 1 with a background."""
+        """Return a fixed model: even odds at a score of the first filter of 0, or 1 with a background."""
         return cls(np.zeros(FEATURES, np.float32), 0.0, 2.0, 0.0, -2.0 if foreground else 0.0)
 
     def of(self, candidates: Candidates) -> FloatArray:
@@ -198,12 +198,12 @@ def taught(
     clock: float | Clock,
     rng: np.random.Generator,
 ) -> PersonProbability | None:
-    """Learn to tell this camera's people from its background; None where too few surely walk.
+    """Fit a classifier of this camera's people against its background; None if too few are walking.
 
-    Detections by the first filter are associated; those of tracks that are long and lead somewhere are
-    people, candidates far from all tracks are not. A linear model is taught on some people and judged on
-    others, and a logistic regression of what it says, and of the first filter's score, tells people. How
-    often that is right say tracks that have not seen the frame.
+    Detections of the first filter are associated: long tracks that cover a distance are people, candidates
+    far from all tracks are background. A linear model is cross-validated over people; a logistic regression
+    on its score and the first filter's gives the probability, calibrated by tracks estimated without the
+    frame.
     """
     order = sorted(frames)
     numbers = np.repeat(order, [len(frames[k]) for k in order])
@@ -230,7 +230,7 @@ def taught(
     people = np.unique(person[person >= 0])
     if len(people) < LEAST_PEOPLE or not (label == 0).any():
         return None
-    # What is nobody's stays: neighbouring frames show the same, and go to the same part.
+    # Background is static: neighbouring frames show the same, and go to the same fold.
     at = np.searchsorted(order, numbers)
     fold = (at * 10 // (at.max() + 1)) % _FOLDS
     part = rng.permutation(np.arange(len(people)) % _FOLDS)
@@ -240,7 +240,7 @@ def taught(
     features = np.vstack([frames[k].features for k in order])[known]
     weights, biases = zip(*_linear(features, truth, fold[known]), strict=True)
     del features
-    # By models that have not seen the person, nor the place at about that time.
+    # Held-out scores: models without the person, and without the time for background.
     said = np.vstack([frames[k].features.astype(np.float32) @ np.transpose(weights[:-1]) for k in order])
     linear = np.take_along_axis(said + biases[:-1], fold[:, None], axis=1)[:, 0]
     best, places = _met(frames, linear, camera)
@@ -264,7 +264,7 @@ def taught(
 def _met(
     frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Candidates that are the best of their surroundings by both scores, and their places (n, 2)."""
+    """Return candidates that are local maxima of both scores, and their positions (n, 2)."""
     kept, places, start = [], [], 0
     for k in sorted(frames):
         stop = start + len(frames[k])
@@ -278,7 +278,7 @@ def _met(
 def _best_of_frames(
     numbers: NDArray[np.int64], foot: FloatArray, height: FloatArray, score: FloatArray
 ) -> NDArray[np.int64]:
-    """Choose the strongest in each frame; each drops the weaker ones about it."""
+    """Apply non-maximum suppression in each frame."""
     kept = []
     for number in np.unique(numbers).tolist():
         rows = np.flatnonzero(numbers == number)
@@ -292,7 +292,7 @@ def _labels(
     score: FloatArray,
     tracks: TrackSet,
 ) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Labels of n candidates (1 person, 0 nobody, NaN not known), and the people's tracks, or −1."""
+    """Return labels of n candidates (1 person, 0 background, NaN unknown), and tracks of people, or −1."""
     label, person = np.full(len(numbers), np.nan), np.full(len(numbers), -1)
     ways: list[bool] = []
     of_frame: dict[int, list[tuple[int, FloatArray]]] = {}
@@ -323,7 +323,7 @@ def _linear(
     truth: NDArray[np.bool_],
     fold: NDArray[np.int64],
 ) -> Sequence[tuple[FloatArray, float]]:
-    """Weights (d,) and bias without each part, and of all."""
+    """Fit weights (d,) and bias without each fold, and of all."""
     from sklearn.decomposition import PCA
 
     values = features.astype(np.float32)
@@ -340,7 +340,7 @@ def _linear(
 
 
 def _logistic(values: FloatArray, truth: NDArray[np.bool_], strength: float | None = None) -> FloatArray:
-    """Coefficients (d + 1,), the constant last; given a strength both kinds weigh alike."""
+    """Fit coefficients (d + 1,), the constant last; with a strength, classes have equal weight."""
     from sklearn.linear_model import LogisticRegression
 
     if truth.all() or not truth.any():
@@ -354,7 +354,7 @@ def _logistic(values: FloatArray, truth: NDArray[np.bool_], strength: float | No
 
 
 def learning_frames(numbers: Sequence[int], fps: float) -> list[int]:
-    """Choose the frames to learn from: all of a short recording, pieces of a longer one."""
+    """Choose training frames: all of a short recording, pieces of a longer one."""
     step = max(1, round(_STEP * fps))
     if len(numbers) <= _FRAMES * step:
         return list(numbers[::step])
@@ -365,13 +365,13 @@ def learning_frames(numbers: Sequence[int], fps: float) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class GroundDetector:
-    """Finds people where they have the height of a person.
+    """Detector of people of a plausible height on the ground.
 
     Attributes
     ----------
-    search : where they may be
-    probability : how probably a candidate is one
-    background : behind them; None: not known
+    search : search for candidates
+    probability : probability of a candidate
+    background : background model; None: not known
     """
 
     search: GroundSearch
@@ -380,16 +380,16 @@ class GroundDetector:
 
     @classmethod
     def of_frame(cls, camera: GroundCamera, image: Image) -> GroundDetector:
-        """One that knows nothing but the camera, for images like this one."""
+        """Return a detector from the camera alone, for images of this size."""
         size = image.shape[1], image.shape[0]
         return cls(GroundSearch(camera, size), PersonProbability.untaught(foreground=False))
 
     def detect(self, image: Image) -> Detections:
-        """Return people with the probabilities of them, best first."""
+        """Return people with their probabilities, best first."""
         return self.chosen(self.search.candidates(image, self.background))
 
     def chosen(self, candidates: Candidates) -> Detections:
-        """The candidates of a frame that are more like people than like nobody."""
+        """Return the candidates of a frame with non-negative log odds."""
         scored = candidates.scored(self.probability.of(candidates))
         best = joined(scored)
         kept = best.score >= self.probability.even

@@ -9,8 +9,8 @@ layout                output               a row
 ``selected``          (1, n, 6)            corners, score, class (v10 and v26 with them)
 ====================  ===================  =============================================================
 
-With keypoints each row goes on with x, y and visibility of each. Places are pixels of the input. Cells are
-those of strides 8, 16 and 32 (and 64, or 4).
+With keypoints each row continues with x, y and visibility of each. Positions are pixels of the input. Cells
+have strides 8, 16 and 32 (and 64, or 4).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _GREY = (114, 114, 114)
 
 @dataclass(frozen=True)
 class Letterbox:
-    """An image in the middle of a network's input, enlarged evenly.
+    """Placement of an image in the middle of a network's input, with its aspect ratio kept.
 
     Attributes
     ----------
@@ -50,22 +50,22 @@ class Letterbox:
 
     @property
     def scale(self) -> float:
-        """Pixels of the input for one of the image."""
+        """Pixels of the input per pixel of the image."""
         return min(self.size[0] / self.image[0], self.size[1] / self.image[1])
 
     @property
     def shown(self) -> tuple[int, int]:
-        """Columns and rows that the image takes in the input."""
+        """Columns and rows of the image in the input."""
         width, height = (max(1, round(side * self.scale)) for side in self.image)
         return min(width, self.size[0]), min(height, self.size[1])
 
     @property
     def margin(self) -> tuple[int, int]:
-        """Columns to the left and rows above; to the right and below there may be one more."""
+        """Padding in columns to the left and rows above; right and below may have one more."""
         return (self.size[0] - self.shown[0]) // 2, (self.size[1] - self.shown[1]) // 2
 
     def applied(self, image: Image) -> NDArray[np.float32]:
-        """The network's input (1, 3, rows, columns): red, green, blue from 0 to 1."""
+        """Return the network's input (1, 3, rows, columns): red, green, blue from 0 to 1."""
         (left, top), (width, height) = self.margin, self.shown
         right, bottom = self.size[0] - width - left, self.size[1] - height - top
         small = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -73,7 +73,7 @@ class Letterbox:
         return np.asarray(cv2.dnn.blobFromImage(whole, 1.0 / 255.0, swapRB=True), np.float32)
 
     def back(self, places: FloatArray) -> FloatArray:
-        """Places (..., 2) of the input, in pixels of the image."""
+        """Convert positions (..., 2) of the input to pixels of the image."""
         return np.asarray((places - np.array(self.margin)) / self.scale, float)
 
 
@@ -87,12 +87,12 @@ _EXPECTED_POSE = "YOLO-pose's (1, 56, cells) or (1, n, 57)"
 
 @dataclass(frozen=True)
 class Layout:
-    """Meaning of the numbers of an output.
+    """Layout of an output.
 
     Attributes
     ----------
     kind : as in the table
-    classes : how many; None: the output does not say
+    classes : number of classes; None: not part of the output
     points : keypoints of each person, 0: none
     columns : numbers of each keypoint: 2 (no visibility) or 3
     """
@@ -148,14 +148,14 @@ def layout_of(
     shape : of the output
     size : columns and rows of the input
     path : of the file, for messages
-    names : how many classes the file names; None: it does not
-    keypoints : how many the file says there are, and numbers of each; None: it does not
+    names : number of named classes in the file; None: no names
+    keypoints : number of keypoints in the file's metadata, and numbers of each; None: not given
     pose : whether keypoints are wanted
 
     Raises
     ------
     InputError
-        If it is none of the table, or has another number of classes or keypoints.
+        If it is not in the table, or has another number of classes or keypoints.
     """
     found = f"an output of shape {shape} for an input of {size[0]} × {size[1]}"
     expected = _EXPECTED_POSE if pose else _EXPECTED
@@ -196,14 +196,12 @@ def _counted_keypoints(numbers: int, found: str, path: str) -> tuple[int, int]:
     if numbers <= 0:
         raise InputError(f"{found}, without keypoints", _EXPECTED_POSE, path=path)
     if numbers % 3 or numbers // 3 not in BY_NUMBER:
-        count = (
-            f"{numbers // 3} keypoints" if numbers % 3 == 0 else f"{numbers} numbers besides box and class"
-        )
+        count = f"{numbers // 3} keypoints" if numbers % 3 == 0 else f"{numbers} numbers after box and class"
         raise InputError(f"{found}: {count}", KNOWN, path=path)
     return numbers // 3, 3
 
 
-_MOST = 1000  # finds, best first, among which those of the same person are looked for
+_MOST = 1000  # detections, best first, that enter non-maximum suppression
 _SMALLEST, _LARGEST = 32, 8192
 
 
@@ -213,9 +211,9 @@ class NetworkParameters:
 
     Attributes
     ----------
-    size : columns and rows of the input, where the file leaves them open
+    size : columns and rows of the input, if the file leaves them open
     person : name or number of the class; None: "person", or the first
-    least : score of those who are reported
+    least : least score of reported people
     overlap : intersection over union above which the weaker of two boxes is dropped
     """
 
@@ -226,18 +224,18 @@ class NetworkParameters:
 
 
 class YoloNetwork:
-    """A network that finds people.
+    """YOLO network that detects people.
 
     Parameters
     ----------
     path : the ONNX file
     pose : whether keypoints are wanted
-    parameters : what the file leaves open
+    parameters : options that the file leaves open
 
     Raises
     ------
     InputError
-        If ONNX Runtime is missing or cannot run the file, or its output is of no known layout.
+        If ONNX Runtime is missing or cannot run the file, or the layout of its output is unknown.
     """
 
     def __init__(
@@ -246,7 +244,7 @@ class YoloNetwork:
         self.parameters, self.path = parameters, str(path)
         runtime = package("onnxruntime", "networks")
         options = runtime.SessionOptions()
-        options.log_severity_level = 4  # errors are raised, not printed too
+        options.log_severity_level = 4  # errors are raised, not printed
         data = Source.open(path).data
         try:
             self._session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
@@ -273,7 +271,7 @@ class YoloNetwork:
         )
         if self.layout.classes is not None and self.person >= self.layout.classes:
             found = f"class {self.person} of {self.layout.classes}"
-            raise InputError(found, "--person-class with a class that there is", path=path)
+            raise InputError(found, "--person-class with an existing class", path=path)
 
     def _run(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         (given,) = self._session.get_inputs()
@@ -339,7 +337,7 @@ def _input_size(
 
 
 def _literal(text: str | None) -> object:
-    """Value of a note; None if it cannot be read."""
+    """Return the value of a metadata entry; None if it cannot be parsed."""
     try:
         return None if text is None else ast.literal_eval(text)
     except (ValueError, SyntaxError, MemoryError, RecursionError):
@@ -347,7 +345,7 @@ def _literal(text: str | None) -> object:
 
 
 def _names(notes: Mapping[str, str]) -> dict[int, str] | None:
-    """Names of the classes by number."""
+    """Return the names of the classes by number."""
     noted = _literal(notes.get("names"))
     if isinstance(noted, (list, tuple)):
         noted = dict(enumerate(noted))
@@ -357,7 +355,7 @@ def _names(notes: Mapping[str, str]) -> dict[int, str] | None:
 
 
 def _keypoints(notes: Mapping[str, str]) -> tuple[int, int] | None:
-    """Number of keypoints and of numbers of each, where the file has them."""
+    """Return the number of keypoints and of numbers of each, if the file has them."""
     noted = _literal(notes.get("kpt_shape"))
     if isinstance(noted, (list, tuple)) and len(noted) == 2 and noted[1] in (2, 3):
         return int(noted[0]), int(noted[1])
@@ -365,7 +363,7 @@ def _keypoints(notes: Mapping[str, str]) -> tuple[int, int] | None:
 
 
 def _person(names: dict[int, str] | None, asked: str | None, path: str) -> int:
-    """The number of the class of people."""
+    """Return the number of the class of people."""
     known = {} if names is None else {name.lower(): number for number, name in names.items()}
     if asked is not None:
         if asked.isdecimal():
@@ -375,7 +373,7 @@ def _person(names: dict[int, str] | None, asked: str | None, path: str) -> int:
         named = ", ".join(list(known)[:5]) or "no names"
         raise InputError(f"--person-class {asked}", f"a number, or a name of the file ({named})", path=path)
     if names is None or len(names) == 1 or all(name.isdecimal() for name in known):
-        return 0  # who names classes by number has not named them
+        return 0  # numbers as names carry no information
     if "person" not in known:
         named = ", ".join(list(known)[:5])
         raise InputError(f"classes without a person ({named} …)", "--person-class", path=path)

@@ -1,1 +1,1 @@
-"""One target followed through a video, alone or guided by the graph."""
+"""Tracking of one target through a video, alone or guided by the graph."""

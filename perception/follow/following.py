@@ -1,4 +1,4 @@
-"""A tracker run over the frames of a video, and its estimates as a track that `graphtrack` smooths."""
+"""Runs of a tracker on a video, and its estimates as a track for `graphtrack`."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from perception.follow.guidance import GraphGuide
 
 
-_EVEN = 2.0  # grey levels: an image whose pixels differ by less on average shows nothing
+_EVEN = 2.0  # grey levels: least mean deviation of the pixels of an image with content
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """The estimate of one frame, by the frame's number, and whether a graph that guides believes it."""
+    """Estimate of one frame, with its number, and whether the guiding graph accepts it."""
 
     frame: int
     estimate: BoxEstimate
@@ -41,12 +41,12 @@ class Followed:
 
 
 def parse_box(text: str) -> Box:
-    """A box from ``left,top,width,height``.
+    """Parse a box from ``left,top,width,height``.
 
     Raises
     ------
     InputError
-        If it is not four finite numbers. Trackers refuse those that are no box of a target.
+        If it is not four finite numbers. Trackers refuse invalid boxes.
     """
     values = [parse_number(cell) for cell in text.split(",")]
     numbers = [value for value in values if value is not None]
@@ -57,7 +57,7 @@ def parse_box(text: str) -> Box:
 
 
 def find_head(image: Image) -> Box:
-    """The head of the person who is seen best: people are detected, and heads in them located.
+    """Return the head of the person detected with the highest score.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def find_head(image: Image) -> Box:
 
 
 def background_images(path: str | Path) -> list[Image]:
-    """Images of what is never the target: one, or those of a folder.
+    """Read background images: one, or those of a folder.
 
     Raises
     ------
@@ -100,13 +100,13 @@ def box_cameras(
     foot_at: float | None = None,
     middle_at: float | None = None,
 ) -> Callable[[Box], BoxCamera]:
-    """Choose the camera that brings boxes to the ground, given the first one.
+    """Choose the camera that maps boxes to the ground, given the first box.
 
     Parameters
     ----------
-    camera : if one is known; without, `BoxCamera.from_box`
+    camera : known camera; None: `BoxCamera.from_box`
     of_heads : whether boxes are those of heads
-    foot_at, middle_at : see `BoxCamera`; by default by the foot point, and by the middle under a fisheye
+    foot_at, middle_at : see `BoxCamera`; by default the foot point, or the middle under a fisheye
 
     Raises
     ------
@@ -128,7 +128,7 @@ def box_cameras(
 
 
 def check_start(image: Image) -> None:
-    """Refuse a first frame in which nothing can be followed, as it is all of one colour.
+    """Refuse a first frame of uniform colour, which has nothing to track.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def check_start(image: Image) -> None:
         If it is.
     """
     if float(image.reshape(-1, 3).astype(np.float32).std(axis=0).max()) < _EVEN:
-        raise InputError("no target in the first frame, which is all of one colour", "a frame with a target")
+        raise InputError("no target in the first frame, which has a uniform colour", "a frame with a target")
 
 
 def follow(
@@ -149,18 +149,18 @@ def follow(
     show: Callable[[int, Image, BoxEstimate], None] | None = None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[Followed]:
-    """Run a tracker over frames; those that cannot be decoded are told to ``refuse`` and passed over.
+    """Run a tracker over frames; ``refuse`` receives undecodable frames, which are skipped.
 
     Parameters
     ----------
-    start : the box to begin with, of the first image; None lets the tracker look for a target by itself
-    guide : made with the first box, it tells the tracker where the graph expects the target
-    show : is given the number, image and estimate of every frame
+    start : initial box in the first image; None: the tracker searches for a target
+    guide : created with the first box, it predicts the target for the tracker from the graph
+    show : receives number, image and estimate of every frame
 
     Raises
     ------
     InputError
-        If no frame can be decoded, there is no target in the first or in any, or the frames' size changes.
+        If no frame can be decoded, there is no target in the first or in any frame, or the size changes.
     """
     found: list[Followed] = []
     graph: GraphGuide | None = None
@@ -200,17 +200,17 @@ def to_track(
     filtered: bool = False,
     track_id: int = 0,
 ) -> Track:
-    """A tracker's estimates as observations: places, their spread, and likelihoods of the head in the world.
+    """Convert estimates to observations: positions, their spread, and head likelihoods in the world.
 
-    Frames in which the target was not found, or not believed by the graph that guided the tracker, or is at
-    or beyond the horizon, have no observation.
+    Frames in which the target was not found, rejected by the guiding graph, or at or beyond the horizon, have
+    no observation.
 
     Parameters
     ----------
     pan_classes : of the tracker; None for one without pans
     clock : times of the frames, or frames a second
-    filtered : whether the likelihoods are the tracker's own distribution of the pan, rather than what each
-        frame says by itself, to which the graph adds what comes before and after; see `BoxCamera.sighting`
+    filtered : whether the likelihoods are the tracker's posterior of the pan instead of the single frame's
+        likelihood, which the graph smooths; see `BoxCamera.sighting`
     """
     n = len(found)
     frame = np.array([item.frame for item in found])
@@ -233,7 +233,7 @@ def to_track(
 
 
 def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> None:
-    """Write the table of `perception follow`: the native table with the boxes beside, and the head's tilt.
+    """Write the table of `perception follow`: the native table with boxes and the head's tilt.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
     Raises
     ------
     InputError
-        If the place cannot be written to. There is then no file, or the one that was there.
+        If the path cannot be written to; an existing file is then kept.
     """
     columns = to_columns(TrackSet((track,)))
     beside = np.array([(*item.estimate.box, item.estimate.confidence) for item in found])
@@ -262,7 +262,7 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
 
 
 def notes(found: Sequence[Followed], track: Track) -> list[str]:
-    """Notes on the table: frames without the target, and places that cannot be."""
+    """Return notes on the table: frames without the target, and positions beyond the horizon."""
     said = []
     lost = [item.frame for item in found if not item.estimate.found]
     if lost:
@@ -271,7 +271,7 @@ def notes(found: Sequence[Followed], track: Track) -> list[str]:
         )
     doubted = sum(item.estimate.found and not item.believed for item in found)
     if doubted:
-        said.append(f"the graph does not believe the tracker in {doubted} more frames")
+        said.append(f"the graph rejects the tracker in {doubted} more frames")
     beyond = int(np.isnan(track.position[:, 0]).sum()) - len(lost) - doubted
     if beyond:
         said.append(f"in {beyond} frames the foot point is at or beyond the camera's horizon")

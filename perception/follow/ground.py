@@ -1,4 +1,4 @@
-"""From boxes and pans in the image to the ground and the world, and back, with their uncertainty."""
+"""Conversion of boxes and pans between image and ground, with uncertainty."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ PERSON_IN_HEADS = 7.3
 """Height of a person over that of the box of their head (skull, hair and face)."""
 
 BODY_MIDDLE, HEAD_MIDDLE = 1.0, 1.6
-"""Metres above the ground of what is seen in the middle of the boxes of a person and of a head from above.
+"""Heights in metres of the middle of the boxes of a person and of a head, from above.
 Of exact boxes of rendered people, to 3 m from the nadir of a fisheye 2.9 m above the floor, the mean error is
-0.10 m by the middle at 1.0 m; 0.28 m by the box's point that is nearest to the nadir, which is no foot where
-the person is below the camera or diagonal to it; and 0.96 m by the lower edge."""
+0.10 m with the middle at 1.0 m, 0.28 m with the box's point nearest to the nadir, and 0.96 m with the lower
+edge."""
 
-_LEVEL = 0.3  # rendered walkers' heads leave their course by so much less down the image than across it
+_LEVEL = 0.3  # ratio of vertical to horizontal deviations of rendered walkers' heads from their course
 _HEAD = PoseClasses.circle(HEAD_CLASSES)
-_ELSEWHERE = 1e-3  # likelihood, over the greatest, of pans that classes of a part of the circle leave out
+_ELSEWHERE = 1e-3  # likelihood, relative to the largest, of pans outside classes of a part of the circle
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A target on the ground, by what a tracker says of one frame.
+    """Target on the ground, from a tracker's estimate in one frame.
 
     Attributes
     ----------
@@ -48,18 +48,18 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class BoxCamera:
-    """A camera over the ground, and where the foot point is in boxes.
+    """Camera over the ground, with the foot point in boxes.
 
     Attributes
     ----------
     camera : pixels ↔ metres on the ground
-    foot_at : where the foot point is, in box heights below the box's top: 1 for a box of a whole person,
+    foot_at : foot point, in box heights below the box's top: 1 for a box of a whole person,
         `PERSON_IN_HEADS` for that of a head
-    smallest_std : a position's standard deviation is never less than so many box widths
-    level : factor of predicted standard deviations down the image; less than 1 where people walk level, as
-        before an upright camera of which nothing else is known
-    middle_at : metres above the ground of what is seen in the middle of boxes, for a camera that looks down,
-        whose images have no lower edge to stand on; it needs a calibrated camera, and ``foot_at`` is not used
+    smallest_std : least standard deviation of a position, in box widths
+    level : factor of predicted standard deviations down the image; less than 1 for an uncalibrated upright
+        camera, where people move mostly horizontally
+    middle_at : height in metres of the middle of boxes, for a camera that looks down, where the lower edge is
+        not at the feet; requires a calibrated camera, and replaces ``foot_at``
     """
 
     camera: GroundCamera
@@ -72,7 +72,7 @@ class BoxCamera:
         if self.middle_at is not None:
             height = self.camera.height
             if height is None:
-                raise InputError("a camera of which only the homography is known", "a calibration")
+                raise InputError("a camera with a homography only", "a calibration")
             if not 0.0 <= self.middle_at < 0.9 * height:
                 expected = f"a height in metres well below the camera's {height:.2f}"
                 raise InputError(f"middle_at = {self.middle_at}", expected)
@@ -83,62 +83,62 @@ class BoxCamera:
 
     @classmethod
     def from_box(cls, box: ArrayLike, person_height: float, foot_at: float = 1.0) -> BoxCamera:
-        """Without a camera: a scale, such that a person who is ``person_height`` such boxes high is 1.7 m."""
+        """Return a scale instead of a camera: ``person_height`` box heights are 1.7 m."""
         height = float(np.asarray(box, float)[3])
         return cls(GroundCamera.from_scale(PERSON_HEIGHT / (person_height * height)), foot_at, level=_LEVEL)
 
     def foot(self, boxes: ArrayLike) -> FloatArray:
-        """Foot points (..., 2) in pixels of boxes (..., 4): left, top, width, height."""
+        """Return foot points (..., 2) in pixels of boxes (..., 4): left, top, width, height."""
         if self.middle_at is not None:
             return self.camera.ground_to_image(self.position(boxes))
         return self._mark(boxes)
 
     def position(self, boxes: ArrayLike) -> FloatArray:
-        """Places (..., 2) on the ground in metres of boxes (..., 4); NaN at and beyond the horizon."""
+        """Return ground positions (..., 2) in metres of boxes (..., 4); NaN at and beyond the horizon."""
         return self._below(self.camera.image_to_ground(self._mark(boxes)))
 
     def _mark(self, boxes: ArrayLike) -> FloatArray:
-        """The point (..., 2) of boxes (..., 4) whose height above the ground is known: foot or middle."""
+        """Return the point (..., 2) of boxes (..., 4) with known height above the ground: foot or middle."""
         left, top, width, height = np.moveaxis(np.asarray(boxes, float), -1, 0)
         share = self.foot_at if self.middle_at is None else 0.5
         return np.stack([left + width / 2.0, top + share * height], axis=-1)
 
     @property
     def _nearness(self) -> float:
-        """Distance from the camera, along the ground, of what is at the height of the mark, over that of
-        the ground that is seen behind it."""
+        """Ratio of the horizontal distance from the camera of a point at the mark's height to that of the
+        ground behind it."""
         if self.middle_at is None or self.camera.height is None:
             return 1.0
         return 1.0 - self.middle_at / self.camera.height
 
     def _below(self, behind: FloatArray) -> FloatArray:
-        """The ground (..., 2) below marks, behind which the ground (..., 2) is seen."""
+        """Return the ground (..., 2) below marks, given the ground (..., 2) behind them."""
         centre = self.camera.optical_centre_on_ground
         if self.middle_at is None or centre is None:
             return behind
         return np.asarray(centre + self._nearness * (behind - centre))
 
     def _mark_of(self, position: ArrayLike) -> FloatArray:
-        """The pixel (..., 2) of the mark of who is at a place (..., 2)."""
+        """Return the pixel (..., 2) of the mark of a person at a position (..., 2)."""
         place, centre = np.asarray(position, float), self.camera.optical_centre_on_ground
         if self.middle_at is not None and centre is not None:
             place = centre + (place - centre) / self._nearness
         return self.camera.ground_to_image(place)
 
     def _jacobian(self, mark: FloatArray) -> FloatArray:
-        """Metres of the place per pixel (..., 2, 2) of the mark (..., 2)."""
+        """Return the Jacobian (..., 2, 2) of the position in metres by the mark (..., 2) in pixels."""
         return self._nearness * self.camera.pixel_jacobian(mark)
 
     def sighting(
         self, estimate: BoxEstimate, pan_classes: PoseClasses | None, *, filtered: bool = False
     ) -> Sighting | None:
-        """The place where a tracker sees its target; None if it does not, or at and beyond the horizon.
+        """Return a tracker's target on the ground; None if it is not found, or at or beyond the horizon.
 
         Parameters
         ----------
         pan_classes : of the tracker; None for one without pans
-        filtered : whether the likelihoods are the tracker's own distribution of the pan, rather than what
-            the frame says by itself
+        filtered : whether the likelihoods are the tracker's posterior of the pan, instead of the single
+            frame's likelihood
         """
         place = self.position(estimate.box)
         if not estimate.found or not np.isfinite(place).all():
@@ -151,9 +151,9 @@ class BoxCamera:
         return Sighting(self.foot(estimate.box), place, std, head)
 
     def position_std(self, box: ArrayLike, particles: FloatArray, weights: FloatArray) -> float:
-        """1-σ (metres) of each axis of a box's place, by the foot points of weighed boxes (n, 4), (n,).
+        """Return the 1-σ (metres) per axis of a position, from foot points of weighted boxes (n, 4), (n,).
 
-        The camera is taken to be linear about the box; the two axes have the same variance, the mean one.
+        The camera is linearised about the box; both axes have the mean variance.
         """
         marks = self._mark(particles)
         away = marks - weights @ marks
@@ -163,22 +163,22 @@ class BoxCamera:
         return float(np.sqrt(np.trace(jacobian @ covariance @ jacobian.T) / 2.0))
 
     def box_centre(self, position: ArrayLike, height: ArrayLike) -> FloatArray:
-        """Centres (..., 2) in pixels of boxes of a height (...,) in pixels, at places (..., 2) in metres."""
+        """Return centres (..., 2) in pixels of boxes with height (...,) in pixels, at (..., 2) in metres."""
         mark = self._mark_of(position)
         if self.middle_at is not None:
             return mark
         return mark - np.stack([np.zeros_like(height), (self.foot_at - 0.5) * np.asarray(height)], axis=-1)
 
     def pixel_covariance(self, position: ArrayLike, covariance: FloatArray) -> FloatArray:
-        """Covariance (2, 2) in pixels² of a place (2,) whose covariance is (2, 2) m²."""
+        """Return the covariance (2, 2) in pixels² of a position (2,) with covariance (2, 2) in m²."""
         jacobian = self._jacobian(self._mark_of(position))
         inverse = np.diag([1.0, self.level]) @ np.linalg.inv(jacobian)
         return np.asarray(inverse @ covariance @ inverse.T, float)
 
     def head_likelihood(self, pan: FloatArray, classes: PoseClasses, position: FloatArray) -> FloatArray:
-        """Likelihoods (n, 12) of heads in the world, of those (n, n_pan) in the image, at places (n, 2).
+        """Convert head likelihoods (n, n_pan) in the image to (n, 12) in the world, at positions (n, 2).
 
-        Classes that go around a part of the circle only are completed: what they leave out is unlikely.
+        Classes of a part of the circle are completed with a small likelihood for the rest.
         """
         n = round(2.0 * np.pi / classes.step)
         floor = _ELSEWHERE * pan.max(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""The graph in a tracker's loop: it smooths what the tracker finds, and says where to look next."""
+"""Guidance of a tracker by the graph, which smooths its estimates and predicts the next box."""
 
 from __future__ import annotations
 
@@ -19,30 +19,29 @@ from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal
 
 GUIDE_MODEL = Model("position", steady(Parameters(MotionParameters(acceleration_density=0.01))))
-"""People who walk on: white noise of 0.01 m²/s³ is what takes rendered walkers off their course within one or
-two seconds. The package's own models expect people who turn and run, and soon say nothing of where one is."""
+"""Model of steady walking: white noise of 0.01 m²/s³ fits the deviations of rendered walkers within one or
+two seconds. The package's own models allow for turning and running, so their predictions soon diverge."""
 
-_WIDEST = 1e4  # pixels: a prediction that is less sure than that says nothing
+_WIDEST = 1e4  # pixels: largest standard deviation of a useful prediction
 
 
 FORGET, _FORGET_AT_MOST = 0.4, 1.0
-"""Box widths that the target had to go when it is lost, and seconds: what was said since is forgotten."""
+"""Box widths of travel, and seconds, before a loss: later observations are removed from the graph."""
 DEVIATIONS, _LEAST_DEVIATION = 3.0, 0.4
-"""An estimate is doubted when the log-odds of its confidence (the median of some frames) are so many standard
-deviations, which are taken to be at least so large, below what they were."""
-_MEMORY, _RECENT = 4.0, 0.2  # seconds over which those log-odds and the newest frames go
+"""An estimate is rejected if the log-odds of its confidence (the median of some frames) are so many standard
+deviations below their mean; least standard deviation."""
+_MEMORY, _RECENT = 4.0, 0.2  # seconds of the history of log-odds, and of the newest frames
 _WARM_UP = 0.4
-"""Seconds at the beginning that are believed and not learned from, since the first box is the tracker's own
-pattern."""
+"""Initial seconds that are accepted but not used for learning, since the first box is the tracker's
+template."""
 _REGAIN, _GATE, PATIENCE = 0.3, 2.5, 2.5
-"""Seconds through which a target that was lost must be found before it is believed; deviations within which
-it must then be where it is expected, and have moved so; seconds after which it is believed, whatever it
-is."""
-_FEWEST = 8  # frames from which a deviation is learned
+"""Seconds of detections before a lost target is accepted again; gate in standard deviations of its position
+and motion; seconds after which it is accepted unconditionally."""
+_FEWEST = 8  # least number of frames for a standard deviation
 
 
 class Doubt:
-    """The log-odds of a tracker's confidence while it was believed."""
+    """Log-odds of a tracker's confidence while it was accepted."""
 
     def __init__(self) -> None:
         self._learned: deque[tuple[float, float]] = deque()
@@ -50,7 +49,7 @@ class Doubt:
         self._first: float | None = None
 
     def sure(self, confidence: float, t: float) -> bool:
-        """Return whether a confidence (0…1) at ``t`` seconds is as high as those learned from."""
+        """Return True if a confidence (0…1) at ``t`` seconds is consistent with the learned distribution."""
         odds = float(logit(np.clip(confidence, 1e-9, 1.0 - 1e-9)))
         if self._first is None:
             self._first = t
@@ -65,12 +64,12 @@ class Doubt:
         return bool(np.median([value for _, value in self._recent]) >= middle - DEVIATIONS * deviation)
 
     def learn(self) -> None:
-        """Learn from the newest estimate, which was believed."""
+        """Learn from the newest accepted estimate."""
         if self._recent:
             _append(self._learned, self._recent[-1], self._recent[-1][0] - _MEMORY)
 
     def start_again(self) -> None:
-        """Forget what was learned."""
+        """Reset the learned distribution."""
         self._learned.clear()
 
 
@@ -81,27 +80,27 @@ def _append(queue: deque[tuple[float, float]], item: tuple[float, float], since:
 
 
 class GraphGuide:
-    """An `OnlineSmoother` on the ground beside a tracker in the image.
+    """An `OnlineSmoother` on the ground, coupled to a tracker in the image.
 
-    After each frame it takes the tracker's estimate as an observation (where the target was not found,
-    there is none), and before the next it predicts the middle of the target's box. While the target is
-    hidden the prediction goes on with the last velocity and becomes less and less sure.
+    After each frame it takes the tracker's estimate as an observation (none if the target was not found),
+    and before the next frame it predicts the middle of the target's box. While the target is hidden the
+    prediction continues with the last velocity and growing uncertainty.
 
-    A tracker clings to what it still sees of a target that something begins to hide. So an estimate is not
-    taken in when it is much less sure than those before it (`Doubt`); and when the target is lost, or
-    doubted, the graph forgets what was observed since the target was a box's width away.
+    A tracker is biased towards the visible part of a target at the start of an occlusion. Therefore estimates
+    of much lower confidence than before are rejected (`Doubt`); and when the target is lost or rejected, the
+    observations of the last box width of travel are removed from the graph.
 
     Parameters
     ----------
-    boxes : from boxes to the ground
+    boxes : mapping from boxes to the ground
     pan_classes : of the tracker; None for one without pans
     clock : times of the frames, or frames a second
     model : of the graph; by default `GUIDE_MODEL`
-    lag : seconds of history that the graph keeps open
+    lag : smoothing window of the graph in seconds
 
     Attributes
     ----------
-    rejected : numbers of the frames of which the graph took nothing in, or has forgotten it
+    rejected : numbers of frames without observation in the graph, or with a removed one
     """
 
     def __init__(
@@ -126,7 +125,7 @@ class GraphGuide:
         """Frames of the last ``lag`` seconds: numbers, observations and the middles of their boxes."""
 
     def observe(self, frame: int, estimate: BoxEstimate) -> None:
-        """Take in what the tracker says of a frame, by its number."""
+        """Add the tracker's estimate of a frame, with its number."""
         t = float(seconds(frame, self.clock))
         observation = Observation(t)
         if estimate.found and self._doubt.sure(estimate.confidence, t):
@@ -163,7 +162,7 @@ class GraphGuide:
             self._seen.popleft()
 
     def _is_target(self) -> bool:
-        """Return whether a target found again is where it is expected, and moves as it did."""
+        """Return True if the position and motion of a recovered target match the prediction."""
         first, newest = self._again[0], self._again[-1]
         since = newest.t - first.t
         if self._last is None or since < _REGAIN:
@@ -180,7 +179,7 @@ class GraphGuide:
         return bool(max(distances) < _GATE**2)
 
     def _forget(self, width: float) -> None:
-        """Go back to when the target was ``width`` pixels from where it was last seen."""
+        """Remove the observations since the target was ``width`` pixels from its last position."""
         seen = list(self._seen)
         _, last, centre = seen[-1]
         from_there = last.t - _FORGET_AT_MOST
@@ -196,10 +195,10 @@ class GraphGuide:
             self._last = self._smoother.update(observation)
 
     def predict(self, frame: int) -> Proposal | None:
-        """Predict the middle of the box in a frame; None where that is not possible.
+        """Predict the middle of the box in a frame; None if that is not possible.
 
-        By the velocity of the last estimate and the white noise of the model's acceleration. The box is
-        taken to be as high as when it was last found.
+        The prediction uses the velocity of the last estimate and the model's white noise of acceleration,
+        with the height of the last found box.
         """
         if self._last is None or self._last.status == "waiting":
             return None
@@ -216,7 +215,7 @@ class GraphGuide:
 
 
 def _moved(estimate: Estimate, dt: float, acceleration_density: float) -> tuple[FloatArray, FloatArray]:
-    """Position (2,) and its covariance (2, 2) ``dt`` seconds after an estimate by the term Motion."""
+    """Return position (2,) and covariance (2, 2) ``dt`` seconds after an estimate, by the term Motion."""
     step = transition_matrix(dt)
     state = np.concatenate([estimate.position, estimate.velocity])
     covariance = step @ estimate.covariance[:4, :4] @ step.T + process_noise(dt, acceleration_density)

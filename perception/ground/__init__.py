@@ -1,1 +1,1 @@
-"""The ground plane from the boxes of people: a camera without a calibration."""
+"""Estimation of the ground plane of an uncalibrated camera from the boxes of people."""

@@ -1,4 +1,4 @@
-"""A camera's view of the ground by the boxes of people, or a refusal where they do not tell it."""
+"""Calibration of a camera's view of the ground from boxes of people, refused if not observable."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BORDER = 2.0
 
 
 def whole(box: FloatArray, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Mask (n,) of boxes (n, 4) that do not touch the border of an image of that size (columns, rows)."""
+    """Return a mask (n,) of boxes (n, 4) that do not touch the border of an image (columns, rows)."""
     left, top, width, height = box.T
     columns, rows = size
     inside = (left > _BORDER) & (left + width < columns - _BORDER)
@@ -31,9 +31,9 @@ def whole(box: FloatArray, size: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def people_of(boxes: Sequence[PersonBox]) -> NDArray[np.int64]:
-    """(n,) who is in each box, from 0: by identities or, without, by overlap from a frame to the next.
+    """Return the person (n,) in each box, from 0, by identities or by overlap between frames.
 
-    Someone who is lost and found again counts as two.
+    Lost and recovered people count as two.
     """
     if boxes and boxes[0].identified:
         ids = np.array([item.track_id for item in boxes])
@@ -58,11 +58,11 @@ def people_of(boxes: Sequence[PersonBox]) -> NDArray[np.int64]:
 
 
 def thinned(who: NDArray[np.int64], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Places of at most ``most`` boxes, as many of each person as possible, in their order.
+    """Return indices of at most ``most`` boxes, evenly over people, in their order.
 
     Parameters
     ----------
-    who : (n,) who is in each box
+    who : (n,) person in each box
     """
     if len(who) <= most:
         return np.arange(len(who))
@@ -70,7 +70,7 @@ def thinned(who: NDArray[np.int64], most: int, rng: np.random.Generator) -> NDAr
     by_person = order[np.argsort(who[order], kind="stable")]
     start = np.flatnonzero(np.diff(who[by_person], prepend=-1))
     turn = np.arange(len(who)) - np.repeat(start, np.diff(np.append(start, len(who))))
-    # Everybody's first box comes before anybody's second; within a turn the order is by chance.
+    # Round robin over people, in random order within a round.
     chosen = by_person[np.lexsort((rng.permutation(len(who)), turn))[:most]]
     return np.sort(chosen)
 
@@ -80,31 +80,31 @@ _STEEPEST = np.deg2rad(60.0)
 
 
 class ViewUnknown(InputError):
-    """Boxes that do not tell how the camera looks at the ground."""
+    """Error: boxes that do not determine the camera's view of the ground."""
 
 
-# What is enough to tell a view.
+# Requirements of a calibration.
 _LEAST_PEOPLE, _LEAST_BOXES, _MOST_BOXES = 6, 20, 3000
 _LEAST_GROWTH = 1.15  # of the boxes' heights, the 95th percentile over the 5th
 _LARGEST_FOCAL, _LARGEST_TILT, _LARGEST_DISTANCE = 0.45, float(np.deg2rad(9.0)), 0.3
 """1-σ of focal length (relative), tilt (radians) and ground distances (relative), at most."""
-_WIDE = 0.5  # share of these beyond which the view is reported to tell little
-_LEAST_INLIERS = 0.5  # share of the boxes whose heights follow the view
+_WIDE = 0.5  # share of these above which the view is reported as uncertain
+_LEAST_INLIERS = 0.5  # least share of inliers
 
 
 @dataclass(frozen=True, eq=False)
 class FoundView:
-    """A view that boxes tell.
+    """View estimated from boxes.
 
     Attributes
     ----------
     view : focal length, tilt, roll and height
     std : 1-σ of each, in the same units, by the names of `View`
-    distance_std : relative 1-σ of distances on the ground between people, but for the people's mean height
+    distance_std : relative 1-σ of distances on the ground between people, for a given mean height of people
     size : columns and rows of the image
-    boxes, people : that it was fitted to
-    inliers : share of the boxes whose heights follow it
-    notes : what is to be known of it
+    boxes, people : numbers used in the fit
+    inliers : share of inlier boxes
+    notes : assumptions and warnings
     """
 
     view: View
@@ -118,16 +118,16 @@ class FoundView:
 
     @property
     def camera(self) -> GroundCamera:
-        """The view as everything else knows it."""
+        """Return the view as a `GroundCamera`."""
         return self.view.camera(self.size)
 
     def write(self, path: str | Path) -> None:
-        """Write a calibration that `graphtrack.io.cameras.read_calibration` reads, and how uncertain it is.
+        """Write a calibration with uncertainties, readable by `graphtrack.io.cameras.read_calibration`.
 
         Raises
         ------
         InputError
-            If the place cannot be written to.
+            If the path cannot be written to.
         """
         view = self.view
         remarks = {
@@ -149,22 +149,22 @@ def found_view(
     rng: np.random.Generator,
     person_height: float = PERSON_HEIGHT,
 ) -> FoundView:
-    """The view of a camera over the ground, by how high the boxes of people are at each place.
+    """Estimate the view of a camera over the ground from the heights of people's boxes.
 
-    The lens is taken to be without distortion, its principal point to be the middle of the image.
+    The lens is assumed to have no distortion, and its principal point in the middle of the image.
 
     Parameters
     ----------
-    boxes : of people, some of whom may be false; with identities or without
+    boxes : of people, with some false detections; with or without identities
     size : columns and rows of the image
-    rng : chooses among more boxes than are needed
-    person_height : metres, of people (or rather of what boxes enclose) on average
+    rng : samples boxes if there are more than needed
+    person_height : mean height of people (or of the contents of boxes) in metres
 
     Raises
     ------
     ViewUnknown
-        If the view does not tell: too few people, all at one depth, a view from above, or an uncertainty
-        beyond what is of any use.
+        If the view is not determined: too few people, all at one depth, a view from above, or too large an
+        uncertainty.
     InputError
         If the boxes are of another image size.
     """
@@ -214,7 +214,7 @@ def found_view(
 
 
 def _check_size(boxes: Sequence[PersonBox], size: tuple[int, int]) -> None:
-    """Refuse boxes of another image, as far as it shows."""
+    """Refuse boxes that are outside the image."""
     feet = np.array([foot_point(item.box) for item in boxes]).reshape(-1, 2)
     inside = ((feet > 0.0) & (feet < np.array(size) * 1.05)).all(axis=1)
     if len(feet) and inside.mean() < 0.5:
@@ -227,7 +227,7 @@ def _check_size(boxes: Sequence[PersonBox], size: tuple[int, int]) -> None:
 def _distance_std(
     draws: FloatArray, best: FloatArray, feet: FloatArray, size: tuple[int, int], rng: np.random.Generator
 ) -> float:
-    """Relative 1-σ, in the median, of ground distances between places where people are."""
+    """Return the median relative 1-σ of ground distances between positions of people."""
     chosen = feet[rng.integers(len(feet), size=(2, 200))] + np.array(size) / 2.0
 
     def distances(vector: FloatArray) -> FloatArray:
@@ -239,7 +239,7 @@ def _distance_std(
     if not far.any():
         return float("inf")
     ratio = np.stack([distances(one)[far] / known[far] for one in draws])
-    # Places that draws have beyond the horizon are as far as can be.
+    # Samples beyond the horizon are treated as infinitely far.
     low, high = np.quantile(
         np.where(np.isfinite(ratio), ratio, _BEYOND), (0.16, 0.84), axis=0, method="nearest"
     )
@@ -268,7 +268,7 @@ def _check_told(fit: Fit, distance_std: float) -> None:
 
 
 def _share(fit: Fit, distance_std: float) -> float:
-    """The largest uncertainty as a share of what is of any use."""
+    """Return the largest uncertainty relative to its limit."""
     focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
     return max(focal / _LARGEST_FOCAL, tilt / _LARGEST_TILT, distance_std / _LARGEST_DISTANCE)
 

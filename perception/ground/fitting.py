@@ -1,9 +1,8 @@
 """A robust fit of a camera's view to the heights of people's boxes, with its uncertainty.
 
-The logarithm of each box's height, less the one that the view gives a person of mean height at that place, is
-the person's own deviation (one number for all boxes of a person) plus an error of the box with the tails of
-Student's distribution. The people's deviations are integrated out. Who is no person of usual height (false
-detections, children) may have any deviation.
+The log height of each box minus the prediction for a person of mean height is the person's deviation (common
+to all boxes of a person) plus an error of the box with Student's distribution. The people's deviations are
+integrated out. Outliers (false detections, children) may have any deviation.
 """
 
 from __future__ import annotations
@@ -18,23 +17,23 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 
 RADIUS, RADIUS_STD = 0.11, 0.04
-"""Of a person, as a share of the height: where the camera looks down, a box begins at the near side of the
-feet and ends at the far side of the head. Silhouettes of rendered people have 0.05, boxes of
+"""Radius of a person relative to the height: from above, a box extends from the near side of the feet to the
+far side of the head. Silhouettes of rendered people have 0.05, boxes of
 detectors, which are drawn around a body of some breadth, up to 0.16."""
 
-_LEVEL = 0.06  # heights about the camera's own in which the near side of the head gives way to the far one
+_LEVEL = 0.06  # range around the camera's height of the transition between near and far side of the head
 _AHEAD = 1e-3
 
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera over the ground, upright but for its roll, with the image's centre on its axis.
+    """Pinhole camera over the ground, with a small roll and the principal point in the middle of the image.
 
     Attributes
     ----------
     focal : pixels
-    tilt : radians that it looks down
-    roll : radians about its axis; by a positive one the horizon falls towards the image's right
+    tilt : radians below the horizontal
+    roll : radians about its axis; if positive the horizon falls towards the image's right
     height : of the camera above the ground, metres
     """
 
@@ -45,7 +44,7 @@ class View:
 
     @property
     def rotation(self) -> FloatArray:
-        """World → camera (3, 3). The world's y is where the camera looks, z is up, x completes them."""
+        """World → camera (3, 3). The world's y is the viewing direction, z is up, x completes the frame."""
         up = up_of(self.tilt, self.roll)
         ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
         norm = np.linalg.norm(ahead)
@@ -62,7 +61,7 @@ class View:
         return np.array([[self.focal, 0.0, size[0] / 2.0], [0.0, self.focal, size[1] / 2.0], [0.0, 0.0, 1.0]])
 
     def camera(self, size: tuple[int, int]) -> GroundCamera:
-        """The same as everything else knows it."""
+        """Return the view as a `GroundCamera`."""
         return GroundCamera.from_calibration(self.rotation, self.translation, self.intrinsics(size))
 
     def to_vector(self, person_height: float) -> FloatArray:
@@ -72,7 +71,7 @@ class View:
 
     @classmethod
     def from_vector(cls, vector: FloatArray, person_height: float) -> View:
-        """The inverse of `to_vector`."""
+        """Invert `to_vector`."""
         log_focal, tilt, roll, log_height = vector.tolist()
         return cls(float(np.exp(log_focal)), tilt, roll, float(np.exp(log_height)) * person_height)
 
@@ -83,9 +82,9 @@ def up_of(tilt: float, roll: float) -> FloatArray:
 
 
 def box_heights(vector: FloatArray, feet: FloatArray, radius: float = RADIUS) -> FloatArray:
-    """Heights (n,) in pixels of the boxes of people whose lower edges' middles are at ``feet``.
+    """Return heights (n,) in pixels of the boxes of people with feet at the middle of the lower edge.
 
-    A person is a cylinder of height 1; NaN at and beyond the horizon.
+    A person is modelled as a cylinder of height 1; NaN at and beyond the horizon.
 
     Parameters
     ----------
@@ -115,14 +114,14 @@ _WORST = 3.0
 _LEAST_ERROR, _LARGEST_ERROR = 0.005, 0.2
 _LEAST_DEVIATION, _LARGEST_DEVIATION = 0.01, 0.1
 _RANGE, _SHARE = 2.5, (0.5, 0.98)
-"""Logarithm of the largest over the least height of anything that is taken for a person; the share of people
-among what is followed, at least and at most."""
-_SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])  # 1-σ of any camera
+"""Logarithm of the ratio of largest to least height of any tracked object; least and largest share of people
+among them."""
+_SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])  # prior 1-σ
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A view and how well it is known.
+    """View with its uncertainty.
 
     Attributes
     ----------
@@ -143,7 +142,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class HeightData:
-    """n boxes: feet (n, 2) in pixels from the image's centre, heights (n,), who is in each (n,)."""
+    """n boxes: feet (n, 2) in pixels from the image's centre, heights (n,), and person (n,)."""
 
     feet: FloatArray
     height: FloatArray
@@ -154,14 +153,14 @@ class HeightData:
 
 
 def fitted(data: HeightData) -> Fit:
-    """The best view from several beginnings."""
+    """Return the best view from several initial values."""
     rough = [_climbed(data, start, steps=12) for start in _starts(data)]
     best = sorted(rough, key=lambda fit: -fit.score)[:3]
     return max((_climbed(data, fit.vector, steps=60) for fit in best), key=lambda fit: fit.score)
 
 
 def _starts(data: HeightData) -> list[FloatArray]:
-    """Views that see heights grow linearly with the row, as the boxes' do, for several focal lengths."""
+    """Return initial views from a linear fit of heights to rows, for several focal lengths."""
     from scipy.optimize import least_squares
 
     scale = data.width
@@ -189,7 +188,7 @@ def _residuals(data: HeightData, vector: FloatArray, radius: float = RADIUS) -> 
 
 
 def _climbed(data: HeightData, start: FloatArray, steps: int) -> Fit:
-    """Gauss–Newton steps with weights that are taken anew at each (iteratively reweighted least squares)."""
+    """Gauss–Newton steps with weights recomputed at each (iteratively reweighted least squares)."""
     mean, spread = np.array([np.log(1.1 * data.width), np.deg2rad(20.0), 0.0, np.log(3.0)]), _SPREAD
     known = np.diag(spread**-2.0)
     vector = start.copy()
@@ -228,12 +227,12 @@ def _covariance(
     state: _Weights,
     known: FloatArray,
 ) -> FloatArray:
-    """(4, 4) by the scatter of people's votes (the sandwich), and of not knowing how thick people are."""
+    """Return the sandwich covariance (4, 4) over people, plus the uncertainty of the people's radius."""
     curvature = state.curvature(slope, residual)
     bread = np.linalg.inv(curvature + known)
     votes = state.summed((residual - state.own[data.who])[:, None] * slope)
     scatter = votes.T @ votes * data.people / max(data.people - len(vector), 1)
-    # Where few people vote alike by chance, the curvature says more than their scatter.
+    # With few people the curvature is more reliable than their scatter.
     meat = known + (scatter if data.people > 4 * len(vector) else np.maximum(scatter, curvature))
     by_chance = bread @ meat @ bread
     larger = np.sqrt(np.maximum(1.0, np.diag(bread) / np.diag(by_chance)))
@@ -244,7 +243,7 @@ def _covariance(
 
 
 class _Weights:
-    """The boxes' weights, whether people are people, their own deviations, and both spreads."""
+    """Weights of boxes, probabilities of people, their deviations, and both spreads."""
 
     def __init__(self, data: HeightData) -> None:
         self._who, self._people = data.who, data.people
@@ -255,7 +254,7 @@ class _Weights:
         self._bent = 1.0
 
     def update(self, residual: FloatArray) -> None:
-        """Take everything anew for residuals (n,): a step of expectation and maximisation."""
+        """Update for residuals (n,): one step of expectation maximisation."""
         left = residual - self.own[self._who]
         self._weight = (_TAILS + 1.0) / (_TAILS + (left / self.error) ** 2)
         of_person = self._sum(self._weight) / self.error**2
@@ -287,14 +286,14 @@ class _Weights:
         return np.asarray(np.bincount(self._who, values, self._people), float)
 
     def summed(self, values: FloatArray) -> FloatArray:
-        """Weighed sums (people, k) of values (n, k)."""
+        """Return weighted sums (people, k) of values (n, k)."""
         weight = self._weight / self.error**2
         return np.stack([self._sum(weight * column) for column in values.T], axis=1)
 
     def normal(self, slope: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Curvature (k, k) and gradient (k,) of half the weighed square sum, people's deviations integrated.
 
-        Of who is nobody the deviation is free: what is left is how the boxes differ from each other.
+        Outliers have a free deviation: only differences between their boxes are used.
         """
         weight = self._weight / self.error**2
         of_slope, of_residual = self.summed(slope), self._sum(weight * residual)

@@ -1,7 +1,7 @@
-"""People who lean in the picture, because the camera looks down or has a wide angle, turned upright.
+"""Upright crops of people who lean in the image of a wide-angle or downward camera.
 
-Such people stand as spokes about the point below the camera. Boxes along the picture's axes hold them, but
-say little of where their feet are, and nothing that looks at people as they stand would know them.
+Such people point away from the nadir. Axis-aligned boxes enclose them but do not locate their feet, and
+models of upright people do not apply.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from perception.images.pixels import Image
 _PERSON = 1.75  # metres from the ground to above the head
 _WIDTH = 0.41  # of an upright box, in its heights
 _SHORTEST = 0.6
-"""Length of a person in the picture, in what 1.75 m of the ground measure there: from above, people are not
-short but wide."""
+"""Least length of a person in the image, relative to 1.75 m of the ground: from above, people are wide
+instead of short."""
 _TOWARDS_FEET = 0.8
-"""Where the feet are between the middle of a leaning person's box (0) and its edge (1): as measured by the
-reader of CAVIAR's lobby, `graphtrack.io.formats.caviar`."""
+"""Position of the feet between the middle (0) and the edge (1) of a leaning person's box, measured in
+CAVIAR's lobby, see `graphtrack.io.formats.caviar`."""
 _GRID = 12
-_MARGIN = 0.5  # about an upright box, in its heights, that a turned picture has
+_MARGIN = 0.5  # margin of a rotated crop around an upright box, in its heights
 
 Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Pose of a person who leans in the picture.
+    """Pose of a person who leans in the image.
 
     Attributes
     ----------
     foot : pixels
-    turn : radians about the foot, by which the picture is turned counter-clockwise to bring them upright
+    turn : radians of the counter-clockwise rotation about the foot that makes the person upright
     length : pixels from the foot to above the head
     """
 
@@ -50,12 +50,12 @@ class Standing:
 
     @property
     def box(self) -> Box:
-        """Left, top, width and height of the person in the turned picture."""
+        """Left, top, width and height of the person in the rotated crop."""
         margin, length = _MARGIN * self.length, self.length
         return margin + (1.0 - _WIDTH) * length / 2.0, margin, _WIDTH * length, length
 
     def turned(self, image: Image) -> Image:
-        """The surroundings of the person in an image, upright; its border is repeated."""
+        """Return the upright surroundings of the person, with the image's border replicated."""
         side = 2.0 * _MARGIN + 1.0
         size = max(2, round(side * self.length))
         move = np.vstack([cv2.getRotationMatrix2D(self.foot, float(np.degrees(self.turn)), 1.0), [0, 0, 1]])
@@ -67,7 +67,7 @@ class Standing:
         return np.asarray(found, np.uint8)
 
     def in_image(self, place: ArrayLike) -> FloatArray:
-        """Pixels (..., 2) of the image, of those of the turned picture."""
+        """Convert pixels (..., 2) of the rotated crop to pixels of the image."""
         foot = np.array([_MARGIN + 0.5, _MARGIN + 1.0]) * self.length
         across, down = np.moveaxis(np.asarray(place, float) - foot, -1, 0)
         cos, sin = np.cos(self.turn), np.sin(self.turn)
@@ -76,15 +76,15 @@ class Standing:
 
 @dataclass(frozen=True, eq=False)
 class LeaningView:
-    """A camera in whose picture some people lean by more than half their height."""
+    """View of a camera in which some people lean by more than half their height."""
 
     sizes: PersonSizes
 
     @classmethod
     def of(cls, camera: GroundCamera | None, size: tuple[int, int]) -> LeaningView | None:
-        """The view of a camera whose images have ``size`` columns and rows.
+        """Return the view of a camera with images of ``size`` columns and rows.
 
-        None where nobody leans, and where the camera matrix is not known.
+        None if no person leans, or the camera matrix is not known.
         """
         if camera is None or camera.intrinsics is None:
             return None
@@ -95,7 +95,7 @@ class LeaningView:
         return cls(sizes) if bool(_leans(up[np.isfinite(up).all(axis=1)]).any()) else None
 
     def standing(self, box: Box) -> Standing | None:
-        """The pose of the person in a box; None for people who do not lean."""
+        """Return the pose of the person in a box; None for people who do not lean."""
         left, top, width, height = box
         middle = np.array([left + width / 2.0, top + height / 2.0])
         up = self._up(middle)
@@ -116,27 +116,27 @@ class LeaningView:
         return Standing((float(foot[0]), float(foot[1])), float(np.arctan2(up[0], -up[1])), length)
 
     def _up(self, foot: FloatArray) -> FloatArray:
-        """From the feet (2,) to above the head, pixels."""
+        """Return the vector (2,) from the feet to above the head, pixels."""
         return np.asarray(self.sizes.heads(foot[None])[0] - foot, float)
 
 
 def _leans(up: FloatArray) -> np.ndarray:
-    """Mask (n,) of people who lean, by the way (n, 2) from feet to head."""
+    """Return a mask (n,) of people who lean, from vectors (n, 2) from feet to head."""
     return np.abs(up[:, 0]) > LEAN * -up[:, 1]
 
 
 def standing_in(view: LeaningView | None, box: Box) -> Standing | None:
-    """The pose of the person in a box; None for people who are upright."""
+    """Return the pose of the person in a box; None for people who are upright."""
     return None if view is None else view.standing(box)
 
 
 def upright_picture(image: Image, box: Box, standing: Standing | None) -> tuple[Image, Box]:
-    """The image and the box, or those in which somebody who leans is upright."""
+    """Return the image and the box, rotated upright for a leaning person."""
     return (image, box) if standing is None else (standing.turned(image), standing.box)
 
 
 def feet_of(boxes: Sequence[PersonBox], view: LeaningView | None) -> FloatArray:
-    """Pixels (n, 2) of the feet of people in boxes."""
+    """Return pixels (n, 2) of the feet of people in boxes."""
     feet = []
     for item in boxes:
         standing = standing_in(view, item.box)
@@ -145,6 +145,6 @@ def feet_of(boxes: Sequence[PersonBox], view: LeaningView | None) -> FloatArray:
 
 
 def heights_of(boxes: Sequence[PersonBox], view: LeaningView | None) -> FloatArray:
-    """Pixels (n,) from the feet of people in boxes to above their heads."""
+    """Return pixels (n,) from the feet of people in boxes to above their heads."""
     standing = [(item.box[3], standing_in(view, item.box)) for item in boxes]
     return np.array([height if how is None else how.length for height, how in standing])

@@ -1,1 +1,1 @@
-"""Pictures and videos, read, checked and written."""
+"""Reading, checking and writing of images and videos."""

@@ -1,7 +1,7 @@
-"""Frames of a video or of a folder of images, in their order, with those that cannot be decoded.
+"""Frames of a video or of a folder of images in order, undecodable frames included.
 
-FFmpeg, with which OpenCV decodes, takes far more than videos: it draws text as a terminal does, and opens the
-files and addresses that a playlist names. So only files that begin as videos do are given to it.
+FFmpeg, OpenCV's decoder, also renders text files and opens the files and addresses of a playlist. Therefore
+only files with the signature of a video are passed to it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _SIGNATURES: tuple[tuple[int, bytes], ...] = (
     (0, b"nut/multimedia container"),
 )
 _PICTURES: tuple[tuple[int, bytes], ...] = (
-    (0, b"\xff\xd8\xff"),  # JPEG, or one after the other: a video
+    (0, b"\xff\xd8\xff"),  # JPEG, or a sequence of them: a video
     (0, b"\x89PNG\r\n\x1a\n"),  # or animated
     (0, b"GIF8"),
     (8, b"WEBP"),
@@ -50,20 +50,20 @@ _PICTURES: tuple[tuple[int, bytes], ...] = (
     (0, b"MM\x00*"),
     *((0, b"P%d" % kind) for kind in range(4, 8)),  # PBM, PGM, PPM, PAM
 )
-_RAW = b"YUV4MPEG2 "  # raw pixels after a line of text: they may look like text themselves
-_CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")  # bytes that no text has
+_RAW = b"YUV4MPEG2 "  # raw pixels after a line of text, which may resemble text
+_CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")  # bytes that do not occur in text
 _PACKETS = (188, 192, 204)  # bytes of a packet of an MPEG transport stream, which begins with 0x47
 _HEAD = 4 * 204
 _VIDEOS = "a video (MP4, MOV, AVI, Matroska, WebM, MPEG, ...) or a folder of images"
 
 
 def check_video(path: Path) -> bool:
-    """Return whether a file may be a single picture; refuse one that begins neither as that nor as a video.
+    """Return True if a file may be a single image; refuse files without a signature of image or video.
 
     Raises
     ------
     InputError
-        If it is text (subtitles and playlists are), empty, or anything else.
+        If it is text (such as subtitles and playlists), empty, or of another type.
     """
     with path.open("rb") as stream:
         head = stream.read(_HEAD)
@@ -94,7 +94,7 @@ def _is_transport_stream(head: bytes) -> bool:
 
 
 def is_cut_off(path: Path) -> bool:
-    """Return whether a file is an MP4 without its index, which stands at the end of most."""
+    """Return True if a file is an MP4 without its index, which is usually at the end."""
     place, length = 0, path.stat().st_size
     with path.open("rb") as stream:
         if stream.read(8)[4:] != b"ftyp":
@@ -105,7 +105,7 @@ def is_cut_off(path: Path) -> bool:
             if head[4:8] == b"moov":
                 return False
             size = int.from_bytes(head[:4], "big")
-            if size == 1:  # the size stands after the name
+            if size == 1:  # the size follows the name
                 size = int.from_bytes(head[8:16], "big")
             if size < 8:
                 break
@@ -113,25 +113,25 @@ def is_cut_off(path: Path) -> bool:
     return True
 
 
-_UNEVEN = 0.1  # of the time between frames: time stamps that are off by more are not those of an even rate
+_UNEVEN = 0.1  # of the frame interval: largest deviation of time stamps at a constant rate
 logger = logging.getLogger("graphtrack")
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Times of frames by their numbers.
+    """Times of frames by number.
 
     Attributes
     ----------
     rate : nominal, frames a second
-    stamps : (n,) seconds of frames 0, 1, 2 … of a variable rate; None: frames follow each other at the rate
+    stamps : (n,) seconds of frames 0, 1, 2 … of a variable rate; None: constant rate
     """
 
     rate: float
     stamps: FloatArray | None = None
 
     def seconds(self, frame: ArrayLike) -> FloatArray:
-        """Return the times (...,) of frames (...,), beyond the last time stamp by the nominal rate."""
+        """Return the times (...,) of frames (...,), with the nominal rate beyond the last time stamp."""
         number = np.asarray(frame)
         if self.stamps is None:
             return np.asarray(number / self.rate, float)
@@ -140,12 +140,12 @@ class Clock:
 
 
 def seconds(frame: ArrayLike, clock: float | Clock) -> FloatArray:
-    """Return the times (...,) of frames (...,) by a clock, or by frames a second."""
+    """Return the times (...,) of frames (...,), from a clock or frames a second."""
     return (clock if isinstance(clock, Clock) else Clock(clock)).seconds(frame)
 
 
 def _time_stamps(path: Path, rate: float) -> FloatArray | None:
-    """Return seconds (n,) of a video's frames from the first on; None at an even rate, or where not known."""
+    """Return seconds (n,) of a video's frames since the first; None at a constant rate, or if unknown."""
     try:
         import av
     except ImportError:
@@ -165,19 +165,17 @@ def _time_stamps(path: Path, rate: float) -> FloatArray | None:
     stamps = np.asarray(np.subtract(ticks, ticks[0]) * tick, float)
     if (np.abs(stamps * rate - np.arange(len(stamps))) <= _UNEVEN).all():
         return None
-    logger.warning(
-        "times by the video's time stamps, which are not those of an even rate of %g a second", rate
-    )
+    logger.warning("times by the video's time stamps, which differ from a constant rate of %g a second", rate)
     return stamps
 
 
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
-_MOST_BAD = 50  # frames in a row that cannot be decoded, after which a video has ended early
+_MOST_BAD = 50  # consecutive undecodable frames after which a video has ended early
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame and its number; ``image`` is None where it could not be decoded, and ``reason`` says why."""
+    """A frame and its number; an undecodable frame has ``image`` None and a ``reason``."""
 
     number: int
     image: Image | None
@@ -186,13 +184,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameSource:
-    """A video or folder that frames come from.
+    """Video or folder as a source of frames.
 
     Attributes
     ----------
     path : a video, or a folder with images
-    count : frames that it says to have
-    fps : frames a second that it says to have; None for a folder
+    count : number of frames by its metadata
+    fps : frames a second by its metadata; None for a folder
     """
 
     path: Path
@@ -201,7 +199,7 @@ class FrameSource:
 
     @classmethod
     def open(cls, path: str | Path) -> FrameSource:
-        """Look at a video or a folder.
+        """Open a video or a folder.
 
         Raises
         ------
@@ -232,21 +230,21 @@ class FrameSource:
         return cls(path, max(count, 1), float(fps) if np.isfinite(fps) and 0.1 < fps < 1000 else None)
 
     def clock(self, rate: float) -> Clock:
-        """Return the times of the frames: of a video of variable rate its time stamps, else by the rate."""
+        """Return the times of the frames: time stamps of a video of variable rate, else from the rate."""
         return Clock(rate, None if self.path.is_dir() else _time_stamps(self.path, rate))
 
     @staticmethod
     def files(path: Path) -> list[Path]:
-        """The files that are read as frames: the video, or the images of the folder."""
+        """Return the files that are read as frames: the video, or the images of the folder."""
         return [image for _, image in _images(path)] if path.is_dir() else [path]
 
     def stamp(self) -> list[tuple[str, int, int]]:
-        """Path, size and time of the video or of every image: another one after a change."""
+        """Return a key of the content: path, size and time of the video or of every image."""
         states = [(path, path.stat()) for path in self.files(self.path)]
         return [(str(path), state.st_size, state.st_mtime_ns) for path, state in states]
 
     def frame_of(self, name: str) -> int | None:
-        """The number of the frame whose image has this name without suffix; None if there is none."""
+        """Return the number of the frame with this image name, without suffix; None if there is none."""
         return self._named.get(name)
 
     @cached_property
@@ -254,7 +252,7 @@ class FrameSource:
         return {path.stem: number for number, path in _images(self.path)} if self.path.is_dir() else {}
 
     def size(self) -> tuple[int, int]:
-        """Columns and rows of the first frame that can be decoded.
+        """Return columns and rows of the first decodable frame.
 
         Raises
         ------
@@ -268,11 +266,11 @@ class FrameSource:
 
     @property
     def first(self) -> int:
-        """The number of the first frame: 0 of a video, or the lowest of numbered images."""
+        """Number of the first frame: 0 in a video, or the lowest of numbered images."""
         return _images(self.path)[0][0] if self.path.is_dir() else 0
 
     def numbers(self) -> list[int]:
-        """The numbers of the frames that it has; a video, which may say anything, is gone through."""
+        """Return the numbers of the frames; a video is read through, since its metadata may be wrong."""
         if self.path.is_dir():
             return [number for number, _ in _images(self.path)]
         return list(range(_length(self.path)))
@@ -281,19 +279,19 @@ class FrameSource:
         return self.where(lambda number: True)
 
     def where(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-        """The frames whose numbers are wanted; the pixels of others are not decoded."""
+        """Yield the wanted frames; the pixels of other frames are not decoded."""
         if self.path.is_dir():
             return _from_folder(self.path, wanted)
         return _from_video(self.path, self.count, wanted)
 
 
 def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
-    """The same frames.
+    """Yield the same frames, checked to have one size.
 
     Raises
     ------
     InputError
-        At the first that has not the size of those before.
+        At the first frame of another size.
     """
     size: tuple[int, ...] = ()
     for frame in frames:
@@ -308,7 +306,7 @@ def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
 
 
 def _images(folder: Path) -> list[tuple[int, Path]]:
-    """Images by frame number: their names, all of which or none are different numbers, or 0, 1, 2 …"""
+    """Return images by frame number: the numbers in their names, or 0, 1, 2 … if none has a number."""
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
     numbered = [path for path in paths if path.stem.isascii() and path.stem.isdigit()]
     if not numbered:
@@ -335,7 +333,7 @@ def _from_folder(folder: Path, wanted: Callable[[int], bool]) -> Iterator[Frame]
             continue
         try:
             image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        except cv2.error:  # more pixels than OpenCV takes
+        except cv2.error:  # more pixels than OpenCV accepts
             image = None
         if image is None:
             yield Frame(number, None, f"{path.name} cannot be decoded")
@@ -347,12 +345,12 @@ def _from_folder(folder: Path, wanted: Callable[[int], bool]) -> Iterator[Frame]
 
 
 def _capture(path: Path) -> cv2.VideoCapture:
-    """OpenCV's reader of a video; by its whole path, since FFmpeg takes "name:" before one for a protocol."""
+    """Open a video by its absolute path, since FFmpeg interprets "name:" as a protocol."""
     return cv2.VideoCapture(str(path.absolute()))
 
 
 def _length(path: Path) -> int:
-    """Up to the last frame of a video that can be read, failing ones before it included."""
+    """Yield the frames up to the last decodable one, undecodable frames before it included."""
     video = _capture(path)
     try:
         length = failed = 0
@@ -365,7 +363,7 @@ def _length(path: Path) -> int:
 
 
 def _from_video(path: Path, count: int, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-    """Frames from 0. A frame that fails between good ones is told of; so is an end before the stated one."""
+    """Yield frames from 0, with undecodable frames between others, and an early end, reported."""
     video = _capture(path)
     try:
         number = 0
@@ -387,7 +385,7 @@ def _from_video(path: Path, count: int, wanted: Callable[[int], bool]) -> Iterat
 
 
 Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
-"""Begins to tell of so many things of a kind; yields the function that is told how many more are done."""
+"""Starts a progress report with a total and a unit; yields a function that receives completed counts."""
 
 
 @contextmanager
@@ -400,12 +398,12 @@ def told_frames(
     unit: str = "frames",
     one_size: bool = False,
 ) -> Iterator[Iterator[Frame]]:
-    """The frames whose numbers are wanted, ``count`` of them.
+    """Yield the wanted frames, ``count`` in number.
 
     Parameters
     ----------
-    unit : what ``progress`` calls them
-    one_size : whether a frame of another size than the first is an `InputError`
+    unit : name for ``progress``
+    one_size : whether a change of the frames' size is an `InputError`
     """
     found = frames.where(wanted)
     with progress(count, unit) as advance:

@@ -1,4 +1,4 @@
-"""Images and boxes: checked, cut out, compared; and drawn pictures written as a video or a folder."""
+"""Checks, crops and comparison of images and boxes, and writing of videos and image folders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Image = NDArray[np.uint8]
 
 
 def as_uint8(image: NDArray[Any]) -> Image:
-    """An image (h, w), (h, w, 1), (h, w, 3) or (h, w, 4) of 8 or 16 bits as (h, w, 3) uint8, blue green red.
+    """Convert (h, w), (h, w, 1), (h, w, 3) or (h, w, 4) of 8 or 16 bits to (h, w, 3) uint8, blue green red.
 
     Raises
     ------
@@ -42,14 +42,14 @@ def as_uint8(image: NDArray[Any]) -> Image:
 
 
 def grey(image: Image) -> Image:
-    """The grey values (h, w) of an image (h, w, 3) or (h, w)."""
+    """Return the grey values (h, w) of an image (h, w, 3) or (h, w)."""
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def grey_stack(
     images: Sequence[Image], width: int, height: int, *, equalise: bool = False
 ) -> NDArray[np.uint8]:
-    """Grey images (n, height, width) uint8, resized by area where they shrink."""
+    """Return grey images (n, height, width) uint8, resized by area averaging when reduced."""
     stack = np.empty((len(images), height, width), np.uint8)
     for k, image in enumerate(images):
         values = grey(image)
@@ -60,11 +60,11 @@ def grey_stack(
 
 
 LARGEST_BOX = 3.0
-"""Widths and heights of the image that a box may have: what is larger shows nobody."""
+"""Largest size of a box, in widths and heights of the image."""
 
 
 def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """A box (4,), left, top, width, height, that lies at least in part in an image of a shape (h, w, …).
+    """Check a box (4,), left, top, width, height, that overlaps an image of a shape (h, w, …).
 
     Raises
     ------
@@ -85,12 +85,12 @@ def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
 
 
 def box_text(box: ArrayLike) -> str:
-    """A box as it is given on the command line, for messages."""
+    """Format a box as on the command line, for messages."""
     return f"a box {','.join(f'{value:.7g}' for value in np.asarray(box, float).tolist())}"
 
 
 def crop(image: Image, box: ArrayLike) -> Image:
-    """The pixels of a box (left, top, width, height); outside the image its border is repeated.
+    """Return the pixels of a box (left, top, width, height), with the image's border replicated.
 
     Raises
     ------
@@ -105,14 +105,14 @@ def crop(image: Image, box: ArrayLike) -> Image:
 
 
 def enlarged(boxes: FloatArray, factor: float) -> FloatArray:
-    """Boxes (n, 4) about the same middles, ``factor`` times as wide and high: left, top, width, height."""
+    """Scale boxes (n, 4) about their centres by ``factor``: left, top, width, height."""
     size = boxes[:, 2:] * factor
     return np.hstack([boxes[:, :2] + (boxes[:, 2:] - size) / 2.0, size])
 
 
 def intersection_over_union(boxes: ArrayLike, box: ArrayLike) -> FloatArray:
-    """Overlap (...,) of boxes (..., 4) with boxes (..., 4): left, top, width, height (Chen et al. 2011, eq.
-    15)."""
+    """Return the overlap (...,) of boxes (..., 4) with boxes (..., 4): left, top, width, height (Chen et al.
+    2011, eq. 15)."""
     a, b = np.asarray(boxes, float), np.asarray(box, float)
     low = np.maximum(a[..., :2], b[..., :2])
     high = np.minimum(a[..., :2] + a[..., 2:], b[..., :2] + b[..., 2:])
@@ -122,7 +122,7 @@ def intersection_over_union(boxes: ArrayLike, box: ArrayLike) -> FloatArray:
 
 
 def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: float) -> list[int]:
-    """Indices of boxes (n, 4) from the best on, without those that overlap a better one by more."""
+    """Apply non-maximum suppression to boxes (n, 4); return indices, best first."""
     left = np.argsort(-scores, kind="stable")
     kept = []
     while len(left):
@@ -136,21 +136,21 @@ _VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}
 _ROOM = "a place with room for it"
 
 Write = Callable[[int, Image], None]
-"""Takes the number of a frame and its picture."""
+"""Receives the number of a frame and its image."""
 
 
 def is_video(path: Path) -> bool:
-    """Return whether `pictures` writes a video there, rather than a folder of images."""
+    """Return True if `pictures` writes a video to a path, False for a folder of images."""
     return not path.is_dir() and bool(path.suffix)
 
 
 def check_render(path: Path) -> None:
-    """Refuse, before any work is done, where no pictures could be written.
+    """Refuse paths that cannot be written, before any work is done.
 
     Raises
     ------
     InputError
-        For another suffix than .mp4, .avi or none, or a folder that is missing or holds something.
+        For another suffix than .mp4, .avi or none, or a folder that is missing or not empty.
     """
     if is_video(path) and path.suffix.lower() not in _VIDEOS:
         raise InputError(f"{path.suffix} files", "a video .mp4 or .avi, or a folder", path=path)
@@ -159,17 +159,17 @@ def check_render(path: Path) -> None:
 
 @contextmanager
 def pictures(path: Path, fps: float) -> Iterator[Write]:
-    """A function that writes one picture after the other; they are there when all went well.
+    """Yield a function that writes images in order; the output appears only on success.
 
     Parameters
     ----------
-    path : .mp4 or .avi; without suffix, or where there is one, a folder of images named by their frames
+    path : .mp4 or .avi; without suffix, or if it exists, a folder of images named by their frames
     fps : frames a second of the video
 
     Raises
     ------
     InputError
-        If the place cannot be written to, or the pictures of a video are not of one size.
+        If the path cannot be written to, or the images of a video differ in size.
     """
     check_render(path)
     if is_video(path):
@@ -187,7 +187,7 @@ def pictures(path: Path, fps: float) -> Iterator[Write]:
 
 @contextmanager
 def _video(path: Path, fps: float, shown: Path) -> Iterator[Write]:
-    """Open a video with the size of the first picture; ``shown`` is the path that messages name."""
+    """Open a video with the size of the first image; ``shown`` is the path in messages."""
     writer: cv2.VideoWriter | None = None
     size: tuple[int, ...] = ()
     count = 0
@@ -202,7 +202,7 @@ def _video(path: Path, fps: float, shown: Path) -> Iterator[Write]:
                 raise InputError(
                     "a video that cannot be opened for writing", "another name or a folder", path=shown
                 )
-        if picture.shape != size:  # OpenCV leaves it out without a word
+        if picture.shape != size:  # OpenCV drops it silently
             h, w = picture.shape[:2]
             raise InputError(
                 f"frame {number} of {w} × {h} pixels", f"{size[1]} × {size[0]} as the first, or a folder"
@@ -215,7 +215,7 @@ def _video(path: Path, fps: float, shown: Path) -> Iterator[Write]:
     finally:
         if writer is not None:
             writer.release()
-    # Nor does it say when the disk is full.
+    # Nor does it report a full disk.
     written = cv2.VideoCapture(str(path))
     try:
         if count and round(written.get(cv2.CAP_PROP_FRAME_COUNT)) != count:

@@ -24,12 +24,12 @@ NAMES = (*CLASSIFIERS, HeadLocaliser.kind, "head_exemplars", KeypointPose.kind)
 
 
 def model_path(name: str) -> Path:
-    """Path of the model of that name in the package.
+    """Return the path of a model of the package.
 
     Raises
     ------
     InputError
-        If there is none of that name.
+        If the name is unknown.
     """
     if name not in NAMES:
         raise InputError(f"model {name!r}", f"one of {', '.join(NAMES)}")
@@ -37,12 +37,12 @@ def model_path(name: str) -> Path:
 
 
 def load_classifier(name: str, path: str | Path | None = None) -> FeatureClassifier:
-    """A pose classifier by name, from the package or from a file.
+    """Load a pose classifier by name, from the package or from a file.
 
     Raises
     ------
     InputError
-        If there is none of that name, or the file is no such model.
+        If the name is unknown, or the file is no such model.
     """
     if name not in CLASSIFIERS:
         raise InputError(f"classifier {name!r}", f"one of {', '.join(CLASSIFIERS)}")
@@ -50,10 +50,10 @@ def load_classifier(name: str, path: str | Path | None = None) -> FeatureClassif
 
 
 def load_head_localiser(path: str | Path | None = None) -> HeadLocaliser:
-    """The head localiser of the package or of a file."""
+    """Load the head localiser of the package or of a file."""
     return HeadLocaliser.load(path or model_path(HeadLocaliser.kind))
 
 
 def load_keypoint_pose(path: str | Path | None = None) -> KeypointPose:
-    """The model of body and head by keypoints, of the package or of a file."""
+    """Load the model of body and head from keypoints, of the package or of a file."""
     return KeypointPose.load(path or model_path(KeypointPose.kind))

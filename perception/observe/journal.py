@@ -1,4 +1,4 @@
-"""A journal of finished frames in a file, so that an interrupted run continues where it was."""
+"""Journal of finished frames in a file, from which an interrupted run continues."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 @contextmanager
 def while_unfinished(path: Path) -> Iterator[None]:
-    """Remove a file in the end, unless the run is broken off; a run that is refused would be so again."""
+    """Remove a file at the end, unless the run is interrupted; refused runs remove it too."""
     try:
         yield
     except InputError:
@@ -27,16 +27,16 @@ def while_unfinished(path: Path) -> Iterator[None]:
 
 
 class FrameJournal(Mapping[int, T]):
-    """Completed frames by number, read from the file when they are asked for: only places are kept.
+    """Completed frames by number, read from the file on access: only file positions are kept in memory.
 
-    The file has a line with the run's key, then a line for each frame. As a context it is opened and, unless
-    the run is broken off, removed in the end.
+    The file has a line with the run's key, then one line per frame. The context opens it and removes it at
+    the end, unless the run is interrupted.
 
     Parameters
     ----------
     path : the file
-    key : of the run that it belongs to; a journal of another run is begun again
-    kind : of what is known of a frame, as `decoded` takes it
+    key : of the run; the journal of another run is overwritten
+    kind : type of a frame's record, as in `decoded`
     """
 
     def __init__(self, path: Path, key: str, kind: type[T]) -> None:
@@ -57,7 +57,7 @@ class FrameJournal(Mapping[int, T]):
         self._cleaning.__exit__(*error)
 
     def open(self) -> None:
-        """Read the frames that are there, if they are of the same run, and go on writing after them."""
+        """Read the frames of the same run, and append to them."""
         known = self._path.is_file() and self._take()
         self._stream = self._path.open("r+b" if known else "w+b")
         if known:
@@ -66,7 +66,7 @@ class FrameJournal(Mapping[int, T]):
             self._append(self._first)
 
     def _take(self) -> bool:
-        """Take over the frames after the first line, up to one that cannot be used."""
+        """Index the frames after the first line, up to the first unusable line."""
         with self._path.open("rb") as stream:
             if stream.readline() != self._first:
                 return False
@@ -92,13 +92,13 @@ class FrameJournal(Mapping[int, T]):
         self._end += len(line)
 
     def add(self, frame: int, known: T) -> None:
-        """Write a frame down."""
+        """Write a frame's record."""
         place = self._end
         self._append(encoded({"frame": frame, "known": known}) + b"\n")
         self._place[frame] = place
 
     def close(self) -> None:
-        """End reading and writing."""
+        """Close the file."""
         if self._stream is not None:
             self._stream.close()
         self._stream = None

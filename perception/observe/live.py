@@ -1,4 +1,4 @@
-"""Rows of observations frame by frame, each made of what was seen up to its frame."""
+"""Causal rows of observations, frame by frame."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from perception.pose.features import Projection
 from perception.pose.head_detection import HeadPath
 
 Finder = Callable[[int, Image], list[PersonBox]]
-"""The boxes of the people of a frame, by its number and image."""
+"""Returns the boxes of people in a frame, given its number and image."""
 
 Look = Callable[[int, Image], Detections]
-"""The people of a frame with their keypoints, likewise."""
+"""Returns the people of a frame with their keypoints, given its number and image."""
 
 
 class LiveObserver:
-    """Rows of each frame at once, as causal `perception.observe.tables.to_tracks` makes them in the end.
+    """Rows of each frame, equal to those of the causal `perception.observe.tables.to_tracks`.
 
     Parameters
     ----------
-    models : what looks at people
-    camera : the ground plane; without it a scale, by which the median box of the first frame with people is
-        as high as a person
+    models : models of bodies and heads
+    camera : the ground plane; None: a scale at which the median box of the first frame with people has the
+        height of a person
     clock : times of the frames, or frames a second
-    identified : False: the boxes have no identities, and stand alone
+    identified : False: the boxes have no identities
     """
 
     def __init__(
@@ -63,9 +63,9 @@ class LiveObserver:
     def rows(
         self, image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], object]
     ) -> list[dict[str, Any]]:
-        """A row of the native table for each person of a frame, after all earlier frames, by id.
+        """Return a row of the native table for each person of a frame, in the order of ids.
 
-        ``refuse`` is told of boxes that hold nothing and of feet beyond the horizon.
+        Frames come in order. ``refuse`` receives empty boxes and feet beyond the horizon.
         """
         seen = observe_frame(image, frame, boxes, self.models, refuse)
         if self.camera is None and seen:
@@ -90,7 +90,7 @@ class LiveObserver:
 def observe_live(
     frames: Iterable[Frame], find: Finder, observer: LiveObserver, refuse: Callable[[str], object]
 ) -> Iterator[dict[str, Any]]:
-    """The rows of all frames as they come."""
+    """Yield the rows of all frames."""
     for frame in frames:
         if frame.image is None:
             refuse(frame.reason)
@@ -100,23 +100,23 @@ def observe_live(
 
 
 def given_boxes(boxes: Iterable[PersonBox]) -> Finder:
-    """Boxes that are known."""
+    """Return known boxes."""
     by_frame = boxes_by_frame(boxes)
     return lambda frame, image: by_frame.get(frame, [])
 
 
 def boxes_with_keypoints(find: Finder, look: Look) -> Finder:
-    """The same boxes, with the keypoints of those whom they hold."""
+    """Return the same boxes, with the keypoints of their people."""
     return lambda frame, image: with_keypoints(find(frame, image), {frame: look(frame, image)})
 
 
 def boxes_of_keypoints(look: Look) -> Finder:
-    """The boxes of whoever has keypoints."""
+    """Return the boxes of all people with keypoints."""
     return lambda frame, image: boxes_of({frame: look(frame, image)})
 
 
 def detected_boxes(camera: GroundCamera | None, detector: Detector | None = None) -> Finder:
-    """Boxes that are detected as frames come, each by itself; by the package's detector, if by none."""
+    """Detect boxes in single frames; without a detector by the package's."""
     if detector is None and camera is None:
         detector = PeopleDetector()
 

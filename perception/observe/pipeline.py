@@ -1,4 +1,4 @@
-"""Observed people of each frame: models look at boxes, and observations become the fields of tracks."""
+"""Observations of people: models applied to boxes, and the conversion to fields of tracks."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class SeenPerson:
     heads : candidates of the head's box, in the crop of the person
     pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
     score : of a detection; None: not known
-    looks : (`appearance.LENGTH`,) uint8 what the person looks like, None: not asked for
-    standing : of somebody who leans in the picture; the heads are in the crop of the turned one then
+    looks : (`appearance.LENGTH`,) uint8 appearance descriptor; None: not requested
+    standing : pose of a person who leans in the image; the heads are then in the crop of the rotated image
     """
 
     frame: int
@@ -54,7 +54,7 @@ class SeenPerson:
 
     @property
     def height(self) -> float:
-        """Height of the box, or of somebody who leans, in pixels."""
+        """Height of the box, or length of a leaning person, in pixels."""
         return self.box[3] if self.standing is None else self.standing.length
 
     @property
@@ -65,14 +65,14 @@ class SeenPerson:
 
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
-    """The people of one frame, and why other boxes hold nobody."""
+    """The people of one frame, and the reasons why other boxes are refused."""
 
     people: list[SeenPerson]
     refused: list[str]
 
 
 def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
-    """Group people by the numbers of their frames."""
+    """Group people by frame number."""
     frames: dict[int, SeenFrame] = {}
     for item in seen:
         frames.setdefault(item.frame, SeenFrame([], [])).people.append(item)
@@ -80,15 +80,15 @@ def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
 
 
 _HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065  # of a head and its middle, in heights of the person's box
-_LEAST = 0.2  # confidence from which on a point of the face says where the head is
+_LEAST = 0.2  # least confidence of a point of the face that locates the head
 
 
 def said_by_keypoints(
     people: Sequence[PersonBox], model: KeypointPose
 ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
-    """For each box: the body's log likelihoods (8,), the head in its crop, and its log likelihoods (1, 12).
+    """Return, per box, the body's log likelihoods (8,), the head in its crop, and the head's (1, 12).
 
-    Whose keypoints are not known may point anywhere.
+    Without keypoints the likelihoods are uniform.
     """
     if not people:
         return []
@@ -101,7 +101,7 @@ def said_by_keypoints(
 
 
 def _head_in_crop(box: tuple[float, float, float, float], points: FloatArray) -> FloatArray:
-    """The head's box (4,) in the crop of the person: about the points of the face, or at the top."""
+    """Return the head's box (4,) in the crop of the person: around the points of the face, or at the top."""
     left, top, width, height = box
     middle = np.array([left + width / 2.0, top + _MIDDLE * height])
     face = points[list(FACE)]
@@ -122,10 +122,10 @@ class Models:
     Attributes
     ----------
     head_localiser, body_pose, head_pose : for any camera
-    appearance : whether looks are described too
-    of_camera : what the camera has taught itself; it takes the place of the three
-    of_keypoints : says where people point by their keypoints, in place of all of them
-    view : in which people lean, and are turned upright before anything looks at them
+    appearance : whether appearance descriptors are computed
+    of_camera : the camera's own models, in place of these three
+    of_keypoints : orientation from keypoints, in place of all other models
+    view : a view in which people lean, and are rotated upright first
     """
 
     head_localiser: HeadLocaliser
@@ -137,14 +137,14 @@ class Models:
     view: LeaningView | None = None
 
     def seeing(self, camera: GroundCamera | None, size: Callable[[], tuple[int, int]]) -> Models:
-        """The same for a view in which who leans is turned upright.
+        """Return the models for a view in which leaning people are rotated upright.
 
-        ``size`` gives columns and rows of the frames, where they are asked for.
+        ``size`` returns columns and rows of the frames, on demand.
 
         Raises
         ------
         InputError
-            If the camera has taught itself people who were turned, and it is not known how.
+            If the camera's own models need upright people, and the view is not known.
         """
         view = None
         as_they_lean = self.of_camera is not None and not self.of_camera.upright
@@ -166,14 +166,14 @@ class Models:
 def observe_frame(
     image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], object]
 ) -> list[SeenPerson]:
-    """Observe the people of one frame; ``refuse`` receives boxes that hold nothing."""
+    """Observe the people of one frame; ``refuse`` receives empty boxes."""
     seen: list[SeenPerson] = []
     people: list[_Cut] = []
     light = light_of(image) if models.appearance else None
     for item in _usable(image, frame, boxes, refuse):
         standing = standing_in(models.view, item.box)
         people.append((item, crop(*upright_picture(image, item.box, standing)), standing))
-        # However many people there are, their pictures take no more memory than a few of the whole image.
+        # Batches limit the memory for crops to a few whole images.
         if sum(picture.size for _, picture, _ in people) > image.size:
             seen += _look(image, people, models, light)
             people = []
@@ -183,7 +183,7 @@ def observe_frame(
 def _usable(
     image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], object]
 ) -> Iterator[PersonBox]:
-    """The boxes that can be cut out of the image of a frame; ``refuse`` is told of the others."""
+    """Return the boxes that can be cut out of a frame's image; ``refuse`` receives the others."""
     for item in boxes:
         try:
             checked_box(item.box, image.shape)
@@ -194,11 +194,11 @@ def _usable(
 
 
 _Cut = tuple[PersonBox, Image, Standing | None]
-"""A person, the picture of the box, and how they stand in the image if they lean."""
+"""A person, the crop of the box, and the pose in the image of a leaning person."""
 
 
 def _look(image: Image, people: list[_Cut], models: Models, light: FloatArray | None) -> list[SeenPerson]:
-    """Observe people in the pictures of their boxes; given the light, their appearance too."""
+    """Observe people in the crops of their boxes; given the light, their appearance too."""
     if not people:
         return []
     items, shown, standing = zip(*people, strict=True)
@@ -216,7 +216,7 @@ def _look(image: Image, people: list[_Cut], models: Models, light: FloatArray | 
 
 
 def _said(pictures: Sequence[Image], models: Models) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
-    """For each picture: the body's log likelihoods, heads, and theirs, by the models of any camera."""
+    """Return, per crop, the body's log likelihoods, heads, and theirs, by the package's models."""
     body = models.body_pose.log_likelihoods(pictures)
     candidates = [models.head_localiser.locate(picture) for picture in pictures]
     heads = [
@@ -233,7 +233,7 @@ def _said(pictures: Sequence[Image], models: Models) -> list[tuple[FloatArray, H
 
 
 def _head_crop(picture: Image, box: FloatArray) -> Image:
-    """The head's box with the margin that classifiers are trained with, moved into the picture."""
+    """Return the head's box with the margin used in training, moved into the crop."""
     left, top, width, height = box
     grown = np.array([left - 0.03 * width, top - 0.03 * height, 1.06 * width, 1.06 * height])
     h, w = picture.shape[:2]
@@ -249,10 +249,10 @@ def observe(
     *,
     refuse: Callable[[str], object],
 ) -> int:
-    """Look at all boxes, frame by frame, into the journal; the number of frames that were looked at.
+    """Observe all boxes, frame by frame, into the journal; return the number of processed frames.
 
-    Frames that the journal has need not come again. Frames that cannot be decoded, boxes that hold nothing
-    and boxes of frames that do not come are told to ``refuse``.
+    Frames in the journal are optional. ``refuse`` receives undecodable frames, empty boxes and boxes of
+    missing frames.
     """
     by_frame = boxes_by_frame(boxes)
     count, came = 0, set(journal)
@@ -275,7 +275,7 @@ def observe(
     if missing:
         boxes_missed = sum(len(by_frame[number]) for number in missing)
         between = f"frames {min(came)} to {max(came)} came" if came else "none came"
-        refuse(f"{boxes_missed} boxes of frames that did not come, such as {missing[0]}: {between}")
+        refuse(f"{boxes_missed} boxes of missing frames, such as {missing[0]}: {between}")
     return count
 
 
@@ -299,9 +299,9 @@ def channels_of(
     Parameters
     ----------
     items : one person in n frames, on this side of the horizon
-    heads : (n,) which candidate is the head
+    heads : (n,) index of the candidate that is the head
     head_classes, camera, clock : as of `perception.observe.tables.to_tracks`
-    in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
+    in_image : whether the likelihoods stay in the image frame, for filters that evaluate them there (Chen
         et al. 2011, eq. 13–14)
     projection : of appearance; None: tracks have none
     """
@@ -332,12 +332,12 @@ def channels_of(
 
 
 def in_heights(item: SeenPerson) -> HeadCandidates:
-    """The head's candidates relative to the person's height: who comes nearer does not jump."""
+    """Return the head's candidates relative to the person's height, which removes changes of scale."""
     return HeadCandidates(item.heads.boxes / item.height, item.heads.scores)
 
 
 def head_in_image(item: SeenPerson, candidate: int) -> FloatArray:
-    """The box (4,) of a candidate of the head in the image: crops begin at whole pixels."""
+    """Return the box (4,) of a head candidate in the image; crops begin at whole pixels."""
     left, top, _, _ = item.box if item.standing is None else item.standing.box
     box = item.heads.boxes[candidate] + np.array([round(left), round(top), 0.0, 0.0])
     if item.standing is None:

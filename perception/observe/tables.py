@@ -1,4 +1,4 @@
-"""Tables of observations and estimates, made of what was seen some frames at a time."""
+"""Tables of observations and estimates, from observations in batches of frames."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
 from perception.pose.head_detection import HeadCandidates, HeadPath, select_along_track, select_so_far
 
-_AT_ONCE = 512  # rows that are made together
-_LOOKS = 8192  # people by whom it is found out what varies
+_AT_ONCE = 512  # rows per batch
+_LOOKS = 8192  # people to fit the projection to
 
 
 @dataclass(frozen=True, eq=False)
 class SeenDetections:
-    """The table of detections, and what was left out.
+    """Table of detections, with refused rows.
 
     Attributes
     ----------
     columns : of the native table, by name, in the order of frames; ``track_id`` is −1
-    number : (n,) of each row's box
-    camera : over the ground
-    refused : why rows were left out, and how many
+    number : (n,) number of each row's box
+    camera : view of the ground
+    refused : number of refused rows, by reason
     """
 
     columns: dict[str, NDArray[Any]]
@@ -53,12 +53,12 @@ class SeenDetections:
 def scene_of(
     frames: Mapping[int, SeenFrame], camera: GroundCamera | None, *, causal: bool
 ) -> tuple[GroundCamera, Projection]:
-    """The camera, one by people's height where none is given, and how looks are described.
+    """Return the camera, or a scale from people's height, and the projection of appearance.
 
     Raises
     ------
     InputError
-        If nobody was seen.
+        If there are no observations.
     """
     if not any(known.people for known in frames.values()):
         raise InputError("a video without people", "at least one person")
@@ -78,13 +78,13 @@ def to_detections(
 
     Parameters
     ----------
-    frames : what was seen, by number; it is gone through two or three times
+    frames : observations by frame number; they are iterated two or three times
     head_classes, camera, clock, causal : as in `perception.observe.tables.to_tracks`
 
     Raises
     ------
     InputError
-        If nobody was seen, or all are beyond the horizon.
+        If there are no observations, or all are beyond the horizon.
     """
     camera, projection = scene_of(frames, camera, causal=causal)
     seen = sum(len(known.people) for known in frames.values())
@@ -107,11 +107,11 @@ def _channels(
     clock: float | Clock,
     projection: Projection,
 ) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Numbers (n,) of everybody on this side of the horizon, frame by frame, and the fields of their rows.
+    """Return numbers (n,) of all people within the horizon, frame by frame, and the fields of their rows.
 
     Parameters
     ----------
-    head_of : which candidate is the head; called in that order
+    head_of : returns the index of the head's candidate; called in that order
     """
     numbers: list[int] = []
     parts: list[dict[str, Any]] = []
@@ -140,7 +140,7 @@ def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
 
 
 def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]:
-    """Everybody, frame by frame, and in each by number."""
+    """Iterate over all people, by frame, then by number."""
     items: list[SeenPerson] = []
     for number in sorted(frames):
         items += sorted(frames[number].people, key=lambda item: item.track_id)
@@ -152,7 +152,7 @@ def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]
 
 
 def scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCamera:
-    """A view from above in which the median box, of the first frame if ``causal``, is as high as a person."""
+    """Return a scale at which the median box (of the first frame if ``causal``) has a person's height."""
     heights: list[float] = []
     for number in sorted(frames):
         heights += [item.height for item in frames[number].people]
@@ -162,7 +162,7 @@ def scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCam
 
 
 def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
-    """The one that keeps most of what people look like, as `Projection.fitted` of all of them."""
+    """Fit the projection of appearance to a sample of people, as `Projection.fitted`."""
     count = sum(item.looks is not None for known in frames.values() for item in known.people)
     step = -(-count // _LOOKS) or 1
     looks: list[NDArray[np.uint8]] = []
@@ -178,7 +178,7 @@ def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
 
 @dataclass(eq=False)
 class _Heads:
-    """The head's candidates in the frames of one track, in heights of the person: boxes and scores."""
+    """Head candidates in the frames of one track, in heights of the person: boxes and scores."""
 
     values: array[float] = field(default_factory=lambda: array("d"))
     count: array[int] = field(default_factory=lambda: array("H"))
@@ -199,8 +199,8 @@ class SeenTracks:
 
     Attributes
     ----------
-    tracks : with a row for each frame
-    heads : by the id of a track, which candidate is the head in each row, (n,)
+    tracks : with one row per frame
+    heads : by track id, the index of the head's candidate in each row, (n,)
     """
 
     tracks: TrackSet
@@ -217,22 +217,22 @@ def to_tracks(
 ) -> SeenTracks:
     """Return tracks with positions in metres and class likelihoods in the world frame.
 
-    People at or beyond the camera's horizon are left out, and counted by the summary.
+    People at or beyond the camera's horizon are refused, and counted in the summary.
 
     Parameters
     ----------
     frames : observations by number, each person once a frame; they are read three or four times
     head_classes : pan classes of ``SeenPerson.pan``
-    camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
+    camera : the ground plane; None: a scale at which the median box has a person's height
     clock : times of the frames, or frames a second
-    causal : whether rows are made of the frames up to their own alone: the heads are those that
-        `select_so_far` gives, the scale is that of the first frame and appearance is projected in a fixed
-        way. Else heads are chosen along whole tracks, and the projection is fitted to the recording.
+    causal : whether rows depend on past frames only: heads by `select_so_far`, the scale of the first frame
+        and a fixed projection of appearance. Else heads are chosen offline along each track, and the
+        projection is fitted to the recording.
 
     Raises
     ------
     InputError
-        If nobody was seen, or all are beyond the horizon.
+        If there are no observations, or all are beyond the horizon.
     """
     camera, projection = scene_of(frames, camera, causal=causal)
     candidates: dict[int, _Heads] = {}
@@ -258,12 +258,12 @@ def to_tracks(
 
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
 """The graph's smoother; Chen et al.'s joint particle filter, smoothed (``ffbs``) or online (``particle``);
-the graph online."""
+the graph's online engines."""
 FILTERS = ("ffbs", "particle")
-"""What a camera teaches itself of the graph's share of outliers is none of theirs: they forget as they go."""
+"""Particle filters; they do not use the camera's own ``class_outlier_probability``."""
 
 BOX = "box"
-"""The input of a track that says which box each row was seen in; NaN in rows of nothing."""
+"""Input of a track: the number of each row's box; NaN in rows without observation."""
 
 
 def numbered(tracks: TrackSet, boxes: Sequence[PersonBox]) -> TrackSet:
@@ -280,13 +280,13 @@ def numbered(tracks: TrackSet, boxes: Sequence[PersonBox]) -> TrackSet:
 def associated(
     columns: Mapping[str, NDArray[Any]], number: NDArray[np.int64], boxes: Sequence[PersonBox]
 ) -> TrackSet:
-    """Associate detections to tracks; each row has the number of its box as an input.
+    """Associate detections to tracks, with the number of each row's box as an input.
 
     Parameters
     ----------
     columns : as `perception.observe.tables.to_detections` makes them
-    number : (n,) of each row's box
-    boxes : that were looked at
+    number : (n,) number of each row's box
+    boxes : the observed boxes
 
     Raises
     ------
@@ -296,7 +296,9 @@ def associated(
     of_box = {item.track_id: k for k, item in enumerate(boxes)}
     found = associate({**columns, f"input_{BOX}": np.array([of_box[k] for k in number.tolist()], float)})
     if not len(found):
-        raise InputError("detections that are all taken for false", "people who are seen for a while")
+        raise InputError(
+            "detections that are all classified as clutter", "people who are observed for longer"
+        )
     return found
 
 
@@ -314,13 +316,13 @@ def estimated(
     tracks : of observations
     camera : over the ground
     method : one of `METHODS`
-    advance : is told of person-frames that are done
-    adapted : makes of a model that of the camera, as `CameraModels.graph`
+    advance : receives the number of completed person-frames
+    adapted : adapts a model to the camera, as `CameraModels.graph`
 
     Raises
     ------
     InputError
-        If nobody's track can be estimated.
+        If no track can be estimated.
     """
     chosen = make_method(method, adapted(own_model(method)))
     placed = replace(tracks, camera=camera)
@@ -337,5 +339,5 @@ def estimated(
             good.append(chosen.estimate(track, camera))
             advance(len(track))
     if not good:
-        raise InputError("no track that can be estimated", "people who are seen for a while")
+        raise InputError("no track that can be estimated", "people who are observed for longer")
     return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *said]

@@ -1,4 +1,4 @@
-"""Body pose in eight directions: multi-level HoG and sparse representation over samples (Chen et al. 2011,
+"""Body pose in eight directions: multi-level HoG and sparse representation by samples (Chen et al. 2011,
 §2.1)."""
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from perception.pose.features import fisher_projection, multi_level_hog, sparse_
 
 _WIDTH, _HEIGHT = 64, 128
 _LEVELS = ((4, 2), (8, 4))
-_LEAST = 1e-9  # A share below every other, whose logarithm is finite
+_LEAST = 1e-9  # floor of the shares, with a finite logarithm
 
 Projection = Literal["fisher", "none"]
 
@@ -26,16 +26,16 @@ Projection = Literal["fisher", "none"]
 class BodyPose(FeatureClassifier):
     """p(z|k) ∝ the weights of the samples of class k in the sparse, non-negative representation of z.
 
-    By default the samples are projected (Fisher) before; measured on rendered people, the mean error is 22°
-    then, and 29° after a projection on principal components. `as_published` is the paper's form.
+    By default the samples are projected (Fisher) first; on rendered people the mean error is 22°, and 29°
+    with a projection on principal components. `as_published` is the paper's form.
 
     Parameters
     ----------
     classes : by default 8 directions
-    samples : of each class in the dictionary
+    samples : number per class in the dictionary
     penalty : of the sum of the weights, for samples of unit length
     projection : of the features, "fisher" or "none" (Chen et al. (2011) represent the HoG itself)
-    floor : share of the weights that every class gets, so that none is impossible; 0 in Chen et al. 2011
+    floor : least share of the weights of each class, so that none is impossible; 0 in Chen et al. 2011
     calibrated : as in `FeatureClassifier`
     """
 
@@ -66,8 +66,7 @@ class BodyPose(FeatureClassifier):
 
     @classmethod
     def as_published(cls, *, seed: int = 0) -> Self:
-        """Chen et al. 2011, §2.1 as printed: the normalised weights of the classes, of the HoG itself, and
-        nothing else."""
+        """Return the form of Chen et al. 2011, §2.1: normalised weights of the classes, of the HoG."""
         return cls(seed=seed, projection="none", floor=0.0, calibrated=False)
 
     def features(self, images: Sequence[Image]) -> FloatArray:
@@ -75,7 +74,7 @@ class BodyPose(FeatureClassifier):
         return multi_level_hog(grey_stack(images, _WIDTH, _HEIGHT), _LEVELS)
 
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
-        """Projection, and a dictionary of as many samples of each class."""
+        """Fit the projection, and a dictionary with equally many samples of each class."""
         self._mean = features.mean(axis=0)
         if self.projection == "fisher":
             self._projection = fisher_projection(features, labels)

@@ -1,4 +1,4 @@
-"""AdaBoost on stumps, and boosted detectors of heads over blocks of gradients (Chen et al. 2011, §2.2)."""
+"""AdaBoost on stumps, and boosted head detectors on blocks of gradients (Chen et al. 2011, §2.2)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Stump:
 
 
 class Quantised:
-    """Features (n, d) as their rank among the ``LEVELS − 1`` thresholds of each, which are quantiles."""
+    """Quantise features (n, d) by the ``LEVELS − 1`` thresholds of each, which are quantiles."""
 
     def __init__(self, features: NDArray[np.float32]) -> None:
         shares = np.arange(1, LEVELS) / LEVELS
@@ -37,7 +37,7 @@ class Quantised:
             self.codes[j] = np.searchsorted(self.thresholds[:, j], features[:, j], side="left")
 
     def best_stump(self, weights: FloatArray, labels: NDArray[np.int64]) -> tuple[Stump, FloatArray]:
-        """The stump of least weighted error, and its votes ±1 (n,) on the samples.
+        """Return the stump of least weighted error, and its votes ±1 (n,) on the samples.
 
         Parameters
         ----------
@@ -56,14 +56,14 @@ class Quantised:
 def reweighted(
     weights: FloatArray, labels: NDArray[np.int64], votes: FloatArray, weight: float
 ) -> FloatArray:
-    """Weights (n,) of the next round: those of wrong samples grow (Freund & Schapire 1997)."""
+    """Return weights (n,) of the next round: those of wrong samples grow (Freund & Schapire 1997)."""
     grown = weights * np.exp(-weight * labels * votes)
     return np.asarray(grown / grown.sum(), float)
 
 
 @njit(cache=True)
 def _best(codes: Any, signed: Any) -> Any:
-    """Feature, level and edge Σ w·y·h of the stump sign(code > level) that has the largest |edge|."""
+    """Return feature, level and edge Σ w·y·h of the stump sign(code > level) with the largest |edge|."""
     best, feature, level = 0.0, 0, 0
     total = signed.sum()
     sums = np.zeros(32)
@@ -84,14 +84,14 @@ def _best(codes: Any, signed: Any) -> Any:
 Weak = Literal["differential", "fisher"]
 
 _PAIRS = np.array([(a, b) for a in range(BINS) for b in range(a + 1, BINS)])
-_RENEWED = 25  # rounds after which the Fisher discriminants are learned anew with the weights of then
+_RENEWED = 25  # rounds between updates of the Fisher discriminants with the current weights
 
 
 class BoostedBlocks:
     """H(p) = Σ_t α_t · sign(c_t · f_l(t)(p) − σ_t) over blocks l of 9 gradient directions each.
 
-    A differential weak classifier compares two directions: c_t has one +1 and one −1 (eq. 1). A Fisher one
-    weighs all nine.
+    A differential weak classifier compares two directions: c_t has one +1 and one −1 (eq. 1). A Fisher
+    classifier weights all nine.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class BoostedBlocks:
         Raises
         ------
         InputError
-            If there is only one kind of label, or no such weak classifier.
+            If there is only one kind of label, or the weak classifier is unknown.
         """
         if set(np.unique(labels)) != {-1, 1}:
             raise InputError("windows of one kind", "windows with and without heads, labelled 1 and -1")
@@ -158,7 +158,7 @@ class BoostedBlocks:
 
         Parameters
         ----------
-        rounds : how many of the weak classifiers vote, from the first; all by default
+        rounds : number of weak classifiers that vote, from the first; all by default
         normalised : whether histograms are divided by their sums, as in `block_histograms`
         """
         rows, columns = grid_lines(windows, integral.shape)
@@ -205,7 +205,7 @@ def _scores(
     weight: Any,
     normalised: bool,
 ) -> Any:
-    """Votes (n,): each looks at the four corners of its block, in the directions that it uses."""
+    """Return votes (n,), from the four corners of each block, in the directions used."""
     n = len(rows)
     total = np.zeros(n)
     for i in range(n):

@@ -1,4 +1,4 @@
-"""The classes into which poses are divided, and class likelihoods of the image as those of the world."""
+"""Pose classes, and the conversion of class likelihoods from the image to the world frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from graphtrack.geometry.angles import FloatArray, difference, direction, unit, 
 from graphtrack.geometry.camera import GroundCamera
 
 TILT_EDGE = float(np.pi / 6.0)
-"""Radians: beyond it a head looks up or down (Chen et al. 2011, §2.3)."""
+"""Radians: bound of the tilt classes up and down (Chen et al. 2011, §2.3)."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class PoseClasses:
 
     @property
     def all_around(self) -> bool:
-        """Return whether the pans go around the whole circle."""
+        """Return True if the pans cover the whole circle."""
         return bool(np.isclose(self.n_pan * self.step, 2.0 * np.pi))
 
     @property
     def pans(self) -> PoseClasses:
-        """The same without tilts."""
+        """Return the classes without tilts."""
         return PoseClasses(self.first, self.step, self.n_pan)
 
     @cached_property
@@ -103,10 +103,10 @@ def world_likelihood(
     camera: GroundCamera,
     position: FloatArray,
 ) -> FloatArray:
-    """Class likelihoods (n, n_wanted) in the world of those (n, n_pan) in the image, for people at (n, 2).
+    """Convert class likelihoods (n, n_pan) in the image to (n, n_wanted) in the world, for people at (n, 2).
 
-    The classes of the world are seen at other angles in the image, by the ray to each person (Chen et al.
-    2011, §3); there the likelihood is interpolated linearly. Rows sum to 1.
+    Each world class is turned by the ray to the person (Chen et al. 2011, §3), and the image likelihood is
+    interpolated linearly at that angle. Rows sum to 1.
     """
     n = len(position)
     at = np.stack([camera.image_angle(np.full(n, pan), position) for pan in wanted.pan], axis=1)
@@ -114,9 +114,9 @@ def world_likelihood(
 
 
 def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: PoseClasses) -> FloatArray:
-    """Likelihoods (n, n_wanted) of other classes of the image than those (n, n_pan) that are known.
+    """Resample likelihoods (n, n_pan) of image classes to (n, n_wanted) other image classes.
 
-    They are interpolated linearly between the centres. Rows sum to 1.
+    Interpolation between the centres is linear. Rows sum to 1.
     """
     at = np.broadcast_to(wanted.pan, (len(np.asarray(log_likelihood)), wanted.n_pan))
     return _likelihood_at(log_likelihood, classes, at)
@@ -128,7 +128,7 @@ def _likelihood_at(log_likelihood: ArrayLike, classes: PoseClasses, angle: Float
 
 
 def interpolated(values: FloatArray, classes: PoseClasses, angle: FloatArray) -> FloatArray:
-    """Values (n, n_pan) of classes all around, at angles (n, k) between their centres."""
+    """Interpolate values (n, n_pan) of classes of the whole circle at angles (n, k)."""
     place = np.mod(angle - classes.first, 2.0 * np.pi) / classes.step
     lower: NDArray[np.int64] = np.floor(place).astype(np.int64)
     share = place - lower

@@ -1,4 +1,4 @@
-"""Pose classifiers: what all have in common (fit, calibrated log likelihoods, file), and their errors."""
+"""Base of pose classifiers (fit, calibrated log likelihoods, file), and their errors."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from perception.storage import ModelCard, Stored
 
 
 def fit_temperature(scores: FloatArray, labels: NDArray[np.int64], *, groups: int = 1) -> float:
-    """The t > 0 for which softmax(scores / t) has the highest likelihood of the labels.
+    """Return t > 0 for which softmax(scores / t) has the highest likelihood of the labels.
 
     Parameters
     ----------
     scores : (n, groups · k) log likelihoods up to a constant a row, of samples that were not fitted
     labels : (n,) true classes, 0 to k − 1
-    groups : classes that are alike but for their group are added up first, as tilts are
+    groups : number of groups; classes are summed over groups first, as tilts are
     """
     rows = np.arange(len(labels))
 
@@ -40,7 +40,7 @@ def fit_temperature(scores: FloatArray, labels: NDArray[np.int64], *, groups: in
 
 
 def with_neighbours(probability: FloatArray, share: float) -> FloatArray:
-    """Probabilities (..., k) around a circle, of which each class gives ``share`` to both neighbours."""
+    """Smooth probabilities (..., k) around a circle: each class gives ``share`` to both neighbours."""
     beside = np.roll(probability, 1, axis=-1) + np.roll(probability, -1, axis=-1)
     return np.asarray((1.0 - 2.0 * share) * probability + share * beside, float)
 
@@ -48,10 +48,10 @@ def with_neighbours(probability: FloatArray, share: float) -> FloatArray:
 def fit_temperature_and_share(
     scores: FloatArray, labels: NDArray[np.int64], *, groups: int = 1
 ) -> tuple[float, float]:
-    """Temperature and `with_neighbours` share of the highest likelihood of the labels, together.
+    """Fit temperature and `with_neighbours` share jointly by the likelihood of the labels.
 
-    A temperature alone must also make up for angles near the border of two classes, and leaves the surest
-    answers too sure. The parameters are those of `fit_temperature`, for classes all around a circle.
+    With a temperature only, angles near class borders make the most confident outputs overconfident. The
+    parameters are those of `fit_temperature`, for classes of the whole circle.
     """
     rows = np.arange(len(labels))
     start = np.log(fit_temperature(scores, labels, groups=groups))
@@ -67,7 +67,7 @@ def fit_temperature_and_share(
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """Confidence against accuracy in bins of confidence.
+    """Reliability curve: confidence against accuracy in bins of confidence.
 
     Attributes
     ----------
@@ -81,12 +81,12 @@ class Reliability:
 
     @property
     def expected_calibration_error(self) -> float:
-        """Mean |confidence − accuracy|, weighted by the samples."""
+        """Return the mean |confidence − accuracy|, weighted by the samples."""
         return float(np.average(np.abs(self.confidence - self.accuracy), weights=self.count))
 
 
 def reliability(log_likelihood: FloatArray, labels: NDArray[np.int64], bins: int = 15) -> Reliability:
-    """The reliability curve of the most likely class, for a uniform prior over the classes.
+    """Return the reliability curve of the most likely class, for a uniform prior over the classes.
 
     Parameters
     ----------
@@ -106,19 +106,19 @@ _BATCH = 256
 
 
 class FeatureClassifier(Stored):
-    """A classifier that scores feature vectors, calibrated by a temperature and a share for neighbours.
+    """Classifier that scores feature vectors, calibrated by a temperature and a share for neighbours.
 
-    A fifth of the images is held out of the fit; on it the two are chosen and the figures of the card are
-    measured, for the pans, since tilts are summed out before use. The other images are taken with their
-    reflections, so that left and right come equally often (Baxter et al. 2014, §III-C). The model is not
-    fitted to all images afterwards: measured on rendered people, the temperature of the first fit then no
-    longer suits it (expected calibration error 0.08 in place of 0.05).
+    Temperature and share are fitted, and the figures of the card measured, on a held-out fifth of the images,
+    for the pans, since tilts are summed out before use. The other images are used with their reflections, so
+    that left and right are equally frequent (Baxter et al. 2014, §III-C). The model is not refitted to all
+    images, since the temperature would no longer fit (on rendered people the expected calibration error
+    would be 0.08 instead of 0.05).
 
     Parameters
     ----------
     classes : the classes of the labels
-    seed : of everything random in the fit
-    calibrated : whether the fit chooses temperature and share; the papers' likelihoods have neither
+    seed : of all random numbers in the fit
+    calibrated : whether temperature and share are fitted; the papers' likelihoods have neither
     """
 
     options: ClassVar[tuple[str, ...]] = ()
@@ -135,7 +135,7 @@ class FeatureClassifier(Stored):
 
     @abstractmethod
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
-        """Learn from features (n, d) and labels (n,)."""
+        """Fit to features (n, d) and labels (n,)."""
 
     @abstractmethod
     def scores(self, features: FloatArray) -> FloatArray:
@@ -143,10 +143,10 @@ class FeatureClassifier(Stored):
 
     @abstractmethod
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take over what `arrays` gave."""
+        """Restore the state from `arrays`."""
 
     def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
-        """Learn from images (h, w, 3) or (h, w) uint8 and class indices (n,).
+        """Fit to images (h, w, 3) or (h, w) uint8 and class indices (n,).
 
         Raises
         ------
@@ -174,7 +174,7 @@ class FeatureClassifier(Stored):
         return self
 
     def calibrate(self, images: Sequence[Image], pan: ArrayLike) -> Self:
-        """Choose the temperature anew, on images (of use, say) whose pans (n,) in radians are known."""
+        """Refit the temperature on images with known pans (n,) in radians, as in the application."""
         of_pan = self.classes.pans
         labels = check_labels(images, of_pan.index(pan), self.classes.n_pan, least=0)
         self._fit_calibration(self._all_scores(images), labels)
@@ -187,7 +187,7 @@ class FeatureClassifier(Stored):
         return self.log_likelihoods([image])[0]
 
     def log_likelihoods(self, images: Sequence[Image]) -> FloatArray:
-        """The same for many images at once, (n, n_classes)."""
+        """Return calibrated log likelihoods (n, n_classes) of images."""
         if not len(images):
             return np.zeros((0, len(self.classes)))
         return self._calibrated(self._all_scores(images))
@@ -221,7 +221,7 @@ class FeatureClassifier(Stored):
 
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
-        """The classifier of a file."""
+        """Load the classifier of a file."""
         parameters = card.parameters
         model = cls(PoseClasses(**parameters["classes"]), seed=parameters["seed"], **parameters["settings"])
         model.temperature, model.card = float(parameters["temperature"]), card
@@ -241,7 +241,7 @@ def _in_batches(function: Callable[[Sequence[Image]], FloatArray], images: Seque
 def check_labels(
     images: Sequence[Image], labels: ArrayLike, n_classes: int, *, least: int = 2
 ) -> NDArray[np.int64]:
-    """Labels as integers (n,), after checks.
+    """Return checked labels as integers (n,).
 
     Raises
     ------
@@ -267,7 +267,7 @@ def check_labels(
 def split(
     labels: NDArray[np.int64], share: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of two parts, the second with about ``share`` of each class and at least one of it."""
+    """Return indices of two parts, the second with about ``share``, and at least one, of each class."""
     second = np.zeros(len(labels), bool)
     for k in np.unique(labels):
         members = np.flatnonzero(labels == k)
@@ -282,7 +282,7 @@ class PoseScores:
     Attributes
     ----------
     mean_error, median_error : degrees, of the centre of the most likely pan class
-    accuracy : share of the most likely pan classes that are right; ``within_one`` counts neighbours too
+    accuracy : share of correct most likely pan classes; ``within_one`` also counts neighbours
     reliability : confidence against accuracy of the pan classes
     confusion : (n_pan, n_pan) images by true (row) and most likely (column) pan class
     """
@@ -311,7 +311,7 @@ class PoseScores:
 
 
 def evaluate(classifier: FeatureClassifier, images: Sequence[Image], pan: ArrayLike) -> PoseScores:
-    """Judge a classifier on images whose pan (n,) in radians is known."""
+    """Evaluate a classifier on images with known pans (n,) in radians."""
     classes, pan = classifier.classes, np.asarray(pan, float)
     found = classifier.log_likelihoods(images)
     of_pan = classes.pan_log_likelihood(found)

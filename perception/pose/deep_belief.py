@@ -1,6 +1,6 @@
 """Head pose by a deep belief network on equalised pixels (Baxter et al. 2014, §III-C).
 
-PyTorch learns the network (`perception.pose.deep_belief_training`, extra ``train``); NumPy runs it.
+PyTorch trains the network (`perception.pose.deep_belief_training`, extra ``train``); NumPy evaluates it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from perception.pose.classes import PoseClasses
 from perception.pose.classifier import FeatureClassifier
 
 SIDE = 32
-"""Pixels of the equalised head's side."""
+"""Side of the equalised head, pixels."""
 
 
 class DeepBelief(FeatureClassifier):
@@ -34,7 +34,7 @@ class DeepBelief(FeatureClassifier):
     units : of the hidden layers
     epochs : of the training of all layers
     pretraining_epochs : of each Boltzmann machine; 0 for none
-    dropout : share of the first layer's units that is left out at every step of the training
+    dropout : share of the first layer's units that is dropped in each training step
     """
 
     kind: ClassVar[str] = "deep_belief"
@@ -67,7 +67,7 @@ class DeepBelief(FeatureClassifier):
 
     @staticmethod
     def check_trainable() -> None:
-        """Refuse training where it cannot be done; before images are made for it, say.
+        """Check that training is possible.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class DeepBelief(FeatureClassifier):
         return values
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Weights as whole numbers of a step for each unit (which costs no accuracy), steps and biases."""
+        """Return weights quantised per unit (without loss of accuracy), steps and biases."""
         arrays: dict[str, NDArray[Any]] = {}
         for k, (weight, bias) in enumerate(self._layers):
             step = np.maximum(np.abs(weight).max(axis=0), 1e-12) / 127.0
@@ -120,7 +120,7 @@ class DeepBelief(FeatureClassifier):
         return arrays
 
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take over what `arrays` gave."""
+        """Restore the state from `arrays`."""
         self._layers = [
             (arrays[f"weight_{k}"] * arrays[f"step_{k}"], arrays[f"bias_{k}"])
             for k in range(len(self.units) + 1)

@@ -23,8 +23,8 @@ class Training:
     Attributes
     ----------
     epochs, pretraining_epochs : passes over the images, of all layers together and of each Boltzmann machine
-    dropout : share of the first layer's units that is left out
-    seed : of everything random
+    dropout : share of the first layer's units that is dropped
+    seed : of all random numbers
     """
 
     epochs: int
@@ -36,7 +36,7 @@ class Training:
 def trained_network(
     inputs: NDArray[np.float32], labels: NDArray[np.int64], units: tuple[int, ...], training: Training
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Weights (inputs, units) and biases (units,) of every layer.
+    """Train the network; return weights (inputs, units) and biases (units,) of every layer.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ def trained_network(
     units : of every layer; the last are the classes
     """
     mean, deviation = inputs.mean(axis=0), max(float(inputs.std()), 1e-6)
-    with torch.random.fork_rng(devices=[]):  # the caller's random numbers stay as they are
+    with torch.random.fork_rng(devices=[]):  # keeps the caller's random state
         torch.manual_seed(training.seed)
         x = torch.from_numpy((inputs - mean) / np.float32(deviation))
         layers = _pretrained(x, units, training)
         _fine_tune(layers, x, torch.from_numpy(labels), training)
     found = [(w.detach().numpy(), b.detach().numpy()) for w, b in layers]
-    # Pixels come as they are, so the first layer takes the standardisation over.
+    # Inputs at inference are raw pixels, so the first layer includes the standardisation.
     first, bias = found[0]
     found[0] = (first / np.float32(deviation), bias - mean @ first / np.float32(deviation))
     return found
@@ -64,7 +64,7 @@ def _pretrained(
     for count in units[:-1]:
         machine = boltzmann_machine(x, count, training.pretraining_epochs)
         x = torch.relu(x @ machine.weight + machine.hidden)
-        spread = x.std() + 1e-6  # the next machine sees values of unit spread
+        spread = x.std() + 1e-6  # unit spread for the next machine
         layers.append((machine.weight / spread, machine.hidden / spread))
         x = x / spread
     last = torch.randn(units[-2] if len(units) > 1 else x.shape[1], units[-1]) * _START_DEVIATION
@@ -81,7 +81,7 @@ class BoltzmannMachine:
 
 
 def boltzmann_machine(x: torch.Tensor, count: int, epochs: int) -> BoltzmannMachine:
-    """A machine of ``count`` hidden units for inputs (n, d) of about unit spread.
+    """Train a machine of ``count`` hidden units on inputs (n, d) of about unit spread.
 
     One step of contrastive divergence a batch; visible units are Gaussian, hidden ones noisy and rectified.
     """

@@ -1,7 +1,7 @@
 """Head pose by exemplars in the responses of a Gaussian and three Gabor wavelets (Ba & Odobez 2003, §2).
 
-Measured on rendered heads of 16–32 pixels, 20 exemplars a class, mean error of the most likely pan: 28° with
-eq. 3–5 as they are, 26° with a weight for each filter. Both are here.
+Mean error of the most likely pan on rendered heads of 16–32 pixels, 20 exemplars per class: 28° with eq. 3–5,
+26° with a weight for each filter. Both are implemented.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ SATURATION = -3.0
 SMALLEST_DEVIATION = 0.2
 """Floor of the deviations, except in the form as published."""
 ALMOST_ZERO = 0.01
-"""Deviation in place of 0 in the form as published: eq. 4 divides by it, and a cluster of one image has 0."""
-_FEW = 3  # exemplars of so few images take the deviations of their class, unless plain
+"""Deviation instead of 0 in the published form: eq. 4 divides by it, and it is 0 for a single image."""
+_FEW = 3  # exemplars of at most so many images take the deviations of their class, unless plain
 
 _FILTERS = 1 + len(SCALES)
-_WEIGHED_ON = 1200  # images that choose the weights of the filters, at most
+_WEIGHED_ON = 1200  # most images for fitting the weights of the filters
 _SEARCH = 70
 CENTRE_STEP, DEVIATION_STEP = 0.05, 0.02
-"""Centres and deviations are whole numbers of these steps; responses are normalised, so of order 1."""
+"""Quantisation step of centres and deviations; normalised responses are of order 1."""
 
 
 class Exemplars(FeatureClassifier):
     """p(z|θ) = Σ_k π_k Π_i (σ_ki⁻¹ · max{exp(−½((z_i − e_ki)/σ_ki)²), T})^λ, eq. 3–5 with λ = 1.
 
-    Neighbouring responses say nearly the same, and those of the finest wavelet are mostly noise in small
-    heads; ``weigh_filters`` chooses one λ for each of the four filters, as Chen et al. (2011) choose its λ:
-    that of the highest likelihood on images that the exemplars were not made of.
+    Neighbouring responses are strongly correlated, and those of the finest wavelet are mostly noise in small
+    heads; ``weigh_filters`` fits one λ for each of the four filters by likelihood on held-out images, as Chen
+    et al. (2011) fit λ.
 
     Parameters
     ----------
@@ -53,9 +53,9 @@ class Exemplars(FeatureClassifier):
     exemplars : k-means centres for each class
     density : "saturated" (T = e⁻³) or "gaussian" (T = 0)
     weigh_filters : whether filters have weights; without, λ = 1 as in the paper
-    plain : Ba & Odobez 2003, §2 as printed: deviations are those of each cluster, however small the
-        cluster or the deviation, and images keep their means. By default deviations are at least 0.2,
-        clusters of up to three images take those of their class, and images lose their means.
+    plain : Ba & Odobez 2003, §2 as published: deviations of each cluster, of any size, and images with their
+        means. By default deviations are at least 0.2, clusters of up to three images take those of their
+        class, and means of images are subtracted.
     calibrated : as in `FeatureClassifier`
     """
 
@@ -93,7 +93,7 @@ class Exemplars(FeatureClassifier):
         exemplars: int = 4,
         density: Density = "saturated",
     ) -> Self:
-        """Ba & Odobez 2003, §2 as printed: plain exemplars, λ = 1, uncalibrated."""
+        """Return the form of Ba & Odobez 2003, §2: plain exemplars, λ = 1, uncalibrated."""
         return cls(classes, seed=seed, exemplars=exemplars, density=density, plain=True, calibrated=False)
 
     def features(self, images: Sequence[Image]) -> FloatArray:
@@ -102,7 +102,7 @@ class Exemplars(FeatureClassifier):
         return gabor_features(stack, subtract_mean=not self.plain)
 
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
-        """Exemplars, deviations and weights of every class, and the weights of the filters."""
+        """Fit exemplars, deviations and weights of every class, and the weights of the filters."""
         if self.weigh_filters:
             made_of, others = split(labels, 0.2, rng)
             others = rng.permutation(others)[:_WEIGHED_ON]
@@ -160,7 +160,7 @@ class Exemplars(FeatureClassifier):
         }
 
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take over what `arrays` gave."""
+        """Restore the state from `arrays`."""
         self.centre, self.deviation = arrays["centre"], arrays["deviation"]
         if not self.plain:
             self.centre, self.deviation = from_steps(self.centre, self.deviation)
@@ -190,7 +190,7 @@ def filter_log_densities(
 def in_steps(
     centre: NDArray[np.float32], deviation: NDArray[np.float32]
 ) -> tuple[NDArray[np.int8], NDArray[np.uint8]]:
-    """Exemplars as whole numbers of steps, as far as the kinds of numbers reach, for a file."""
+    """Quantise exemplars, within the range of the integer types, for a file."""
     return (
         np.clip(np.rint(centre / CENTRE_STEP), -128, 127).astype(np.int8),
         np.clip(np.rint(deviation / DEVIATION_STEP), 0, 255).astype(np.uint8),
@@ -200,7 +200,7 @@ def in_steps(
 def from_steps(
     centre: NDArray[Any], deviation: NDArray[Any]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The inverse of `in_steps`."""
+    """Invert `in_steps`."""
     return (
         centre.astype(np.float32) * np.float32(CENTRE_STEP),
         deviation.astype(np.float32) * np.float32(DEVIATION_STEP),
@@ -217,14 +217,14 @@ def _mixed(
 def _best_exponents(
     by_filter: NDArray[np.float32], log_weight: NDArray[np.float32], labels: NDArray[np.int64]
 ) -> FloatArray:
-    """λ (4,) of the highest likelihood of the labels."""
+    """Return λ (4,) of the highest likelihood of the labels."""
     rows = np.arange(len(labels))
 
     def loss(log_exponent: FloatArray) -> float:
         scores = _mixed(by_filter, log_weight, np.exp(log_exponent))
         return -float(log_softmax(scores, axis=1)[rows, labels].mean())
 
-    start = np.full(_FILTERS, -np.log(30.0))  # 191 responses are worth about six that are independent
+    start = np.full(_FILTERS, -np.log(30.0))  # 191 responses correspond to about six independent responses
     return np.exp(minimize(loss, start, method="Nelder-Mead", options={"maxfev": _SEARCH}).x)
 
 
@@ -232,7 +232,7 @@ def _best_exponents(
 def _log_densities(z: Any, centre: Any, inverse: Any, floor: Any, filters: int) -> Any:
     """Σ max(−½((z_i − e_ki)/σ_ki)², floor) over the responses of each filter: (n, classes, k, filters).
 
-    Slices and the written-out maximum let the compiler use vector instructions: six times as fast.
+    Slices and the explicit maximum let the compiler vectorise, which is six times as fast.
     """
     n, (classes, k, d) = len(z), centre.shape
     size = d // filters

@@ -3,8 +3,8 @@
 Histograms of oriented gradients, and those of all rectangles on a 6 × 6 grid by integral histograms (Chen et
 al. 2011, §2.2–2.3); a Gaussian and three rotation-invariant Gabor wavelets at the points of a disc (Ba &
 Odobez 2003, §2.1); skin by colour histograms (Jones & Rehg 2002); Fisher projection and sparse combinations.
-Appearance is described by parts of the body weighed towards its axis, as SDALF (Farenzena et al., CVPR 2010),
-in CIE L*a*b* with gradients; of square roots, so that Euclidean distances are Hellinger's.
+Appearance is described by parts of the body weighted towards its axis, as in SDALF (Farenzena et al., CVPR
+2010), in CIE L*a*b* with gradients; with square roots, so that Euclidean distances are Hellinger distances.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def block_corners() -> NDArray[np.int64]:
 def integral_histogram(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Sums (h + 1, w + 1, 10) of gradient magnitude above and left of each corner.
 
-    The first nine are by unsigned orientation, the last is of all of them.
+    The first nine are by unsigned orientation, the last is their sum.
     """
     across, down = gradients(grey[None])
     return np.asarray(_integral(across[0], down[0]), np.float32)
@@ -172,7 +172,7 @@ SCALES = (1.0, 2.0, 4.0)
 FREQUENCIES = (0.5, 0.25, 0.125)
 _SPACING = 4
 _GAUSSIAN_SIGMA = 2.0
-_NOTHING = 1e-30  # smaller weights are 0: subnormal numbers are multiplied up to 20 times slower
+_NOTHING = 1e-30  # smaller weights are 0: arithmetic on subnormal numbers is up to 20 times slower
 
 
 def rotation_invariant_gabor(radius: FloatArray, sigma: float, frequency: float) -> FloatArray:
@@ -188,7 +188,7 @@ def grid() -> NDArray[np.int64]:
     """The 191 points (191, 2) of the grid, x and y in pixels from 0.
 
     The paper's pixels count from 1, its disc has centre (32.5, 32.5) and radius 31.5; every fourth pixel
-    inside it gives exactly the 191 points that it states.
+    inside it gives exactly its 191 points.
     """
     x, y = np.meshgrid(np.arange(_SPACING - 1, SIDE, _SPACING), np.arange(_SPACING - 1, SIDE, _SPACING))
     points = np.column_stack([x.ravel(), y.ravel()])
@@ -197,7 +197,7 @@ def grid() -> NDArray[np.int64]:
 
 @lru_cache(maxsize=1)
 def filter_bank() -> NDArray[np.float32]:
-    """The four filters at the points of the grid as one matrix (4·191, 64·64); beyond the image they end."""
+    """Return the four filters at the grid points as a matrix (4·191, 64·64), cut off at the border."""
     x, y = np.meshgrid(np.arange(SIDE), np.arange(SIDE))
     rows = []
     points = grid()
@@ -218,7 +218,7 @@ def gabor_features(images: NDArray[np.uint8], *, subtract_mean: bool = True) -> 
     Parameters
     ----------
     subtract_mean : whether an image loses its mean first. Filters end at the border, where an image without
-        its mean loses nothing but detail. Ba & Odobez (2003) do not subtract it.
+        its mean loses only detail. Ba & Odobez (2003) do not subtract it.
     """
     n = len(images)
     values = np.asarray(images, np.float32).reshape(n, -1)
@@ -238,13 +238,13 @@ MASK_SIDE = 20
 
 @dataclass(frozen=True, eq=False)
 class SkinColours:
-    """Probabilities of skin by colour.
+    """Skin probabilities by colour.
 
     Attributes
     ----------
     probability : of skin; (16, 16, 16) for bins of relative brightness, log red/green and log green/blue, or
         (32, 32, 32) for bins of blue, green and red, as Jones & Rehg (2002) have them
-    threshold : from which probability a pixel counts as skin
+    threshold : least probability of a skin pixel
     """
 
     probability: FloatArray
@@ -254,14 +254,14 @@ class SkinColours:
     def fit(
         cls, images: Sequence[Image], masks: Sequence[NDArray[np.bool_]], *, as_published: bool = False
     ) -> SkinColours:
-        """Learn from images (h, w, 3) and masks (h, w) of their skin; both kinds weigh the same.
+        """Fit to images (h, w, 3) and masks (h, w) of their skin; both classes have equal weight.
 
         The counts are smoothed a little over neighbouring colours.
 
         Parameters
         ----------
         as_published : the detector of Jones & Rehg (2002), which Chen et al. (2011) use: counts of 32³ bins
-            of blue, green and red, not smoothed. A colour that was never seen is not skin.
+            of blue, green and red, not smoothed. Unobserved colours are not skin.
         """
         bins = RGB_BINS if as_published else SKIN_BINS
         skin, other = np.zeros(bins**3), np.zeros(bins**3)
@@ -324,7 +324,7 @@ _DIRECTIONS = 30
 
 
 def fisher_projection(features: FloatArray, labels: NDArray[np.int64]) -> FloatArray:
-    """The directions (d, k) that separate the classes best, with unit spread within the classes."""
+    """Return Fisher's discriminant directions (d, k), with unit spread within the classes."""
     count = np.bincount(labels)
     used = np.flatnonzero(count)
     means = np.array([features[labels == k].mean(axis=0) for k in used])
@@ -353,8 +353,8 @@ def sparse_weights(
 
     Notes
     -----
-    FISTA (Beck & Teboulle 2009): every step is two matrix products for the whole batch, where coordinate
-    descent takes one sample at a time (scikit-learn: 7 ms a sample with 800 atoms, this: below 1 ms).
+    FISTA (Beck & Teboulle 2009): each step is two matrix products for the whole batch, while coordinate
+    descent processes one sample at a time (scikit-learn: 7 ms per sample with 800 atoms, this: below 1 ms).
     """
     step = 1.0 / np.linalg.norm(dictionary, 2) ** 2
     weights = np.zeros((len(samples), len(dictionary)))
@@ -369,35 +369,35 @@ def sparse_weights(
 
 
 HEIGHT, WIDTH = 64, 24
-"""Pixels to which a person's picture is brought."""
+"""Size in pixels to which a person's crop is resized."""
 PARTS = ((0, 11), (11, 22), (22, 33), (33, 57))
-"""Rows of the head, the chest, the waist, the legs. Below are the ground and the shadow."""
+"""Rows of head, chest, waist and legs; the rows below show ground and shadow."""
 LEVELS = (6, 5, 5)
 """Bins of L*, a* and b*."""
-_TEXTURED = ((1, 4), (4, 7))  # eighths of the height whose gradients count: trunk and legs
+_TEXTURED = ((1, 4), (4, 7))  # eighths of the height with gradients: trunk and legs
 _CHROMA = 15.0  # centres of the outermost bins of a* and b*: clothes have little colour
 _AXIS = 0.18  # 1-σ of the weight of columns, in widths: the border is background
 
 _COLOURS = len(PARTS) * int(np.prod(LEVELS))
 LENGTH = _COLOURS + len(_TEXTURED) * BINS
-"""Numbers of a description before it is projected."""
+"""Length of a descriptor before projection."""
 
 Looks = NDArray[np.uint8]
-"""(n, `LENGTH`) square roots of histograms, in 255ths: they are kept of all detections of a recording."""
+"""(n, `LENGTH`) square roots of histograms, in 255ths, to store all detections of a recording."""
 
 
 def light_of(image: Image) -> FloatArray:
-    """The median L*, a* and b* (3,) of a frame (h, w, 3): exposure, and the colour of the light."""
+    """Return the median L*, a* and b* (3,) of a frame (h, w, 3): exposure and colour of the light."""
     few = np.ascontiguousarray(image[::8, ::8])
     return np.asarray(np.median(_lab(few).reshape(-1, 3), axis=0), float)
 
 
 def describe(pictures: Sequence[Image], light: FloatArray) -> Looks:
-    """Descriptions (n, `LENGTH`) of the pictures (h, w, 3) of people, each cut out of one frame.
+    """Return appearance descriptors (n, `LENGTH`) of crops (h, w, 3) of people in one frame.
 
     Parameters
     ----------
-    light : (3,) of that frame, as `light_of` has it; colours are relative to it
+    light : (3,) of that frame, from `light_of`; colours are relative to it
     """
     n = len(pictures)
     if not n:
@@ -440,7 +440,7 @@ def _colours(lab: NDArray[np.float32]) -> FloatArray:
 
 
 def _textures(brightness: NDArray[np.uint8]) -> FloatArray:
-    """Shares (n, parts · 9) of the orientations of gradients of (n, h, w); small where all is even."""
+    """Return shares (n, parts · 9) of gradient orientations of (n, h, w); small in uniform regions."""
     cells = cell_histograms(brightness, 8, 2).sum(axis=2)
     parts = np.stack([cells[:, top:bottom].sum(axis=1) for top, bottom in _TEXTURED], axis=1)
     return np.asarray((parts / (parts.sum(axis=2, keepdims=True) + 100.0)).reshape(len(parts), -1), float)
@@ -448,7 +448,7 @@ def _textures(brightness: NDArray[np.uint8]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """From descriptions to the numbers that a table has.
+    """Projection of appearance descriptors to the columns of a table.
 
     Attributes
     ----------
@@ -460,12 +460,12 @@ class Projection:
     basis: FloatArray
 
     def __call__(self, looks: Looks) -> FloatArray:
-        """Numbers (n, size) to four decimals, of descriptions (n, `LENGTH`); most are within ±1."""
+        """Project descriptors (n, `LENGTH`) to (n, size), with four decimals; most are within ±1."""
         return np.asarray(np.round((looks / 255.0 - self.mean) @ self.basis, 4), float)
 
     @classmethod
     def fitted(cls, looks: Looks, size: int = 32) -> Projection:
-        """The principal components of a recording; of less than 2 · ``size`` people, `fixed`."""
+        """Fit the principal components of a recording; with less than 2 · ``size`` people, `fixed`."""
         if len(looks) < 2 * size:
             return cls.fixed()
         some = looks[:: -(-len(looks) // 8192)] / 255.0
@@ -475,9 +475,9 @@ class Projection:
 
     @classmethod
     def fixed(cls, size: int = 64) -> Projection:
-        """A random projection, the same always: it keeps distances nearly (Johnson & Lindenstrauss 1984).
+        """Return a constant random projection, which nearly keeps distances (Johnson & Lindenstrauss 1984).
 
-        For streams, of which nothing is known beforehand.
+        It serves streams, where nothing is known in advance.
         """
         columns = np.random.default_rng(0).normal(size=(LENGTH, size))
         return cls(np.zeros(LENGTH), np.asarray(np.linalg.qr(columns)[0], float))

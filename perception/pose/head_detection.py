@@ -1,7 +1,7 @@
 """Head candidates in the box of a person, and their temporal filtering (Chen et al. 2011, §2.2).
 
 The paper asks for "a separate and simple temporal filtering on the head location candidates by enforcing a
-head location smoothness over time", and does not say which.
+head location smoothness over time", without details.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from perception.pose.features import block_histograms, corner_sums, integral_his
 from perception.storage import ModelCard, Stored
 
 _HEIGHT = 128  # rows to which a person's box is resized
-_WIDEST = 4 * _HEIGHT  # columns to which it is resized at most: who is in a box of another shape is squeezed
+_WIDEST = 4 * _HEIGHT  # largest number of columns; wider boxes are compressed
 _HEAD_HEIGHTS = (14.0, 17.0, 20.0, 24.0)
 _ASPECTS = (0.68, 0.85)
 _STEP = 2.5
@@ -34,7 +34,7 @@ _OVERLAP = 0.2
 _FIRST_ROUNDS, _KEPT = 30, 250
 _NEGATIVE_OVERLAP = 0.35
 _HELD_OUT = 0.2
-_ANYTHING = -1e6  # A threshold below every score
+_ANYTHING = -1e6  # threshold below every score
 _PLACE_WEIGHTS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1)  # costs of a squared deviation
 
 
@@ -47,22 +47,21 @@ class HeadCandidates:
 
 
 class HeadLocaliser(Stored):
-    """Finds heads in crops of people; there is always at least one.
+    """Localise heads in crops of people; at least one candidate is returned.
 
-    A window's score is the detector's, less a cost for a place where heads seldom are in the box of a person
-    (squared deviations of its centre and size): a jacket can look as round as a head.
+    A window's score is the detector's, minus a cost for positions where heads are rare in the box of a person
+    (squared deviations of its centre and size), since clothes can resemble a head.
 
     Parameters
     ----------
     weak : "differential" (eq. 1) or "fisher" (the comparison in Chen et al.'s Table 1)
     rounds : of AdaBoost
     seed : of the choice of training windows
-    plain : the search of Chen et al. 2011, §2.2: windows all over the box, each judged by all weak
-        classifiers alone, and the best one of a heap is its head (`as_published` is all of §2.2). By default
-        heads lie in the upper part, their place costs, the first 30 classifiers choose the 250 windows that
-        the others judge, and those about the best are averaged.
-    around : size of the window that is judged, in sizes of the head: 1.3 holds the outline; in the paper the
-        window is the head
+    plain : the search of Chen et al. 2011, §2.2: windows in the whole box, scored by all weak classifiers
+        only, with the best window of each cluster (`as_published` is all of §2.2). By default heads lie in
+        the upper part, with a position cost; the first 30 classifiers select 250 windows for the others, and
+        windows around the best are averaged.
+    around : size of the scored window, in sizes of the head: 1.3 includes the outline; in the paper 1
     normalised : whether the histogram of a block is divided by its sum; in the paper it is not
     """
 
@@ -87,14 +86,14 @@ class HeadLocaliser(Stored):
 
     @classmethod
     def as_published(cls, *, seed: int = 0) -> Self:
-        """Chen et al. 2011, §2.2 as printed: plain, sums of gradients, in the window of the head."""
+        """Return the form of Chen et al. 2011, §2.2: plain, sums of gradients, in the window of the head."""
         return cls(seed=seed, plain=True, around=1.0, normalised=False)
 
     def fit(self, images: Sequence[Image], head_boxes: ArrayLike, *, negatives: int = 4) -> Self:
         """Learn from crops of people and their head boxes (n, 4).
 
-        A fifth of the images is held out; on it the weight of the place is chosen, for the best overlap of
-        the first candidate, and the threshold for further candidates, so that there are two on average.
+        On a held-out fifth of the images the weight of the position is chosen by the overlap of the first
+        candidate, and the threshold of further candidates so that there are two on average.
 
         Raises
         ------
@@ -138,13 +137,13 @@ class HeadLocaliser(Stored):
                 best, others = float(mean), np.concatenate([f.scores[1:] for f in found])
             else:
                 self._place_weight = before
-        others = np.sort(others)[::-1]  # one more on average beside the best
+        others = np.sort(others)[::-1]  # one more on average in addition to the best
         self.threshold = float(others[len(rest)]) if len(others) > len(rest) else _ANYTHING
         self.card = replace(self.card, images=len(images))
         return self
 
     def locate(self, image: Image) -> HeadCandidates:
-        """Candidates in a crop (h, w, 3) or (h, w) of a person."""
+        """Return candidates in a crop (h, w, 3) or (h, w) of a person."""
         if self._detector is None:
             raise InputError("a head localiser that was not fitted", "fit or load first")
         integral, factor = _prepared(image)
@@ -158,13 +157,13 @@ class HeadLocaliser(Stored):
         return candidate_windows(width, 1.0 if self.plain else _LOWEST)
 
     def _judged(self, integral: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
-        """Windows (n, 4) and their scores (n,); the less promising ones are left out, unless plain."""
+        """Return windows (n, 4) and scores (n,); only the best are kept, unless plain."""
         assert self._detector is not None
         windows = self._windows(integral.shape[1] - 1)
         surrounded, normalised = enlarged(windows, self.around), self.normalised
         if self.plain:
             return windows, self._detector.scores(integral, surrounded, normalised=normalised)
-        # The first weak classifiers tell most windows apart from heads; the others judge what is left.
+        # Cascade: the first weak classifiers reject most windows, the others score the rest.
         away = np.square((_places(windows, integral.shape[1] - 1) - self._place[0]) / self._place[1])
         cost = 0.5 * self._place_weight * away.sum(axis=1)
         first = (
@@ -181,7 +180,7 @@ class HeadLocaliser(Stored):
         return {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The detector and the usual place of heads."""
+        """Return the detector and the usual position of heads."""
         if self._detector is None:
             raise InputError("a head localiser that was not fitted", "fit it first")
         names = ("block", "direction", "threshold", "weight")
@@ -189,7 +188,7 @@ class HeadLocaliser(Stored):
 
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
-        """The localiser of a file."""
+        """Load the localiser of a file."""
         model = cls(**card.parameters["settings"])
         model.threshold, model.card = float(card.parameters["threshold"]), card
         model._place_weight, model._place = float(card.parameters["place_weight"]), arrays.pop("place")
@@ -230,20 +229,20 @@ def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:
 
 
 def _refined(windows: FloatArray, scores: FloatArray, best: int) -> FloatArray:
-    """The mean of the windows about a maximum, the higher their score the more they weigh."""
+    """Return the mean of the windows about a maximum, weighted by score."""
     near = intersection_over_union(windows, windows[best]) > 0.45
     weight = np.exp(30.0 * (scores[near] - scores[best]))
     return np.asarray(weight @ windows[near] / weight.sum(), float)
 
 
-_SMOOTHNESS = 2.0  # score that a step of one head height costs
+_SMOOTHNESS = 2.0  # cost of a step of one head height
 
 
 class HeadPath:
-    """The head of one person, chosen frame by frame from what came before and the frame itself.
+    """Causal choice of one person's head, frame by frame.
 
-    It is the last candidate of the path up to here that has the highest score and moves and grows least: the
-    forward pass of the dynamic programming of `select_along_track`.
+    The choice is the last candidate of the best path so far: the forward pass of the dynamic programming of
+    `select_along_track`.
 
     Parameters
     ----------
@@ -256,7 +255,7 @@ class HeadPath:
         self._best = np.empty(0)
 
     def update(self, candidates: HeadCandidates) -> int:
-        """Take the candidates of the next frame, in coordinates in which the person stands still."""
+        """Return the choice among the candidates of the next frame, in person-fixed coordinates."""
         reached = 0.0
         if self._before is not None:
             reached = _through(self._best, self._before, candidates, self.smoothness).max(axis=1)
@@ -267,7 +266,7 @@ class HeadPath:
 def select_so_far(
     candidates: Sequence[HeadCandidates], *, smoothness: float = _SMOOTHNESS
 ) -> NDArray[np.int64]:
-    """Choose a candidate (n,) of each frame of a track without the frames after it."""
+    """Choose a candidate (n,) of each frame of a track from past frames only."""
     path = HeadPath(smoothness)
     return np.array([path.update(found) for found in candidates], np.int64)
 
@@ -275,11 +274,11 @@ def select_so_far(
 def select_along_track(
     candidates: Sequence[HeadCandidates], *, smoothness: float = _SMOOTHNESS
 ) -> NDArray[np.int64]:
-    """Choose a candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
+    """Choose a candidate (n,) of each frame of a track by score and smoothness of the path.
 
     Parameters
     ----------
-    candidates : of each frame, in coordinates in which the person stands still (those of the crop)
+    candidates : of each frame, in person-fixed coordinates (those of the crop)
     smoothness : score that a step of one head height costs
 
     Notes
@@ -302,6 +301,6 @@ def select_along_track(
 def _through(
     best: FloatArray, before: HeadCandidates, after: HeadCandidates, smoothness: float
 ) -> FloatArray:
-    """Scores (after, before) of the best paths to each candidate, by each of those of the frame before."""
+    """Return scores (after, before) of the best paths to each candidate, by predecessor."""
     step = np.linalg.norm(after.boxes[:, None, :] - before.boxes[None, :, :], axis=2)
     return np.asarray(best - smoothness * step / np.maximum(after.boxes[:, 3], 1e-9)[:, None], float)

@@ -1,4 +1,4 @@
-"""Keypoints in COCO's order: other conventions, files of other tools, and where body and head point."""
+"""Keypoints in COCO's order: other conventions, files of other tools, and body and head orientation."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FACE = (0, 1, 2, 3, 4)
 """Nose, eyes and ears."""
 SHOULDERS, HIPS, ANKLES = (5, 6), (11, 12), (15, 16)
 USED = (*FACE, *SHOULDERS, *HIPS)
-"""What says where body and head point."""
+"""Points that determine body and head orientation."""
 
 _OPENPOSE = (0, 15, 14, 17, 16, 5, 2, 6, 3, 7, 4, 11, 8, 12, 9, 13, 10)
 _BODY_25 = (0, 16, 15, 18, 17, 5, 2, 6, 3, 7, 4, 12, 9, 13, 10, 14, 11)
@@ -58,24 +58,24 @@ _FIRST = tuple(range(N_POINTS))
 BY_NUMBER: Mapping[int, tuple[int, ...]] = MappingProxyType(
     {17: _FIRST, 18: _OPENPOSE, 25: _BODY_25, 26: _FIRST, 133: _FIRST, 136: _FIRST}
 )
-"""Where COCO's points are among those of COCO, OpenPose's COCO and BODY_25, Halpe and COCO-WholeBody."""
+"""Indices of COCO's points in COCO, OpenPose's COCO and BODY_25, Halpe and COCO-WholeBody."""
 KNOWN = "17 points (COCO), 18 or 25 (OpenPose), 26 or 136 (Halpe) or 133 (COCO-WholeBody)"
 
 Points = tuple[tuple[float, float, float], ...]
-"""Columns, rows and confidences of one person's 17 points; confidence 0: not there."""
+"""Columns, rows and confidences of one person's 17 points; confidence 0: missing."""
 
 
 def places_of(names: Sequence[str]) -> tuple[int, ...] | None:
-    """Places of COCO's points among points of these names; None if any but a limb's is missing."""
+    """Return indices of COCO's points among named points; None if any but a limb's is missing."""
     plain = [name.lower().replace(" ", "_").replace("-", "_") for name in names]
     places = tuple(plain.index(name) if name in plain else -1 for name in NAMES)
     return None if any(places[k] < 0 for k in USED) else places
 
 
 def in_coco_order(points: FloatArray, places: Sequence[int], *, clipped: bool = True) -> FloatArray:
-    """Points (..., 17, 3) out of points (..., k, 3) of another convention; those it lacks are 0.
+    """Convert points (..., k, 3) of another convention to COCO's (..., 17, 3); missing points are 0.
 
-    Points without a place have confidence 0, and confidences are brought to 0…1 unless they are not clipped.
+    Points without a position have confidence 0; confidences are clipped to 0…1 unless disabled.
     """
     chosen = np.where((np.array(places) >= 0)[:, None], points[..., list(places), :], 0.0)
     there = np.isfinite(chosen).all(axis=-1) & (chosen[..., 2] > 0.0)
@@ -86,16 +86,16 @@ def in_coco_order(points: FloatArray, places: Sequence[int], *, clipped: bool = 
 
 
 def as_points(values: FloatArray) -> Points:
-    """One person's points (17, 3) as plain numbers, to hundredths of a pixel."""
+    """Return one person's points (17, 3) as plain numbers, rounded to 0.01 pixels."""
     return tuple((round(x, 2), round(y, 2), round(c, 4)) for x, y, c in np.asarray(values, float).tolist())
 
 
 def mirrored(points: FloatArray, order: NDArray[np.int64] | None = None) -> FloatArray:
-    """Points (..., k, 3) of the mirror image: columns change their sign, left and right their names.
+    """Return points (..., k, 3) of the mirror image: columns negated, left and right exchanged.
 
     Parameters
     ----------
-    order : (k,) which points are there; all 17 by default
+    order : (k,) indices of the points; all 17 by default
     """
     names = NAMES if order is None else tuple(NAMES[k] for k in order.tolist())
     swap = {"left": "right", "right": "left"}
@@ -105,19 +105,19 @@ def mirrored(points: FloatArray, order: NDArray[np.int64] | None = None) -> Floa
 
 BODY, HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
 FLOOR = 0.05
-"""Share of the likelihood that all classes have alike: a network may be wrong in ways that nobody drew."""
+"""Uniform share of the likelihood, for network errors that the simulation lacks."""
 
 _FACE = 5
 _SURE = 0.95
-_UNSEEN = 0.05  # confidence up to which a point is not there
+_UNSEEN = 0.05  # largest confidence of a missing point
 _ORDER = np.array(USED)
 
 
 def features(points: FloatArray) -> NDArray[np.float32]:
     """Features (n, 48) of the points (n, 9, 3) of `USED`.
 
-    Places relative to the middle and the spread of all points, and of those of the face relative to the
-    face's, weighed by confidence; confidences; the spreads in pixels and relative to each other.
+    Positions relative to the mean and the spread of all points, and of the face's points relative to the
+    face's, weighted by confidence; confidences; the spreads in pixels and their ratio.
     """
     points = np.asarray(points, float)
     confidence = np.where(points[..., 2] > _UNSEEN, np.minimum(points[..., 2], _SURE), 0.0)
@@ -136,19 +136,19 @@ def features(points: FloatArray) -> NDArray[np.float32]:
 
 
 def _relative(points: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places (n, k, 2) about their weighted mean, in units of their spread (n,) in pixels."""
+    """Return positions (n, k, 2) about their weighted mean, in spreads, and the spreads (n,) in pixels."""
     total = np.maximum(weight.sum(axis=1), 1e-9)[:, None]
     middle = (points[..., :2] * weight[..., None]).sum(axis=1) / total
     away = points[..., :2] - middle[:, None]
     spread = np.sqrt(((away**2).sum(axis=2) * weight).sum(axis=1) / total[:, 0])
-    # Points on top of each other, or one alone, are nowhere.
+    # Coincident points, or a single one, have no spread.
     scale = np.maximum(spread, 0.3)
     return np.clip(away / scale[:, None, None], -4.0, 4.0), spread
 
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """A network with rectified units between the layers.
+    """Network with rectified units between the layers.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class Layers:
     share: float = 0.0
 
     def scores(self, points: FloatArray) -> FloatArray:
-        """Log likelihoods (n, classes) before calibration; a mirror image has the mirrored ones."""
+        """Return log likelihoods (n, classes) before calibration, equivariant to mirroring."""
         classes = len(self.biases[-1])
         of_mirror = (-np.arange(classes)) % classes
         straight, turned = (
@@ -180,11 +180,11 @@ class Layers:
         return np.asarray(values, float)
 
     def calibrated(self, points: FloatArray, labels: NDArray[np.int64]) -> Layers:
-        """The same with temperature and share of the highest likelihood of labels (n,) of other people."""
+        """Return the network with temperature and share fitted to labels (n,) of other people."""
         return Layers(self.weights, self.biases, *fit_temperature_and_share(self.scores(points), labels))
 
     def log_likelihoods(self, points: FloatArray) -> FloatArray:
-        """Calibrated (n, classes); all alike where no point is there."""
+        """Return calibrated log likelihoods (n, classes); uniform without any point."""
         scores = self.scores(points)
         p = with_neighbours(np.exp(log_softmax(scores / self.temperature, axis=1)), self.share)
         p = (1.0 - FLOOR) * p + FLOOR / p.shape[1]
@@ -195,9 +195,9 @@ class Layers:
 
 @dataclass(eq=False)
 class KeypointPose(Stored):
-    """Likelihoods of the directions of body (8 classes) and head (12), image frame.
+    """Model of likelihoods of body (8 classes) and head (12) directions, image frame.
 
-    A small network on shoulders, hips, nose, eyes and ears, learned from skeletons before random cameras
+    A small network on shoulders, hips, nose, eyes and ears, trained on skeletons in front of random cameras
     (`perception.synthetic.skeletons`); see docs/perception.md.
     """
 
@@ -227,7 +227,7 @@ class KeypointPose(Stored):
 
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
-        """The model of a file."""
+        """Load the model of a file."""
         return cls(_layers("body", card, arrays), _layers("head", card, arrays), card)
 
 
@@ -241,7 +241,7 @@ def _layers(name: str, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Laye
 
 
 _EXPECTED = "keypoints of COCO (a list with image_id, keypoints), OpenPose (people) or MMPose (instances)"
-_LARGEST = 1e6  # pixels beyond which a point is nowhere
+_LARGEST = 1e6  # largest coordinate of a point, pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,18 +265,18 @@ class PersonPoints:
 def read_keypoints(
     path: str | Path, frame_of: Callable[[str], int | None] = lambda name: None
 ) -> list[PersonPoints]:
-    """The people of a JSON file, or of a folder with one for each frame.
+    """Read the people of a JSON file, or of a folder with one file per frame.
 
-    Frames are numbers (``image_id``, ``frame_id``) or those in the names of images and files.
+    Frame numbers are ``image_id``, ``frame_id`` or those in the names of images and files.
 
     Parameters
     ----------
-    frame_of : the frame of an image by the name of its file without suffix; None: there is no such image
+    frame_of : returns the frame of an image by its file name without suffix; None: no such image
 
     Raises
     ------
     InputError
-        With file and entry of the first that cannot be used, such as points of another convention.
+        With file and entry of the first unusable person, such as points of another convention.
     """
     path = Path(path)
     if not path.is_dir():
@@ -291,8 +291,8 @@ def read_keypoints(
 def _checked(path: Path, people: Iterable[PersonPoints]) -> list[PersonPoints]:
     found = sorted(people, key=lambda person: person.frame)
     if not found:
-        raise InputError("nobody", "at least one person's keypoints", path=path)
-    # Annotations have visibilities 0, 1 (hidden) and 2 (seen) in place of confidences.
+        raise InputError("no people", "at least one person's keypoints", path=path)
+    # Annotations have visibilities 0, 1 (hidden) and 2 (visible) instead of confidences.
     every = np.array([person.points[:, 2] for person in found])
     whole = 2.0 if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any() else 1.0
     for person in found:
@@ -305,7 +305,7 @@ def _loaded(path: Path) -> Any:
     try:
         return json.loads(source.data)
     except (ValueError, RecursionError) as error:
-        raise InputError("something else, or a file that is broken off", "JSON", path=path) from error
+        raise InputError("something else, or a truncated file", "JSON", path=path) from error
 
 
 def _of_file(path: Path, frame_of: Callable[[str], int | None]) -> Iterator[PersonPoints]:
@@ -327,7 +327,7 @@ def _of_file(path: Path, frame_of: Callable[[str], int | None]) -> Iterator[Pers
 
 
 def _of_frame_file(path: Path, frame_of: Callable[[str], int | None]) -> Iterator[PersonPoints]:
-    """The people of a file that is of one frame."""
+    """Return the people of a file of one frame."""
     data, number = _loaded(path), _number_of(path, path.stem, frame_of)
     if isinstance(data, dict) and "people" in data:
         return _of_openpose(path, data, number)
@@ -347,7 +347,7 @@ def _what(data: Any) -> str:
 
 
 def _number_of(path: Path, name: str, frame_of: Callable[[str], int | None]) -> int:
-    """The frame that an image or file of this name, without a suffix, is of."""
+    """Return the frame of an image or file with this name without suffix."""
     stem = re.sub(r"_keypoints$", "", name)
     known = frame_of(stem)
     if known is not None:
@@ -398,7 +398,7 @@ def _of_coco(
 
 
 def _of_mmpose(path: Path, frames: object, notes: object, *, from_one: bool) -> Iterator[PersonPoints]:
-    """Frames with instances; those of MMPose's scripts count from 1, those of its inferencer from 0."""
+    """Parse frames with instances; MMPose's scripts count from 1, its inferencer from 0."""
     entries = _entries(frames, path, "frames")
     numbers = [_frame(item.get("frame_id"), path, f"entry {k}") for k, item in enumerate(entries)]
     names = None
@@ -446,7 +446,7 @@ def _array(values: object, path: Path, place: str) -> FloatArray:
 
 
 def _points(values: object, path: Path, place: str, names: Sequence[str] | None) -> FloatArray:
-    """COCO's points (17, 3) out of a row of x, y, confidence."""
+    """Parse COCO's points (17, 3) from a row of x, y, confidence."""
     row = _array(values, path, place)
     if row.ndim != 1 or len(row) % 3:
         raise InputError(f"{place}: {row.size} numbers", "x, y and confidence of each point", path=path)

@@ -1,7 +1,7 @@
 """Head pose by distance to the mean of each class: two-level HoG and a skin mask (Chen et al. 2011, §2.3).
 
-Measured on rendered heads of 16–32 pixels, mean error of the most likely pan: 28.9° with the paper's
-distances, 18.7° with distances after a Fisher projection of the same features. Both are here.
+Mean error of the most likely pan on rendered heads of 16–32 pixels: 28.9° with the paper's distances, 18.7°
+with distances after a Fisher projection of the same features. Both are implemented.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Templates(FeatureClassifier):
     Parameters
     ----------
     classes : by default 12 pans × 3 tilts
-    skin : colours of skin; without them only texture counts
+    skin : colours of skin; without them only texture is used
     metric : "euclidean" (the paper's distances) or "fisher"
     calibrated : as in `FeatureClassifier`
     interpolated : whether a pixel's gradient votes for the two nearest of the nine orientations; in the paper
@@ -70,8 +70,8 @@ class Templates(FeatureClassifier):
 
     @classmethod
     def as_published(cls, *, seed: int = 0, skin: SkinColours | None = None) -> Self:
-        """Chen et al. 2011, §2.3 as printed: eq. 3–4 with L2 and L1 distances, uncalibrated, of quantised
-        orientations; ``skin`` should be that of `SkinColours.fit` as published."""
+        """Return the form of Chen et al. 2011, §2.3: eq. 3–4 with L2 and L1 distances, uncalibrated, of
+        quantised orientations; ``skin`` should be that of `SkinColours.fit` as published."""
         return cls(seed=seed, skin=skin, metric="euclidean", calibrated=False, interpolated=False)
 
     @property
@@ -88,9 +88,9 @@ class Templates(FeatureClassifier):
         return np.hstack([texture, self.skin.features(images)])
 
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
-        """Means of the classes, and λ by cross-validation.
+        """Fit the means of the classes, and λ by cross-validation.
 
-        The projection is learned once, from all samples, so its λ is too sure; the temperature mends that.
+        The projection is fitted to all samples, so λ is overconfident, which the temperature corrects.
         """
         if self.metric == "fisher":
             self._projection = fisher_projection(features * _scale(), labels)
@@ -107,7 +107,7 @@ class Templates(FeatureClassifier):
         sums = np.zeros((len(self.classes), features.shape[1]))
         np.add.at(sums, labels, features)
         overall = features.mean(axis=0)
-        # A class without a sample in this fold takes the mean of all: it is never far and never near.
+        # A class without a sample in this fold takes the mean of all.
         means = np.where(count[:, None] > 0, sums / np.maximum(count, 1.0)[:, None], overall)
         self._texture, self._colour = means[:, :_TEXTURE], means[:, _TEXTURE:]
 
@@ -148,7 +148,7 @@ class Templates(FeatureClassifier):
         return arrays
 
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take over what `arrays` gave."""
+        """Restore the state from `arrays`."""
         self._texture, self._colour = arrays["texture"].astype(float), arrays["colour"].astype(float)
         self._weights = arrays["weights"].astype(float)
         self._projection = arrays["projection"].astype(float)

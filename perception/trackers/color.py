@@ -1,6 +1,6 @@
-"""The colour tracker: a particle filter on histograms of hue, saturation and value, then the head's pose.
+"""Colour tracker: a particle filter on histograms of hue, saturation and value, then head pose.
 
-Pérez, Hue, Vermaak & Gangnet 2002. The histograms of weighed pixels are those of the Sigma-Pi tracker's cue.
+Pérez, Hue, Vermaak & Gangnet 2002. The weighted histograms are those of the Sigma-Pi tracker's cue.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ Bins = tuple[int, int, int]
 """Numbers of bins of hue, saturation and value."""
 
 BINS: Bins = (12, 5, 8)
-"""Of a pixel's colour, where all three together tell it."""
+"""Number of joint bins of a pixel's colour."""
 COUNT = BINS[0] * BINS[1] * BINS[2]
 _SMOOTHING = 0.5
-"""1-σ in bins: neighbouring colours are alike."""
+"""1-σ in bins, of the smoothing over neighbouring colours."""
 
 
 _BOX_BINS: Bins = (10, 10, 10)
-"""Of the histograms of boxes: of hue and saturation, and of value where there is no hue (Pérez et al.)."""
+"""Bins of the histograms of boxes: hue and saturation, and value for pixels without hue (Pérez et al.)."""
 _LEAST_SATURATION, _LEAST_VALUE = 0.1, 0.2
-"""0…1; pixels below either have no hue and are counted by their value."""
+"""0…1; pixels below either have no hue and are binned by value."""
 _SAMPLES = 24
-"""Pixels looked at along each side of a box."""
+"""Sampled pixels along each side of a box."""
 
 
 def hue_bins(image: Image) -> NDArray[np.int32]:
-    """The bin (h, w) of every pixel in the histograms of boxes."""
+    """Return the bin (h, w) of every pixel in the histograms of boxes."""
     hues, saturations, _ = _BOX_BINS
     hsv = _channels(image)
     hue, saturation, value = _levels(hsv, _BOX_BINS, (saturations, 1, 1))
@@ -65,7 +65,7 @@ def hue_bins(image: Image) -> NDArray[np.int32]:
 
 
 def box_colours(pixels: NDArray[np.integer], boxes: FloatArray) -> FloatArray:
-    """Histograms (n, bins) of boxes (n, 4), each of sum 1, by the `hue_bins` (h, w) of an image."""
+    """Return histograms (n, bins) of boxes (n, 4), of sum 1, from the `hue_bins` (h, w) of an image."""
     height, width = pixels.shape
     share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     columns = np.clip((boxes[:, :1] + boxes[:, 2:3] * share).astype(np.int64), 0, width - 1)
@@ -79,21 +79,21 @@ def box_colours(pixels: NDArray[np.integer], boxes: FloatArray) -> FloatArray:
 
 
 def bhattacharyya(histogram: FloatArray, model: FloatArray) -> FloatArray:
-    """Σ √(p·q) (n,) of histograms (n, bins) and one (bins,): 1 where they are equal, 0 without overlap."""
+    """Return Bhattacharyya coefficients (n,) of histograms (n, bins) and one (bins,): 1 if equal."""
     return np.asarray(np.sqrt(histogram * model).sum(axis=1), float)
 
 
 def pixel_bins(image: Image) -> NDArray[np.int32]:
-    """The bin (h, w), of `COUNT`, of each pixel of an image (h, w, 3)."""
+    """Return the bin (h, w), of `COUNT`, of each pixel of an image (h, w, 3)."""
     _, saturations, values = BINS
     hue, saturation, value = _levels(_channels(image), BINS, (saturations * values, values, 1))
     return np.asarray(hue + saturation + value, np.int32)
 
 
 def weighed_histogram(pixels: NDArray[np.int32], weights: NDArray[np.float32] | None = None) -> FloatArray:
-    """Share (COUNT,) of each bin among pixels with weights, all of any one shape; smoothed over neighbours.
+    """Return the share (COUNT,) of each bin among weighted pixels, smoothed over neighbours.
 
-    Zero everywhere if the weights are.
+    All arrays have the same shape. Zero if all weights are zero.
     """
     flat = None if weights is None else weights.ravel()
     counts = np.bincount(pixels.ravel(), flat, minlength=COUNT).astype(float).reshape(BINS)
@@ -104,26 +104,26 @@ def weighed_histogram(pixels: NDArray[np.int32], weights: NDArray[np.float32] | 
 
 
 def target_share(target: FloatArray, background: FloatArray, odds: float) -> FloatArray:
-    """Probability (COUNT,) that a pixel of each colour is the target's, by histograms (COUNT,) of both.
+    """Return the probability (COUNT,) that a pixel of each colour is the target's, from both histograms.
 
     The ratio histogram of Swain & Ballard (1991) in its Bayesian form.
 
     Parameters
     ----------
-    odds : of the background against the target for a pixel of which nothing is known
+    odds : prior odds of the background against the target
     """
     return np.asarray(target / np.maximum(target + odds * background, 1e-9))
 
 
 def _channels(image: Image) -> tuple[NDArray[np.uint8], ...]:
-    """Hue (0…179), saturation and value (0…255), (h, w) each."""
+    """Return hue (0…179), saturation and value (0…255), (h, w) each."""
     return tuple(
         np.asarray(channel, np.uint8) for channel in cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2HSV))
     )
 
 
 def _levels(hsv: tuple[NDArray[np.uint8], ...], bins: Bins, strides: Bins) -> list[NDArray[np.int32]]:
-    """The bin of each channel times its stride, (h, w) each; a look-up in eight bits is the fastest way."""
+    """Return the bin of each channel times its stride, (h, w) each, by an eight-bit lookup table."""
     return [table[channel] for table, channel in zip(_tables(bins, strides), hsv, strict=True)]
 
 
@@ -148,10 +148,10 @@ class ColourParameters:
     ----------
     particles : number of particles
     dynamics : of the box
-    resample_below : share of the particles; resampling is systematic, below this effective sample size
-    rate : share of the remembered histogram that a frame replaces while the target is found; 0: the first
-        box's stays, as in Pérez et al. and so in Ba & Odobez's baseline. `MixedStateTracker` has the same
-        memory.
+    resample_below : relative effective sample size below which particles are resampled (systematic)
+    rate : share of the reference histogram that a frame replaces while the target is found; 0: the first
+        box's histogram stays, as in Pérez et al. and in Ba & Odobez's baseline. `MixedStateTracker` updates
+        its histogram in the same way.
     """
 
     particles: int = 200
@@ -172,12 +172,12 @@ class ColourParameters:
 
 
 class ColourTracker:
-    """Follow what has the colours of the first box.
+    """Track the colours of the first box.
 
     Parameters
     ----------
-    exemplars : with them, the pan is estimated in the box that was tracked ("track, then estimate pose")
-    particles : in place of the parameters' number
+    exemplars : if given, the pan is estimated in the tracked box ("track, then estimate pose")
+    particles : overrides the number in the parameters
     """
 
     name: ClassVar[str] = "color"
@@ -197,7 +197,7 @@ class ColourTracker:
         self._shape: tuple[int, int] = (0, 0)
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
-        """Begin with the target's box; see `Tracker.start`."""
+        """Start with the target's box; see `Tracker.start`."""
         p = self.parameters
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
@@ -207,7 +207,7 @@ class ColourTracker:
         return self._look(image)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame; see `Tracker.step`."""
+        """Process the next frame; see `Tracker.step`."""
         check_frame(image, self._shape)
         p = self.parameters
         cloud, _ = resampled(self._cloud, p.resample_below, self._rng)
@@ -243,8 +243,8 @@ class ColourTracker:
         )
 
     def _pose(self, image: Image, box: Box) -> tuple[FloatArray | None, float | None]:
-        """Distribution (n_pan,) of the pan and expected tilt, by this box of this frame alone (Ba & Odobez
-        2003, §4.2)."""
+        """Return the distribution (n_pan,) of the pan and the expected tilt in a box of a single frame (Ba &
+        Odobez 2003, §4.2)."""
         if self.exemplars is None:
             return None, None
         patch = equalised(cut(grey(image), enlarged(np.array([box]), PATCH_MARGIN), SIDE))

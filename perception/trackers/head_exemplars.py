@@ -1,10 +1,10 @@
-"""The appearance model of the mixed-state tracker: exemplars of heads, and of what is no head (Ba & Odobez
-2003, §2, §3).
+"""Appearance model of the mixed-state tracker: exemplars of heads and of background (Ba & Odobez 2003, §2,
+§3).
 
-The paper's likelihood p_T(z(x)|k) says how well a patch fits an exemplar, but patches of different places
-are different data. Here it is divided by the likelihood of the patch under exemplars of backgrounds and of
-boxes beside heads, which makes it comparable between places: of 40 boxes on rendered people, the most likely
-one was on the head for 83 % of them, 55 % without the division.
+The paper's likelihood p_T(z(x)|k) measures the fit of a patch to an exemplar, but patches at different
+positions are different data. Here it is divided by the likelihood under exemplars of the background and of
+boxes next to heads, which makes it comparable between positions: among 40 boxes on rendered people, the most
+likely box is on the head in 83 % of the images, without the division in 55 %.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from perception.pose.features import gabor_features
 from perception.storage import ModelCard, Stored
 
 LOOKING_UP = TILT_EDGE + 0.165
-"""Radians: mean tilt of the heads that the class of those who look up was learned from; down the same."""
+"""Radians: mean tilt of the training heads of the class "up"; the negative for "down"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +43,14 @@ class HeadExemplars(Stored):
     classes : of poses
     centre, deviation : (n_classes, K, 764) of the exemplars
     log_weight : (n_classes, K) log π of eq. 3
-    background_centre, background_deviation : (B, 764) of what is no head
+    background_centre, background_deviation : (B, 764) of the background
     background_log_weight : (B,)
     exponent : (4,) weight of each filter's log density
-    shared : (n_classes·K, n_classes·K) training people whose images belong to both labels
-    slope, intercept : of the log likelihood ratio of a head, from what `log_ratio` sums up to
-    plain : whether the exemplars are those of Ba & Odobez 2003 as printed (`Exemplars.as_published`), and the
-        transitions between them the shares of common people with nothing added
-    card : how it came about
+    shared : (n_classes·K, n_classes·K) number of training people with images in both labels
+    slope, intercept : of the log likelihood ratio of a head as a function of the sum in `log_ratio`
+    plain : whether exemplars are as published in Ba & Odobez 2003 (`Exemplars.as_published`), with
+        transitions by the shares of common people without smoothing
+    card : training and accuracy
     """
 
     kind: ClassVar[str] = "head_exemplars"
@@ -75,17 +75,17 @@ class HeadExemplars(Stored):
         return self.log_weight.size
 
     def features(self, patches: NDArray[np.uint8]) -> FloatArray:
-        """Responses (n, 764) of equalised grey patches (n, 64, 64)."""
+        """Return responses (n, 764) of equalised grey patches (n, 64, 64)."""
         return gabor_features(patches, subtract_mean=not self.plain)
 
     def log_ratio(self, features: NDArray[np.floating]) -> FloatArray:
-        """log p_T(z|k) − log p_T(z|no head) (n, labels) of responses (n, 764), calibrated."""
+        """Return log p_T(z|k) − log p_T(z|no head) (n, labels) of responses (n, 764), calibrated."""
         head, background = self.by_filter(features)
         ratio = combined(head, background, self.background_log_weight, self.exponent)
         return self.slope * ratio + self.intercept
 
     def log_density(self, features: NDArray[np.floating]) -> FloatArray:
-        """log p_T(z|k) (n, labels) of responses (n, 764), as eq. 5 has it: all responses count alike."""
+        """Return log p_T(z|k) (n, labels) of responses (n, 764) by eq. 5, without filter weights."""
         return np.asarray(self._of_heads(features).sum(axis=-1), float)
 
     def fit(self, log_density: FloatArray) -> FloatArray:
@@ -121,10 +121,10 @@ class HeadExemplars(Stored):
         return np.asarray(weight / weight.sum(), float)
 
     def within(self, pan_limit: float) -> HeadExemplars:
-        """The same without the poses that face away by more than ``pan_limit`` (radians).
+        """Return the exemplars without poses that face away by more than ``pan_limit`` (radians).
 
-        Ba & Odobez (2003) know pans from −90° to 90° only. The classes stay; the other ones become
-        impossible.
+        Ba & Odobez (2003) have pans from −90° to 90° only. All classes stay; the excluded classes have
+        probability 0.
         """
         facing = np.tile(np.abs(self.classes.pan) <= pan_limit + 1e-9, self.classes.n_tilt)
         return replace(self, log_weight=np.where(facing[:, None], self.log_weight, -np.inf))
@@ -133,7 +133,7 @@ class HeadExemplars(Stored):
         """p(k_t | k_{t−1}) (labels, labels), rows sum to 1 (eq. 9).
 
         p(θ_t|θ_{t−1}) falls with the distance of the pans; p(l_t|θ_t, l_{t−1}, θ_{t−1}) is the share of
-        common training people where the pose changes, and mostly the old exemplar where it does not.
+        common training people if the pose changes, and mostly the same exemplar if it does not.
 
         Parameters
         ----------
@@ -143,9 +143,9 @@ class HeadExemplars(Stored):
         """
         n, k = self.log_weight.shape
         pose = _pose_transitions(self.classes, pan_std, tilt_share)
-        # One person in common everywhere, so that no change is impossible.
+        # Add-one smoothing, so that no change is impossible.
         exemplar = (self.shared.astype(float) + (0.0 if self.plain else 1.0)).reshape(n * k, n, k)
-        exemplar[exemplar.sum(axis=2) == 0.0] = 1.0  # without anybody in common all are equally likely
+        exemplar[exemplar.sum(axis=2) == 0.0] = 1.0  # uniform without common people
         exemplar /= exemplar.sum(axis=2, keepdims=True)
         same = np.full((k, k), (1.0 - stay) / max(k - 1, 1)) if k > 1 else np.ones((1, 1))
         if k > 1:
@@ -155,7 +155,7 @@ class HeadExemplars(Stored):
         both = (np.repeat(pose, k, axis=0)[:, :, None] * exemplar).reshape(n * k, n * k)
         possible = both * np.isfinite(self.log_weight).ravel()
         total = possible.sum(axis=1, keepdims=True)
-        # A label whose exemplar has nobody in common with any possible one is left for any of them.
+        # A label without common people in any possible exemplar changes to all of them alike.
         return np.where(total > 0.0, possible / np.where(total > 0.0, total, 1.0), self.prior())
 
     def parameters(self) -> dict[str, Any]:
@@ -185,7 +185,7 @@ class HeadExemplars(Stored):
 
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
-        """The exemplars of a file."""
+        """Load the exemplars of a file."""
         plain = bool(card.parameters.get("plain", False))
         kept = partial(_as_type, np.float32) if plain else from_steps
         centre, deviation = kept(arrays["centre"], arrays["deviation"])
@@ -240,7 +240,7 @@ def load_head_exemplars(path: str | Path | None = None, *, plain: bool = False) 
 
     Parameters
     ----------
-    plain : whether the package's are those of Ba & Odobez 2003 as printed (`HeadExemplars.plain`)
+    plain : whether to load the published form of Ba & Odobez 2003 (`HeadExemplars.plain`)
     """
     if path is None:
         path = model_path(HeadExemplars.kind)

@@ -1,4 +1,4 @@
-"""The mixed-state particle filter: head box and exemplar label in one state (Ba & Odobez 2003, §3)."""
+"""Mixed-state particle filter: head box and exemplar label in one state (Ba & Odobez 2003, §3)."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ Likelihood = Literal["ratio", "density"]
 
 
 _SHARPNESS, _TYPICAL = 20.0, 0.8
-"""Per unit of the Bhattacharyya coefficient; the coefficient that says nothing: rendered heads have 0.88 or
-more for 95 % of the frames, boxes elsewhere 0.83 or less for 95 %."""
+"""Log ratio per unit of the Bhattacharyya coefficient; the neutral coefficient: rendered heads have at least
+0.88 in 95 % of the frames, other boxes at most 0.83 in 95 %."""
 TRANSITIONS = float(np.radians(12.0)), 0.05, 0.9
 """1-σ of the pan in radians a frame, share of each neighbouring tilt class relative to staying, and
 probability of the same exemplar while the pose stays; see `HeadExemplars.transitions`."""
 _VANISH, _APPEAR = 0.02, 0.05
-"""Probabilities a frame that a seen head is hidden, and that a hidden one is seen."""
+"""Probabilities per frame that a visible head becomes hidden, and that a hidden head becomes visible."""
 MEMORY = 0.05
-"""Share of the remembered histogram that a frame replaces, while the head is seen."""
+"""Share of the reference histogram that a frame replaces while the head is visible."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,17 @@ class MixedStateParameters:
     Attributes
     ----------
     particles : number of particles
-    labels : "sampled": every particle has one label, as in the paper; "summed": every particle has the
+    labels : "sampled": one label per particle, as in the paper; "summed": each particle has the
         distribution of its labels given its path, so that only boxes are sampled (Rao–Blackwell)
-    likelihood : "ratio": p(z|X)/p(z|no head) with a weight for each filter, and the head may be hidden;
-        "density": p_T(z|k) of eq. 5 as it is printed, by which the head is always there
-    colour : whether the colours of the head that is followed tell it from other heads and from what hides it,
-        by a term ``_SHARPNESS``·(similarity − ``_TYPICAL``) of the log ratio; in the paper exemplars alone do
+    likelihood : "ratio": p(z|X)/p(z|no head) with one weight per filter, and the head may be hidden;
+        "density": p_T(z|k) of eq. 5 as published, with the head always visible
+    colour : whether the head's colours distinguish it from other heads and occluders, by a term
+        ``_SHARPNESS``·(similarity − ``_TYPICAL``) of the log ratio; the paper uses exemplars only
     dynamics : of the box
-    pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
+    pan_limit : radians; poses that face away from the camera by more are excluded. The exemplars confuse
         faces with backs of heads; Ba & Odobez (2003) have −90° to 90° only.
-    resample_below : share of the particles; resampling is systematic, below this effective sample size
-    plain_exemplars : whether the package's exemplars are those of the form as printed (`HeadExemplars.plain`)
+    resample_below : relative effective sample size below which particles are resampled (systematic)
+    plain_exemplars : whether exemplars have the published form (`HeadExemplars.plain`)
     """
 
     particles: int = 200
@@ -90,12 +90,12 @@ class MixedStateParameters:
 
     @classmethod
     def of_the_paper(cls, particles: int = 200) -> MixedStateParameters:
-        """Ba & Odobez 2003 as it is printed, and nothing else.
+        """Return the parameters of Ba & Odobez 2003 as published.
 
-        Likelihoods of eq. 5, labels that are sampled, resampling in every step (§3.1), pans from −90° to 90°
+        Likelihoods of eq. 5, sampled labels, resampling in every step (§3.1), pans from −90° to 90°
         (§2.1); no colours; exemplars with the deviations of their own clusters (§2.1) and transitions by
-        common people alone (§3.3). The head is never hidden. The motion of boxes, of which the paper says
-        its kind but no numbers, is ours.
+        common people alone (§3.3). The head is never hidden. The paper gives the form of the boxes' dynamics
+        but no numbers; these are our own.
         """
         return cls(
             particles,
@@ -109,18 +109,18 @@ class MixedStateParameters:
 
 
 class MixedStateTracker:
-    """Follow a head, its pan and its tilt.
+    """Track a head, its pan and its tilt.
 
-    The weight of a particle is 1 − P + P·p(z|X)/p(z|no head), P being the probability that the head can be
-    seen: a hidden Markov chain of two states, which the particles' mean ratio drives. While P is small the
-    weights stay as they are and the cloud spreads; they cannot all vanish. With ``likelihood="density"`` it
-    is p_T(z|k) (eq. 6), and the confidence is how like the exemplars the patches are
-    (`HeadExemplars.fit`).
+    The weight of a particle is 1 − P + P·p(z|X)/p(z|no head), P being the probability that the head is
+    visible: a hidden Markov chain of two states, driven by the particles' mean ratio. While P is small the
+    weights stay as they are and the particles spread; the weights cannot all vanish. With
+    ``likelihood="density"`` the weight is p_T(z|k) (eq. 6), and the confidence is the similarity of the
+    patches to the exemplars (`HeadExemplars.fit`).
 
     Parameters
     ----------
-    exemplars : the appearance model; by default that of the package, see ``plain_exemplars``
-    particles : in place of the parameters' number
+    exemplars : the appearance model; by default the package's, see ``plain_exemplars``
+    particles : overrides the number in the parameters
     """
 
     name: ClassVar[str] = "mixed-state"
@@ -147,7 +147,7 @@ class MixedStateTracker:
         self._colours: FloatArray | None = None
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
-        """Begin with the head's box; see `Tracker.start`."""
+        """Start with the head's box; see `Tracker.start`."""
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
         self._colours = None
@@ -156,14 +156,14 @@ class MixedStateTracker:
         self._cloud = Cloud.about(first, n, self._rng)
         self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
         self._belief = np.tile(self.exemplars.prior(), (n, 1))
-        # A given box is known to hold a head, however little it looks like one.
+        # A given box holds a head, whatever its likelihood.
         self._seen = 1.0
         if p.colour:
             self._colours = box_colours(hue_bins(image), boxes_of(first[None]))[0]
         return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame; see `Tracker.step`."""
+        """Process the next frame; see `Tracker.step`."""
         check_frame(image, self._shape)
         p = self.parameters
         cloud, ancestors = resampled(self._cloud, p.resample_below, self._rng)
@@ -178,7 +178,7 @@ class MixedStateTracker:
         return self._look(image, self._seen * (1.0 - _VANISH) + (1.0 - self._seen) * _APPEAR)
 
     def _look(self, image: Image, visible: float) -> BoxEstimate:
-        """Weigh the particles by the frame; ``visible`` is the probability before it."""
+        """Weight the particles by the frame; ``visible`` is the prior probability."""
         before = self._cloud.weights
         patches = cut(grey(image), enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
         features = self.exemplars.features(equalised(patches))
@@ -214,7 +214,7 @@ class MixedStateTracker:
         )
 
     def _over_labels(self, by_label: FloatArray) -> FloatArray:
-        """Log likelihoods (n,) of the particles, of values (n, labels); beliefs take them in."""
+        """Return log likelihoods (n,) of the particles from values (n, labels), and update the beliefs."""
         if self.parameters.labels == "sampled":
             return np.asarray(by_label[np.arange(len(by_label)), self._label])
         with np.errstate(divide="ignore"):
@@ -224,7 +224,7 @@ class MixedStateTracker:
         return total
 
     def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
-        """Terms of the colours in the log ratio (n,), and the bins (h, w) of the frame."""
+        """Return the colour terms of the log ratio (n,), and the bins (h, w) of the frame."""
         if self._colours is None:
             return np.zeros(len(self._cloud.weights)), None
         pixels = hue_bins(image)
@@ -232,7 +232,7 @@ class MixedStateTracker:
         return _SHARPNESS * (similarity - _TYPICAL), pixels
 
     def _remember(self, pixels: NDArray[np.int32], box: Box) -> float:
-        """Similarity of the colours at the estimate, which then are learned as far as the head is seen."""
+        """Return the colour similarity at the estimate, and update the histogram if visible."""
         assert self._colours is not None
         here = box_colours(pixels, np.array([box]))[0]
         similarity = float(bhattacharyya(here[None], self._colours)[0])
@@ -241,18 +241,18 @@ class MixedStateTracker:
         return similarity
 
     def _labels(self) -> FloatArray:
-        """Distribution (n, labels) of each particle's label."""
+        """Return the distribution (n, labels) of each particle's label."""
         if self.parameters.labels == "summed":
             return self._belief
         return np.eye(self.exemplars.labels)[self._label]
 
     def _by_pan(self, of_labels: FloatArray) -> FloatArray:
-        """Labels (labels,) summed for each pan (eq. 10)."""
+        """Sum labels (labels,) for each pan (eq. 10)."""
         classes = self.exemplars.classes
         return np.asarray(of_labels.reshape(classes.n_tilt, classes.n_pan, -1).sum(axis=(0, 2)), float)
 
     def _pan_likelihood(self, ratio: FloatArray, weights: FloatArray) -> FloatArray:
-        """p(z|pan) (n_pan,), over the boxes and the tilts, without what earlier frames say of the pose."""
+        """Return p(z|pan) (n_pan,), over boxes and tilts, from the current frame only."""
         poses = self.exemplars.pose_log_likelihood(ratio)
         with np.errstate(divide="ignore"):
             over_boxes = logsumexp(poses + np.log(weights)[:, None], axis=0)
@@ -261,7 +261,7 @@ class MixedStateTracker:
 
 
 def _perhaps_hidden(before: FloatArray, likelihood: FloatArray, visible: float) -> tuple[FloatArray, float]:
-    """Weights (n,) after likelihood ratios (n,) of a head that may be hidden, and P that it is seen."""
+    """Return weights (n,) from likelihood ratios (n,) of a head that may be hidden, and P(visible)."""
     evidence = float(before @ likelihood)
     weights = before * (1.0 - visible + visible * likelihood)
     seen = visible * evidence / (1.0 - visible + visible * evidence)
@@ -269,6 +269,6 @@ def _perhaps_hidden(before: FloatArray, likelihood: FloatArray, visible: float) 
 
 
 def _normalised(before: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """Weights (n,) of eq. 6; likelihoods of 764 responses are out of a number's range, their ratios not."""
+    """Return the weights (n,) of eq. 6, by ratios, since likelihoods of 764 responses underflow."""
     weights = before * np.exp(log_likelihood - log_likelihood.max())
     return np.asarray(weights / weights.sum())

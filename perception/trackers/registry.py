@@ -1,4 +1,4 @@
-"""The trackers by name."""
+"""Registry of trackers by name."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _KINDS: dict[str, tuple[Any, Any]] = {
 }
 TRACKERS = tuple(_KINDS)
 OF_HEADS = ("mixed-state",)
-"""Trackers whose box is that of a head."""
+"""Trackers of a head's box."""
 WITH_BACKGROUND = ("sigma-pi",)
-"""Trackers that take images of what is never the target."""
+"""Trackers that take background images."""
 
 
 def parameters_of(name: str, *, as_in_the_paper: bool = False) -> Any:
-    """Return the default parameters of a tracker, or those of its paper.
+    """Return the default or the published parameters of a tracker.
 
     Raises
     ------
@@ -49,18 +49,18 @@ def make_tracker(
     *,
     background: Sequence[Image] = (),
 ) -> Tracker:
-    """Make a tracker.
+    """Create a tracker.
 
     Parameters
     ----------
-    particles : in place of the parameters' number
+    particles : overrides the number in the parameters
     parameters : of that tracker; by default `parameters_of`
-    background : images of what is never the target, for those of `WITH_BACKGROUND`
+    background : images without the target, for the trackers of `WITH_BACKGROUND`
 
     Raises
     ------
     InputError
-        If there is none of that name, it takes no background, or less than two particles are asked for.
+        For an unknown name, a tracker that takes no background, or less than two particles.
     """
     parameters = parameters_of(name) if parameters is None else parameters
     if particles is not None and particles < 2:

@@ -1,4 +1,4 @@
-"""A person tracker on motion, colour and shape, joined by a Sigma-Pi network (Yan, Weber & Wermter 2011)."""
+"""Person tracker on motion, colour and shape, combined by a Sigma-Pi network (Yan, Weber & Wermter 2011)."""
 
 from __future__ import annotations
 
@@ -47,25 +47,25 @@ from perception.trackers.tracker import (
 )
 
 _SIZE_STD, _SIZE_RATE = 0.25, 0.05
-"""1-σ of the logarithm of the size of particles drawn anew; how much the expected size follows in a frame."""
+"""1-σ of the log size of reinitialised particles; rate per frame at which the expected size follows."""
 _SIZE_RANGE, _VIEW_RANGE = (0.75, 2.0), (0.3, 3.0)
-"""Least and greatest size, in sizes of the first box: by local features, and by the view in that box."""
+"""Smallest and largest size, in sizes of the first box: with local features, and with views."""
 _SUPPORT, _FOUND, _LOST = 0.5, 0.5, 0.3
-"""Activity from which a cue supports the estimate; confidence of who is found, and below which lost."""
+"""Least activity of a cue that supports the estimate; confidences at which a person is found, and lost."""
 _YOUNG, _STALE, _PATIENCE = 40, 15, 3
-"""Frames of the person in which one other cue is enough to learn from; frames in a row with motion alone
-after which what was learned is of no more use; frames until the person is believed to be found or lost."""
+"""Frames with the person after which one other cue suffices for learning; consecutive frames with motion only
+after which the learned models are discarded; frames that confirm that the person is found or lost."""
 _SHARPNESS = 4.0
-"""Power of eq. 4 that weighs the particles of a person who is told by views; 1 in the paper."""
+"""Exponent of eq. 4 in the particle weights with views; 1 in the paper."""
 
 
 class SigmaPiTracker:
-    """Follows one person; without a first box, the first that moves.
+    """Track one person; without a first box, the first that moves.
 
     Parameters
     ----------
-    background : images of what is never the person (furniture), for the shape cue
-    particles : in place of the parameters' number
+    background : images without the person (furniture), for the shape cue
+    particles : overrides the number in the parameters
 
     Raises
     ------
@@ -91,7 +91,7 @@ class SigmaPiTracker:
         self._size: tuple[int, ...] | None = None
 
     def start(self, image: Image, box: Box | None = None) -> BoxEstimate:
-        """Begin, with the person's box or without; an empty frame is not an error. See `Tracker.start`."""
+        """Start with or without the person's box; an empty frame is not an error. See `Tracker.start`."""
         p = self.parameters
         image = as_uint8(image)
         self._size = image.shape
@@ -107,8 +107,8 @@ class SigmaPiTracker:
         views, fixed = None, p.fixed
         if first is not None and p.views and self._used[2]:
             views = ViewCue.of(small, first)
-        # What is in too small a box is mostly not the person: colour and shape cannot outdo motion, which
-        # in turn is anywhere, so that particles that were drawn anew stay near.
+        # A box that is too small shows little of the person, so colour and shape are weak; motion may be
+        # anywhere, so reinitialised particles stay near.
         self._small = first is not None and p.views and bool(self._used[2]) and views is None
         if self._small:
             fixed = (*p.fixed, "motion")
@@ -119,7 +119,7 @@ class SigmaPiTracker:
         cues: tuple[Cue, ...] = (self._motion, self._colour, self._form)
         self._cues = [cue for cue, used in zip(cues, self._used, strict=True) if used]
         self._reference = np.log(np.array(FIRST_SIZE) if first is None else first[2:])
-        # Who is cut off by the frame's border may be seen in a box of any small size at first.
+        # A person cut off by the frame's border may have a box of any small size at first.
         usual = np.log(np.array(FIRST_SIZE))
         low, high, (least, most) = self._reference, self._reference, np.log(_VIEW_RANGE)
         if views is None:
@@ -136,7 +136,7 @@ class SigmaPiTracker:
         self._last = states_of(first[None])[0]
         states = np.tile(self._last, (p.particles, 1))
         if cut_off(first, self._shape):
-            # Only a part of somebody who comes in is in the box: they are as large as people usually are.
+            # The box holds only a part of an entering person: the expected size is the usual one.
             self._reference = np.maximum(self._reference, usual)
             states[:, 2:] += self._rng.random((p.particles, 1)) * (self._reference - states[:, 2:])
         self._begin(states)
@@ -149,11 +149,11 @@ class SigmaPiTracker:
         return self._estimate(self._last)
 
     def _begin(self, states: FloatArray) -> None:
-        """Take states (n, 4), at rest, as equally likely particles."""
+        """Set equally weighted particles to states (n, 4), at rest."""
         self._cloud = Cloud(states, states, np.full(len(states), 1.0 / len(states)))
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame; see `Tracker.step`. Before `start` it is refused."""
+        """Process the next frame; see `Tracker.step`. Requires `start`."""
         image = as_uint8(image)
         if self._size is None or image.shape != self._size:
             expected = "a start first" if self._size is None else f"{self._size[1]} × {self._size[0]} pixels"
@@ -177,7 +177,7 @@ class SigmaPiTracker:
         return estimate
 
     def _weigh(self, again: NDArray[np.bool_]) -> None:
-        """Weigh the particles by eq. 4 where they are; ``again`` (n,) are those that were drawn anew."""
+        """Weight the particles by eq. 4; ``again`` (n,) masks the reinitialised particles."""
         p = self.parameters
         weights = output(self._activities(self._cloud.boxes), self.reliabilities) ** self._sharpness
         if self._found:
@@ -197,7 +197,7 @@ class SigmaPiTracker:
             cue.look(small)
 
     def _activities(self, windows: FloatArray) -> FloatArray:
-        """Of the cues (n, 3) in windows (n, 4)."""
+        """Return the activities (n, 3) of the cues in windows (n, 4)."""
         found = np.zeros((len(windows), len(CUES)))
         for column, cue in zip(np.flatnonzero(self._used), self._cues, strict=True):
             found[:, column] = cue.activity(windows)
@@ -218,7 +218,7 @@ class SigmaPiTracker:
         self._cloud = replace(moved, now=self._limited(moved.now))
 
     def _draw_again(self, ancestors: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Assign some particles to random places; return a mask (n,) of them."""
+        """Reinitialise some particles at random positions; return their mask (n,)."""
         p = self.parameters
         share = np.full(p.particles, p.random_share)
         if not self._found:
@@ -233,17 +233,17 @@ class SigmaPiTracker:
         return again
 
     def _limited(self, states: FloatArray) -> FloatArray:
-        """States (n, 4) with centres in the frame and sizes within their limits."""
+        """Clip states (n, 4) to centres in the frame and sizes within their limits."""
         return np.hstack([np.clip(states[:, :2], 0.0, self._shape), np.clip(states[:, 2:], *self._limits)])
 
     def _anywhere(self, count: int) -> FloatArray:
-        """States (count, 4) anywhere in the frame, about as large as the person is expected to be."""
+        """Draw states (count, 4) anywhere in the frame, of about the expected size."""
         centre = self._rng.random((count, 2)) * self._shape
         size = self._reference + _SIZE_STD * self._rng.standard_normal((count, 2))
         return np.hstack([centre, size])
 
     def _near(self, centre: FloatArray) -> FloatArray:
-        """Centres (n, 2) anywhere in the frame, brought to within two windows of the last one."""
+        """Clip centres (n, 2) to within two windows of the last estimate."""
         away = 2.0 * centre / self._shape - 1.0
         return np.asarray(self._last[:2] + 2.0 * np.exp(self._last[2:]) * away)
 
@@ -258,7 +258,7 @@ class SigmaPiTracker:
         return np.asarray(chosen @ now / chosen.sum())
 
     def _estimate(self, best: FloatArray) -> BoxEstimate:
-        """Estimate of a state; decides whether the person is found."""
+        """Return the estimate of a state, and decide whether the person is found."""
         window = boxes_of(best[None])
         self._active = self._activities(window)[0]
         self._support = self._activities(self._cloud.boxes).max(axis=1)
@@ -283,13 +283,13 @@ class SigmaPiTracker:
         )
 
     def _confidence(self, activities: FloatArray) -> float:
-        """That not all of the cues are wrong, the most reliable counting in full."""
+        """Return the confidence that not all cues are wrong, relative to the most reliable cue."""
         linear = self.reliabilities[: len(CUES)]
         trust = linear / max(linear.max(), 1e-9)
         return float(1.0 - np.prod(1.0 - trust * activities))
 
     def _learn(self, best: FloatArray) -> None:
-        """Adapt reliabilities, and colour and shape where the other cues support the estimate."""
+        """Adapt reliabilities, and colour and shape if the other cues support the estimate."""
         p = self.parameters
         learned = adapted(self.reliabilities, self._active, p.learning_rate, p.offset) * (self._offset > 0.0)
         self.reliabilities = np.where(self._fixed, self.reliabilities, learned)
@@ -303,7 +303,7 @@ class SigmaPiTracker:
         active = self._active >= _SUPPORT
         moving, coloured, formed = active
         enough = active.sum() >= min(2, self._used.sum())
-        # Shape is the cue that tells a person from furniture on the move, so colour waits for it.
+        # Only shape distinguishes a person from moving furniture, so colour waits for it.
         self._alone = self._alone + 1 if moving and active.sum() == 1 else 0
         anew = self._alone > _STALE
         always = p.teach_always or anew
@@ -319,7 +319,7 @@ class SigmaPiTracker:
             self._reference = self._reference + _SIZE_RATE * (best[2:] - self._reference)
 
     def _surroundings(self, window: FloatArray | None) -> None:
-        """Let colour and shape know what is not the person."""
+        """Update the background models of colour and shape."""
         outside = np.ones(self._motion.saliency.shape, bool)
         if window is not None:
             outside = ~covered(outside.shape, window, 1.3)

@@ -1,4 +1,4 @@
-"""The cues of the Sigma-Pi tracker: motion, colour, and shape by local features or by views.
+"""Cues of the Sigma-Pi tracker: motion, colour, and shape by local features or by views.
 
 Local features of the target in the last frames are compared with those of the background (Yan et al. 2011,
 §3); views of the whole window need fewer pixels.
@@ -20,23 +20,23 @@ from perception.trackers.color import pixel_bins, target_share, weighed_histogra
 from perception.trackers.tracker import cut
 
 # Lengths are pixels of the reduced frame, rates shares of a difference in one frame.
-_SURROUND = 2.2  # size of a window with its surround, in sizes of the window
+_SURROUND = 2.2  # size of a window and its surround, in sizes of the window
 _BACKGROUND_RATE, _MOTION_THRESHOLD = 0.02, 16.0  # of the running average; grey levels that are motion
 _MOTION_OVERLAP, _COLOUR_OVERLAP, _SHAPE_OVERLAP = (0.25, 0.05), (0.25, 0.05), (0.15, 0.04)
 """Overlap with what is salient at which a cue's activity rises, and how steeply (`activation`)."""
 _COLOUR_RATE, _SURROUNDINGS_RATE = 0.015, 0.01  # of the histograms of the target and of the background
-_COLOUR_ODDS = 3.0  # of the background against the target, for a pixel of which nothing is known
-_MEMORY, _BACKGROUND_FEATURES = 10, 600  # frames and features of the background that are remembered
-_MATCHED, _MARGIN = 0.85, 0.08  # similarity of the same thing, and lead that decides whose it is
+_COLOUR_ODDS = 3.0  # prior odds of the background against the target
+_MEMORY, _BACKGROUND_FEATURES = 10, 600  # stored frames, and features of the background
+_MATCHED, _MARGIN = 0.85, 0.08  # similarity of a match, and margin that decides between target and background
 _NEGATIVE, _FEWEST = 0.5, 6.0  # weight of a feature of the background; features of a target, at least
 _CONTRAST = 0.03  # threshold of the SIFT detector
 _FOCUS, _FOCUS_LEAST = 4.0, 120.0
-"""Part of the frame in which features are looked for while the person is found: windows; pixels at least."""
-_EVERYWHERE = 10  # frames after which they are looked for in the whole frame all the same
+"""Search region of features while the person is found, in windows, and its least size in pixels."""
+_EVERYWHERE = 10  # period in frames of a search of the whole frame
 _VIEW_GAIN, _VIEW_NEW = (0.4, 0.1), 0.6  # as an overlap; gain below which a view is new
-_VIEW_LEAST = 12.0  # width and height of a box whose view is remembered: two pixels for each of its cells
+_VIEW_LEAST = 12.0  # least width and height of a stored view: two pixels per cell
 _BORDER = 3.0
-"""Pixels: who is as near to the border of the frame is taken to be cut off by it."""
+"""Pixels: a person this close to the frame's border is treated as cut off."""
 
 
 def cut_off(window: FloatArray, shape: FloatArray) -> bool:
@@ -45,7 +45,7 @@ def cut_off(window: FloatArray, shape: FloatArray) -> bool:
 
 
 def kernel(shape: tuple[int, ...], window: FloatArray) -> NDArray[np.float32]:
-    """Epanechnikov's kernel (h, w) over a window (4,): what is in a box's corners is rarely the person."""
+    """Return Epanechnikov's kernel (h, w) over a window (4,), since corners rarely show the person."""
     rows, columns = np.indices(shape[:2], np.float32) + 0.5
     left, top, width, height = window
     x, y = (columns - left) / width * 2.0 - 1.0, (rows - top) / height * 2.0 - 1.0
@@ -53,7 +53,7 @@ def kernel(shape: tuple[int, ...], window: FloatArray) -> NDArray[np.float32]:
 
 
 def covered(shape: tuple[int, ...], window: FloatArray, factor: float) -> NDArray[np.bool_]:
-    """Pixels (h, w) in a window (4,) that is enlarged about its centre."""
+    """Return the mask (h, w) of a window (4,) enlarged about its centre."""
     left, top, width, height = enlarged(window[None], factor)[0]
     mask = np.zeros(shape[:2], bool)
     rows = slice(max(round(top), 0), max(round(top + height), 0))
@@ -62,14 +62,14 @@ def covered(shape: tuple[int, ...], window: FloatArray, factor: float) -> NDArra
 
 
 def integral(saliency: NDArray[np.float32]) -> FloatArray:
-    """Sums (h + 1, w + 1) of a saliency (h, w) over all rows above and columns to the left."""
+    """Return the integral image (h + 1, w + 1) of a saliency (h, w)."""
     return np.asarray(cv2.integral(saliency, sdepth=cv2.CV_64F), float)
 
 
 def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
-    """Sums (n,) of a saliency over windows (n, 4): left, top, width, height in pixels.
+    """Return sums (n,) of a saliency over windows (n, 4): left, top, width, height in pixels.
 
-    The windows' edges are rounded to whole pixels; what lies outside the frame counts nothing.
+    The windows' edges are rounded to whole pixels; the saliency outside the frame is 0.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
 
 
 def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatArray:
-    """Fit (n,) of windows to what is salient, 0…1: inside / (area + what is salient around them).
+    """Return the fit (n,) of windows to a saliency, 0…1: inside / (area + saliency around them).
 
-    This is the intersection over union of the window with what is salient in it and around it.
+    This is the intersection over union of the window and the saliency in and around it.
 
     Parameters
     ----------
@@ -97,13 +97,13 @@ def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatAr
 
 
 def salient_overlap(table: FloatArray, windows: FloatArray, surround: float) -> FloatArray:
-    """`overlap` (n,) of windows (n, 4) by the `integral` of a saliency; ``surround`` in sizes of a window."""
+    """Return `overlap` (n,) of windows (n, 4) and an `integral`; ``surround`` in sizes of a window."""
     within = sums(table, windows)
     return overlap(within, sums(table, enlarged(windows, surround)) - within, windows[:, 2] * windows[:, 3])
 
 
 def activation(value: FloatArray, middle: float, width: float) -> FloatArray:
-    """A logistic function of values in 0…1, stretched so that 0 gives 0 and 1 gives 1.
+    """Logistic function of values in 0…1, scaled so that 0 gives 0 and 1 gives 1.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ _NONE = np.zeros((0, DIMENSION), np.float32)
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """n local features.
+    """Local features, n in number.
 
     Attributes
     ----------
@@ -136,16 +136,16 @@ class Features:
     descriptors: NDArray[np.float32]
 
     def chosen(self, which: NDArray[Any]) -> Features:
-        """Some of them, by a mask (n,) or by numbers."""
+        """Return a subset, by a mask (n,) or by indices."""
         return Features(self.points[which], self.descriptors[which])
 
 
 def detect(sift: Any, grey: Image, window: FloatArray | None = None) -> Features:
-    """SIFT features of a grey image (h, w), as roots of shares (Arandjelović & Zisserman 2012).
+    """Return RootSIFT features of a grey image (h, w) (Arandjelović & Zisserman 2012).
 
     Parameters
     ----------
-    window : (4,) left, top, width, height of the only part that is looked at; points are the image's
+    window : (4,) left, top, width, height of the searched part; points are in the image's pixels
     """
     left = top = 0
     if window is not None:
@@ -163,18 +163,18 @@ def detect(sift: Any, grey: Image, window: FloatArray | None = None) -> Features
 
 
 def similarity(descriptors: NDArray[np.float32], known: NDArray[np.float32]) -> FloatArray:
-    """The greatest similarity (n,) of each descriptor (n, 128) to any known one (m, 128); 0 without any."""
+    """Return the largest similarity (n,) of descriptors (n, 128) to known ones (m, 128); 0 without any."""
     if not len(known) or not len(descriptors):
         return np.zeros(len(descriptors))
     return np.asarray((descriptors @ known.T).max(axis=1), float)
 
 
 def point_scores(target: FloatArray, background: FloatArray, matched: float, margin: float) -> FloatArray:
-    """Evidence (n,) of each feature for the target, −1…1, by its similarities (n,) to both.
+    """Return the evidence (n,) of features for the target, −1…1, from similarities (n,) to both.
 
-    It is the lead of the target over the background in units of ``margin``, less a half, for features that
-    are at least as similar as ``matched`` to either: what is alike to both speaks against the target. Others
-    say nothing.
+    The evidence is the difference of the similarities in units of ``margin``, minus a half, for features
+    with a similarity of at least ``matched`` to either: features similar to both count against the target.
+    Other features have evidence 0.
     """
     lead = np.clip((target - background) / margin - 0.5, -1.0, 1.0)
     return np.asarray(np.where(np.maximum(target, background) >= matched, lead, 0.0))
@@ -189,19 +189,19 @@ def inside(points: FloatArray, windows: FloatArray) -> NDArray[np.bool_]:
 _SIDE, _CELLS = 24, 6
 """Pixels of a window's patch and cells along each side."""
 _GRAIN = 0.3
-"""Root of the mean gradient of a cell (grey levels a pixel) below which a window counts as blank."""
+"""Root of a cell's mean gradient (grey levels per pixel) below which a window counts as blank."""
 
 
 _APART = np.abs(np.arange(_SIDE) + 0.5 - (np.arange(_CELLS)[:, None] + 0.5) * _SIDE / _CELLS)
 _POOLING = np.asarray(np.maximum(1.0 - _APART * _CELLS / _SIDE, 0.0) * _CELLS / _SIDE, np.float32)
-"""Shares (cells, pixels) of a side's pixels in its cells: triangles that reach into the next ones."""
+"""Return triangular weights (cells, pixels) of a side's pixels in its cells."""
 
 
 def descriptors(image: Image, windows: FloatArray) -> NDArray[np.float32]:
-    """Gradients by direction and cell (n, 288) of windows (n, 4) of a grey image (h, w).
+    """Return gradients by direction and cell (n, 288) of windows (n, 4) of a grey image (h, w).
 
-    Roots of the mean gradients in 6 × 6 cells and 8 directions, less their mean; of length 1, or less where
-    a window is nearly blank. The product of two is their correlation, −1…1.
+    Roots of the mean gradients in 6 × 6 cells and 8 directions, minus their mean; of length 1, or less if a
+    window is nearly blank. The dot product of two is their correlation, −1…1.
     """
     patches = cut(image, windows, _SIDE).astype(np.float32)
     across, down = np.zeros_like(patches), np.zeros_like(patches)
@@ -217,11 +217,10 @@ def descriptors(image: Image, windows: FloatArray) -> NDArray[np.float32]:
 
 
 class ViewCue:
-    """Likeness to the target in the box that was given, or to the last views of it.
+    """Similarity to the target in the given box, or to its last views.
 
-    A view is remembered only where it is new, and the first is never forgotten: who stands is always
-    compared with what was given, so that windows do not creep off (Matthews, Ishikawa & Baker 2004, "The
-    template update problem").
+    Only new views are stored, and the first is never discarded, which prevents drift (Matthews, Ishikawa &
+    Baker 2004, "The template update problem").
     """
 
     def __init__(self, image: Image, window: FloatArray) -> None:
@@ -235,7 +234,7 @@ class ViewCue:
 
     @classmethod
     def of(cls, image: Image, window: FloatArray) -> ViewCue | None:
-        """The cue of a target in a window (4,) of an image (h, w, 3); None where it is too small or blank."""
+        """Return the cue of a window (4,) of an image (h, w, 3); None if it is too small or blank."""
         if window[2:].min() < _VIEW_LEAST:
             return None
         cue = cls(image, window)
@@ -246,7 +245,7 @@ class ViewCue:
         self._grey = grey(image)
 
     def gain(self, windows: FloatArray) -> FloatArray:
-        """Likeness (n,) of windows (n, 4) to any view: 1 as the first one, 0 as what was beside it."""
+        """Return similarities (n,) of windows (n, 4) to any view: 1 the first, 0 its surroundings."""
         known = np.array([self._first, *self._later])
         found = (descriptors(self._grey, windows) @ known.T).max(axis=1)
         most = float(self._first @ self._first)
@@ -257,23 +256,23 @@ class ViewCue:
         return activation(self.gain(windows), *_VIEW_GAIN)
 
     def adapt(self, window: FloatArray) -> None:
-        """Remember the view in a window (4,), if it is new."""
+        """Store the view in a window (4,), if it is new."""
         self.frames += 1
         if self.gain(window[None])[0] < _VIEW_NEW:
             self._later.append(descriptors(self._grey, window[None])[0])
 
     def give(self, images: list[Image]) -> None:
-        """Images of what is never the target tell nothing here."""
+        """Ignore background images."""
 
     def focus(self, window: FloatArray | None) -> None:
-        """Windows are looked at one by one anyway."""
+        """Ignore the search region, since windows are evaluated one by one."""
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
-        """Ignored: the surroundings were seen in the first frame."""
+        """Ignore the surroundings, which come from the first frame."""
 
 
 class Cue(Protocol):
-    """Looks at frames, and says how active it is in windows."""
+    """Cue that processes frames and returns activities of windows."""
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
@@ -285,7 +284,7 @@ class Cue(Protocol):
 
 
 class _SaliencyCue:
-    """A cue that is active where windows overlap with a saliency of the pixels."""
+    """Cue with the overlap of windows and a pixel saliency as activity."""
 
     def __init__(self, image: Image, rise: tuple[float, float]) -> None:
         self._rise = rise
@@ -305,7 +304,7 @@ class MotionCue(_SaliencyCue):
     def __init__(self, image: Image, target: NDArray[np.bool_] | None) -> None:
         super().__init__(image, _MOTION_OVERLAP)
         self._background = smoothed(image)
-        # What the target hides in the first frame is seen when it has gone from there.
+        # The background behind the target appears once the target has moved away.
         self._unknown = target
         self._image = self._background
 
@@ -318,7 +317,7 @@ class MotionCue(_SaliencyCue):
         self._show(saliency)
 
     def adapt(self, target: NDArray[np.bool_] | None) -> None:
-        """Let the background follow; ``target`` (h, w) says where it may be hidden."""
+        """Update the background; ``target`` (h, w) masks pixels that may be hidden."""
         rate = _BACKGROUND_RATE
         mixed = cv2.addWeighted(self._background, 1.0 - rate, self._image, rate, 0.0)
         self._background = np.asarray(mixed, np.float32)
@@ -331,7 +330,7 @@ class MotionCue(_SaliencyCue):
 
 
 class ColourCue(_SaliencyCue):
-    """The target's colours rather than those around it."""
+    """Colours of the target against those around it."""
 
     def __init__(self, image: Image) -> None:
         super().__init__(image, _COLOUR_OVERLAP)
@@ -339,7 +338,7 @@ class ColourCue(_SaliencyCue):
         self.target: FloatArray | None = None
         """The target's histogram (COUNT,), once there is one."""
         self.frames = 0
-        """Of which the target's histogram is made."""
+        """Number of frames in the target's histogram."""
         self._background: FloatArray | None = None
 
     def look(self, image: Image) -> None:
@@ -351,7 +350,7 @@ class ColourCue(_SaliencyCue):
         self._show(share.astype(np.float32)[self._numbers])
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
-        """Adapt the background's histogram to where the target is not (h, w)."""
+        """Adapt the background's histogram to the pixels (h, w) outside the target."""
         found = weighed_histogram(self._numbers, outside.astype(np.float32))
         rate = _SURROUNDINGS_RATE
         self._background = found if self._background is None else _mixed(self._background, found, rate)
@@ -366,13 +365,13 @@ class ColourCue(_SaliencyCue):
 
 
 class ShapeCue:
-    """Local features that look like the target's of the last frames, and unlike the background's."""
+    """Local features similar to the target's in the last frames, and dissimilar to the background's."""
 
     def __init__(self) -> None:
         self._sift: Any = cv2.SIFT_create(contrastThreshold=_CONTRAST)  # type: ignore[attr-defined]
         self.features = Features(np.zeros((0, 2)), _NONE)
         self.scores = np.zeros(0)
-        """Evidence (n,) of each feature of the frame for the target, −1…1."""
+        """Return the evidence (n,) of the frame's features for the target, −1…1."""
         self._of_background = np.zeros(0)
         self._memory: deque[NDArray[np.float32]] = deque(maxlen=_MEMORY)
         self._rates: deque[float] = deque(maxlen=_MEMORY)
@@ -384,12 +383,12 @@ class ShapeCue:
         self._expected = 0.0
 
     def give(self, images: list[Image]) -> None:
-        """Images of what is never the target, such as furniture."""
+        """Learn from background images, such as furniture."""
         found = [detect(self._sift, grey(image)).descriptors for image in images]
         self._given = np.concatenate([self._given, *found])
 
     def focus(self, window: FloatArray | None) -> None:
-        """Look for features about a window (4,) only, as they cost the most; everywhere for None."""
+        """Restrict the search of features to a window (4,), to save time; None: the whole frame."""
         if window is None:
             self._focus = None
             return
@@ -406,7 +405,7 @@ class ShapeCue:
         self._of_background = np.maximum(
             similarity(descriptors, self._background), similarity(descriptors, self._given)
         )
-        # Frames whose features match those of the next one are remembered better.
+        # Features that match in the next frame are kept longer.
         of_target = np.zeros(len(descriptors))
         for known, rate in zip(self._memory, self._rates, strict=True):
             of_target = np.maximum(of_target, rate * similarity(descriptors, known))
@@ -425,19 +424,19 @@ class ShapeCue:
         return activation(overlap(held, np.asarray(around @ gain), expected), *_SHAPE_OVERLAP)
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
-        """Remember features that are not the target's; ``outside`` (h, w) says where it is not."""
+        """Store features of the background; ``outside`` (h, w) masks pixels outside the target."""
         last = [outside.shape[1] - 1, outside.shape[0] - 1]
         places = np.clip(self.features.points.astype(int), 0, last)
         beside = outside[places[:, 1], places[:, 0]]
         descriptors = self.features.descriptors[beside]
         new = descriptors[self._of_background[beside] < _MATCHED]
-        # What was seen again goes last, what was not seen for longest is forgotten.
+        # Least recently matched features are discarded first.
         seen = similarity(self._background, descriptors) >= _MATCHED
         known = np.concatenate([self._background[~seen], self._background[seen], new])
         self._background = known[-_BACKGROUND_FEATURES:]
 
     def adapt(self, window: FloatArray) -> None:
-        """Remember the features in a window (4,) that are not the background's."""
+        """Store the features in a window (4,) that are not the background's."""
         own = inside(self.features.points, window[None])[0] & (self._of_background < _MATCHED)
         new = self.features.descriptors[own]
         if not len(new):

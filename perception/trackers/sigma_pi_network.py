@@ -1,4 +1,4 @@
-"""The Sigma-Pi network of Yan, Weber & Wermter (2011) and the parameters of its tracker."""
+"""Sigma-Pi network of Yan, Weber & Wermter (2011), and the parameters of its tracker."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TERM_NAMES = tuple("·".join(CUES[c] for c in term) for term in TERMS)
 
 
 def products(activities: FloatArray) -> FloatArray:
-    """The seven terms (..., 7) of activities (..., 3) in 0…1."""
+    """Return the seven terms (..., 7) of activities (..., 3) in 0…1."""
     columns = [activities[..., list(term)].prod(axis=-1) for term in TERMS]
     return np.stack(columns, axis=-1)
 
@@ -39,8 +39,7 @@ def adapted(
     """Eq. 5: reliabilities (7,) after a frame with activities (3,) at the estimate.
 
     α ← (1 − ε)·α + ε·f + β is a contraction towards f + β/ε, with f in 0…6: reliabilities stay between
-    β/ε, below which no cue falls for good, and 6 + β/ε. They need no normalising, for only their ratios
-    matter to the particles.
+    β/ε and 6 + β/ε. They are not normalised, since particle weights depend only on their ratios.
 
     Parameters
     ----------
@@ -55,9 +54,9 @@ Estimate = Literal["cluster", "mean"]
 
 
 WIDTH = 320
-"""Columns of the frames that are looked at; larger ones are reduced. Lengths are pixels of these."""
+"""Columns of the processed frames; larger frames are reduced. Lengths are in pixels of these."""
 FIRST_SIZE = (36.0, 36.0)
-"""Width and height of the person who is looked for where no box is given."""
+"""Width and height of the searched person if no box is given."""
 
 
 @dataclass(frozen=True)
@@ -66,23 +65,22 @@ class SigmaPiParameters:
 
     Attributes
     ----------
-    particles : how many there are
-    cues : which are used; the others stay silent
-    random_share : of the particles that are drawn anew anywhere in each step
-    random_weight : factor of the weight of particles drawn anew while the person is found: people jump less
-        often than the particles that look out for them (importance sampling)
-    lost_share : the same for particles that nothing supports, while the person is not found
+    particles : number of particles
+    cues : active cues; the others have activity 0
+    random_share : share of the particles that are reinitialised at random in each step
+    random_weight : factor of the weight of reinitialised particles while the person is found: people jump
+        less often than these particles (importance sampling)
+    lost_share : share of unsupported particles that are reinitialised, while the person is not found
     learning_rate, offset : ε and β of eq. 5
-    fixed : cues whose own reliability (that of the linear term) stays as at first; ("motion",) in the paper
+    fixed : cues with a constant reliability of the linear term; ("motion",) in the paper
     estimate : "cluster": the mean of the heaviest cluster of particles; "mean": of all, as in the paper
-    weigh_before_move : whether eq. 4 judges the particles where the last frame left them, before they move,
-        as in the paper; by default they move first
-    teach_always : whether colour and shape learn from every frame in which the person is found, as in the
-        paper, and not only from estimates that other cues support
-    views : whether a person whose box is given is told by the view in it (`ViewCue`) instead of by local
-        features
-    dynamics : of the particles; few are drawn from a guide's proposal, which takes people to walk on,
-        while in a room they turn and stop
+    weigh_before_move : whether eq. 4 weights the particles before they move, as in the paper; by default they
+        move first
+    teach_always : whether colour and shape learn from every frame with the person found, as in the paper,
+        and not only from estimates that other cues support
+    views : whether the shape cue uses views (`ViewCue`) instead of local features, if a box is given
+    dynamics : of the particles; few are drawn from a guide's proposal, which assumes steady walking, while
+        people in a room turn and stop
     """
 
     particles: int = 50
@@ -111,10 +109,10 @@ class SigmaPiParameters:
 
     @classmethod
     def of_the_paper(cls, particles: int = 50) -> SigmaPiParameters:
-        """Yan et al. 2011 as printed, as far as it says.
+        """Return the parameters of Yan et al. 2011 as far as published.
 
-        Eq. 4 weighs the particles at s_{t−1}, which move then (§2.1, §2.2); the estimate is the mean of all;
-        5 % go anywhere in each step and weigh as much as any; motion's reliability is not adaptive (§2.2);
+        Eq. 4 weights the particles at s_{t−1}, before they move (§2.1, §2.2); the estimate is their mean;
+        5 % are reinitialised in each step, with full weight; motion's reliability is not adaptive (§2.2);
         colour and shape learn in every frame (§4.1), shape from local features.
         """
         share = cls().random_share

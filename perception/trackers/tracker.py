@@ -1,6 +1,6 @@
-"""The interface of trackers on pixels, and their parts: states of boxes, motion, and patches.
+"""Interface of trackers on pixels, and their parts: states of boxes, dynamics and patches.
 
-Boxes move by a second-order autoregression (Ba & Odobez 2003, §3.3), mixed with a proposal from outside.
+Boxes move by a second-order autoregression (Ba & Odobez 2003, §3.3), mixed with an external proposal.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A prediction of the target in the next frame from outside: a normal density of its box's centre.
+    """External prediction of the target in the next frame: a normal density of its box's centre.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class BoxEstimate:
     box : left, top, width, height in pixels
     spread : (2,) 1-σ of the particles' centres, right and down (pixels)
     confidence : 0…1, comparable within one tracker
-    found : whether the tracker says that the target is in the frame
+    found : whether the tracker detects the target in the frame
     particles : (n, 4) boxes
     weights : (n,) of the particles; they sum to 1
     pan : (n_pan,) distribution of the head's pan over the tracker's classes, image frame; it sums to 1
-    pan_likelihood : (n_pan,) likelihood of the pan by this frame alone, up to a factor
+    pan_likelihood : (n_pan,) likelihood of the pan in this frame alone, up to a factor
     cues : strength of each cue, by name
     tilt : expected tilt of the head, radians above the horizontal
     """
@@ -74,16 +74,16 @@ class BoxEstimate:
 
 
 class Tracker(Protocol):
-    """One target through consecutive frames of one size.
+    """Tracker of one target in consecutive frames of one size.
 
-    ``pan_classes`` are the classes of `BoxEstimate.pan`; None for trackers that know no pan.
+    ``pan_classes`` are the classes of `BoxEstimate.pan`; None for trackers without pan.
     """
 
     name: ClassVar[str]
     pan_classes: PoseClasses | None
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
-        """Begin with the target's box in the first frame; without one the tracker looks for a target.
+        """Start with the target's box in the first frame; without a box the tracker searches for a target.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class Tracker(Protocol):
         ...
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame (h, w, 3) uint8.
+        """Process the next frame (h, w, 3) uint8.
 
         Raises
         ------
@@ -104,12 +104,12 @@ class Tracker(Protocol):
 
 
 START_STD = 0.04
-"""1-σ of the first boxes about the given one, as a share of its size."""
+"""1-σ of the initial boxes about the given box, as a share of its size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """n weighed boxes and where they were a frame before.
+    """Weighted boxes, n in number, and their positions in the previous frame.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ def states_of(boxes: FloatArray) -> FloatArray:
 
 
 def check_frame(image: Image, shape: tuple[int, int] | None) -> None:
-    """Refuse a frame that is no colour image, or of another size (height, width) than the first one.
+    """Refuse a frame that is no colour image, or differs in size (height, width) from the first frame.
 
     Raises
     ------
@@ -170,11 +170,11 @@ def check_frame(image: Image, shape: tuple[int, int] | None) -> None:
         raise InputError(f"an array {image.shape} of {image.dtype}", "a frame (h, w, 3) of uint8")
     if shape is not None and image.shape[:2] != shape:
         found, first = f"{image.shape[1]} × {image.shape[0]}", f"{shape[1]} × {shape[0]}"
-        raise InputError(f"a frame of {found} pixels", f"{first}, as the first one")
+        raise InputError(f"a frame of {found} pixels", f"{first}, as the first frame")
 
 
 def first_state(image: Image, box: Box | None) -> FloatArray:
-    """The state (4,) of the box that a tracker begins with in a frame.
+    """Return the initial state (4,) of a tracker's box in a frame.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def first_state(image: Image, box: Box | None) -> FloatArray:
 
 
 def check_box(box: Box, image: Image) -> FloatArray:
-    """The box (4,) of a target in the first frame.
+    """Return the checked box (4,) of a target in the first frame.
 
     Raises
     ------
@@ -210,15 +210,15 @@ def check_box(box: Box, image: Image) -> FloatArray:
 
 @dataclass(frozen=True)
 class BoxDynamics:
-    """Of the centre in units of the box's size, and of the logarithm of the size; all for one frame.
+    """Dynamics per frame of the centre, in units of the box's size, and of the logarithm of the size.
 
     Attributes
     ----------
-    persistence : share of the centre's last step that is made again, 0 (random walk) … 1 (constant velocity)
+    persistence : coefficient of the centre's last step, 0 (random walk) … 1 (constant velocity)
     centre_std : 1-σ of the noise of the centre, as a share of the box's width and height
     size_std : 1-σ of the noise of the logarithm of the size
-    reversion : share of the way back to the first size that is gone in each frame
-    guided_share : share of the particles whose centre is drawn from a `Proposal`, where there is one
+    reversion : rate per frame of the reversion to the first size
+    guided_share : share of the particles whose centre is drawn from a `Proposal`, if there is one
     """
 
     persistence: float = 0.8
@@ -230,9 +230,9 @@ class BoxDynamics:
 
 
 def resampled(cloud: Cloud, below: float, rng: np.random.Generator) -> tuple[Cloud, NDArray[np.int64]]:
-    """A cloud whose weights do their work, and the particles (n,) that it is made of.
+    """Resample a cloud; return it and the ancestors (n,) of its particles.
 
-    It is drawn anew where its effective sample size is less than a share ``below`` of its particles.
+    It is resampled only if its effective sample size is less than a share ``below`` of its particles.
     """
     n = len(cloud.weights)
     if effective_sample_size(cloud.weights) >= below * n:
@@ -252,8 +252,8 @@ def predict(
     """Draw the next states of all particles.
 
     x_t = x_{t−1} + a·(x_{t−1} − x_{t−2}) + noise for the centre; the size also goes back to its reference.
-    With a proposal the motion is a mixture: the centres of ``guided_share`` of the particles come from it,
-    with no step behind them, so that a cloud that lost its target is not carried on by its last speed.
+    With a proposal the dynamics are a mixture: the centres of ``guided_share`` of the particles come from it,
+    with velocity 0, so that particles of a lost target do not continue at its last velocity.
 
     Parameters
     ----------
@@ -287,9 +287,9 @@ PATCH_MARGIN = 1.06
 
 
 def cut(grey: NDArray[np.uint8], boxes: FloatArray, side: int) -> NDArray[np.uint8]:
-    """Patches (n, side, side) of boxes (n, 4) in a grey image (h, w), by linear interpolation.
+    """Cut patches (n, side, side) of boxes (n, 4) in a grey image (h, w), by linear interpolation.
 
-    Beyond the image its border is repeated.
+    The image's border is replicated.
     """
     share = ((np.arange(side) + 0.5) / side).astype(np.float32)
     left, top, width, height = np.asarray(boxes, np.float32).T[:, :, None]
@@ -303,5 +303,5 @@ def cut(grey: NDArray[np.uint8], boxes: FloatArray, side: int) -> NDArray[np.uin
 
 
 def equalised(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Every patch (n, h, w) with its histogram equalised."""
+    """Equalise the histogram of each patch (n, h, w)."""
     return np.array([cv2.equalizeHist(patch) for patch in patches], np.uint8).reshape(patches.shape)

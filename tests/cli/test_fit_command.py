@@ -35,7 +35,7 @@ def test_a_model_file_a_report_and_the_numbers_come_out(people: Path) -> None:
     model = gt.Model.load("learned.toml")
     assert model.to_dict() == told["model"]
     assert model.parameters.motion != gt.Parameters().motion
-    assert "What it bought" in (people / "learned.html").read_text(encoding="utf-8")
+    assert "Gain" in (people / "learned.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -78,6 +78,6 @@ def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(peopl
     gt.write(mixed, "mixed.csv")
     options = ["--model", "position", "--report", "learned.html"]
     done = run("fit", "mixed.csv", "-o", "learned.toml", *options)
-    worse = "keep the model that it started from (position)"
+    worse = "keep the initial model (position)"
     assert done.returncode == 0 and worse in " ".join(done.stderr.split())
     assert worse in (people / "learned.html").read_text(encoding="utf-8")

@@ -42,7 +42,7 @@ def test_a_scene_is_learned_told_written_and_used(here: Path, source: str, how: 
     assert model.preset == "full"
     assert model.to_dict() == json.loads((here / "place.json").read_text("utf-8"))["model"]
     assert 0.7 < model.scene["detection_probability"] < 0.95
-    assert "What it bought" in (here / "place.html").read_text("utf-8")
+    assert "Gain" in (here / "place.html").read_text("utf-8")
     found = gt.associate("seen.csv", model="place.toml")
     std = np.concatenate([track.position_std for track in found])
     assert set(std[np.isfinite(std)]) == {model.scene["position_std"]}

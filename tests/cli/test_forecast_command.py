@@ -49,7 +49,7 @@ def here(tmp_path, monkeypatch):
 def test_forecasts_are_written_counted_and_scored(here):
     done = graphtrack("forecast tracks.csv -o forecast.csv --history 3.2 --samples 20")
     assert done.returncode == 0, done.stderr
-    assert "no forecast of 1 track seen for less than 3.2 s" in done.stderr
+    assert "no forecast of 1 track observed for less than 3.2 s" in done.stderr
     table = pd.read_csv("forecast.csv")
     assert list(table)[:11] == ["track_id", "frame", "t", *KEYS] and list(table)[11] == "sample_0_x"
     # Frames 7 to 19 of four people, twelve times ahead.

@@ -28,7 +28,7 @@ COINCIDING = {
     "smooth a.csv -o H.txt --homography H.txt": ("--output", "--homography"),
     "smooth a.csv -o H.txt --point-pairs H.txt": ("--output", "--point-pairs"),
     "smooth a.csv -o x.csv --report m.toml --model m.toml": ("--report", "--model"),
-    "smooth a.vsp -o H.txt": ("--output", "a file beside the input"),
+    "smooth a.vsp -o H.txt": ("--output", "a companion file of the input"),
     "smooth parts -o parts/x.parquet": ("--output", "the input"),
     "smooth parts -o parts/a=1/x.parquet": ("--output", "the input"),
     "smooth one.parquet -o one.parquet --stream": ("--output", "the input"),

@@ -103,7 +103,7 @@ def test_the_command_prints_and_writes_them(tmp_path: Path) -> None:
     arguments = ["score", str(tmp_path / "smoothed.csv"), "--truth", str(tmp_path / "truth.csv")]
     result = CliRunner().invoke(app, [*arguments, "--json", str(out)])
     assert result.exit_code == 0, result.output
-    assert "95 % holds" in result.output and "NEES" in result.output
+    assert "95 % covers" in result.output and "NEES" in result.output
     states = json.loads(out.read_text())["states"]
     expected = gt.score_states(estimates, truth).to_dict()["rows"]
     for one, other in zip(states["rows"], expected, strict=True):

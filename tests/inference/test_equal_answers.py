@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from walks import turned
+from walks import out_and_back, turned
 
 from graphtrack import OnlineSmoother, TrackSet, smooth
 from graphtrack.geometry.angles import difference, wrap
@@ -89,15 +89,6 @@ def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track
             estimates = [smoother.update(one) for one in observations(given)]
             found.append([[estimate.body, estimate.head] for estimate in estimates])
         assert np.abs(difference(np.array(found[0]), np.array(found[1]))).max() < SAME
-
-
-def out_and_back(seed: int) -> Track:
-    """A straight walk out, a stop, and the same line back: to turn either way is as likely."""
-    rng = np.random.default_rng(seed)
-    n, dt, still = int(rng.integers(15, 40)), float(rng.choice([0.1, 0.2, 0.4])), int(rng.integers(0, 10))
-    out = np.arange(n) * rng.uniform(0.5, 1.6) * dt
-    x = np.concatenate([out, np.full(still, out[-1]), out[::-1]])
-    return Track(seed, np.arange(len(x)), np.arange(len(x)) * dt, np.column_stack([x, np.zeros(len(x))]))
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])

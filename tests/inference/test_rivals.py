@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_equal_answers import out_and_back
-from walks import walk
+from walks import out_and_back, walk
 
 from graphtrack import TrackSet, smooth
 from graphtrack.geometry.angles import UNIFORM_STD, difference

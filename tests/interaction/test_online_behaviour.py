@@ -199,5 +199,5 @@ def test_what_makes_no_sense_is_told() -> None:
         groups.update(1.0, {1: at(1.0, 0.0)})
     with pytest.raises(InputError, match="time in seconds"):
         groups.update(float("nan"), {})
-    with pytest.raises(InputError, match="groups of others"):
+    with pytest.raises(InputError, match="groups of other people"):
         looks.update(1.0, {2: at(1.0, 0.0)}, grouped)

@@ -58,7 +58,7 @@ def test_labels_are_where_people_go_and_nobody_who_stands_has_one() -> None:
 def test_too_few_who_walk_are_refused() -> None:
     street = pasted_street(2, np.random.default_rng(3), offset=0.0)
     labels = walking_labels(street.boxes, None, street.camera, FPS)
-    with pytest.raises(InputError, match="2 people who surely walk, in 2 tracks"):
+    with pytest.raises(InputError, match="2 walking people, in 2 tracks"):
         thinned(labels, AdaptationParameters())
     few = thinned(labels, AdaptationParameters(least_people=2, most_of_person=3))
     assert np.bincount(few.person)[1:].tolist() == [3, 3]
@@ -178,7 +178,7 @@ def test_what_cannot_be_learned_from_is_one_line_and_nothing_is_written(case: st
     output = tmp_path / "out" / ("camera.txt" if case == "name" else "camera.npz")
     done = run("adapt", *arguments, "-o", output)
     assert done.returncode == 2
-    said = {"no camera": "--calibration or --homography", "nobody walks": "surely walk", "name": ".npz"}
+    said = {"no camera": "--calibration or --homography", "nobody walks": "walking people", "name": ".npz"}
     assert said[case] in done.stderr and done.stderr.count("error:") == 1
     assert list((tmp_path / "out").iterdir()) == []
 

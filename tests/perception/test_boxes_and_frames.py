@@ -73,7 +73,7 @@ def test_observe_looks_at_the_frames_of_the_boxes(options: list[object], video: 
     det, out = mot(tmp_path / "det.txt", 1), tmp_path / "out.csv"
     done = run("observe", video, "--boxes", det, "-o", out, "--homography", homography(tmp_path), *options)
     assert done.returncode == 0 and "note: " in done.stderr, done.stderr
-    assert "frames that did not come" not in done.stderr
+    assert "boxes of missing frames" not in done.stderr
     assert pd.read_csv(out)["frame"].tolist() == [frame for frame, _ in WALK]
 
 

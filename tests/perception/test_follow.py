@@ -219,7 +219,7 @@ def broken(folder: Path, case: str) -> None:
 @pytest.mark.parametrize(
     ("case", "message"),
     [
-        ("black", "all of one colour"),
+        ("black", "a uniform colour"),
         ("sizes", "frame 30 of 200 × 120"),
         ("nothing", "no target in any of 40 frames"),
         ("undecodable", "no frame that can be decoded"),

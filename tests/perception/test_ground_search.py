@@ -111,7 +111,7 @@ def test_a_person_has_the_height_that_the_camera_shows(roll: float) -> None:
 def test_nobody_has_a_height_beyond_the_horizon_or_below_the_camera() -> None:
     sizes = PersonSizes.of(CAMERA.ground_camera(), SIZE)
     assert np.isnan(sizes.heights(np.array([[160.0, -400.0]]))).all()
-    with pytest.raises(InputError, match="nobody is upright and large enough"):
+    with pytest.raises(InputError, match="people are not upright or too small"):
         GroundSearch(GroundCamera.from_scale(10.0), SIZE)
 
 
@@ -264,7 +264,7 @@ def test_observe_writes_detections_and_smooth_finds_who_is_who(
     out = tmp_path / "seen.csv"
     done = run("observe", *written, "-o", out, "--write-boxes", tmp_path / "boxes.txt")
     assert done.returncode == 0, done.stderr
-    assert "people who surely walk" in done.stderr and "looked for people in 63 frames" in done.stderr
+    assert "walking people" in done.stderr and "searched for people in 63 frames" in done.stderr
     table = pd.read_csv(out)
     assert set(table["track_id"]) == {-1} and table["score"].between(0.5, 1.0).all()
     assert not list(tmp_path.glob("seen.csv.*"))
@@ -293,7 +293,7 @@ def test_a_run_goes_on_with_what_it_was_taught(
     assert run("observe", *written, "-o", tmp_path / "o.csv").returncode != 0
     done = run("observe", *written, "-o", tmp_path / "o.csv")
     assert done.returncode == 0, done.stderr
-    assert "going on after 49 frames" in done.stderr and "surely walk" not in done.stderr
+    assert "going on after 49 frames" in done.stderr and "walking people" not in done.stderr
     assert len(count) == 50 + 63 - 49
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o.csv", "whole.csv"]
     tables = [pd.read_csv(tmp_path / name) for name in ("o.csv", "whole.csv")]
@@ -304,8 +304,8 @@ def test_a_run_goes_on_with_what_it_was_taught(
 def test_adapt_finds_people_itself_and_leaves_no_journal(written: list[object], tmp_path: Path) -> None:
     done = run("adapt", *written, "-o", tmp_path / "camera.npz")
     assert done.returncode == 0, done.stderr
-    assert "looked for people in 63 frames" in done.stderr
-    assert re.search(r"boxes of \d people who surely walk, of \d+ tracks", done.stdout + done.stderr)
+    assert "searched for people in 63 frames" in done.stderr
+    assert re.search(r"boxes of \d walking people in \d+ tracks", done.stdout + done.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["camera.npz"]
 
 

@@ -165,7 +165,7 @@ ENTRY = {"image_id": 1, "keypoints": [1.0] * 51}
     ("content", "told"),
     [
         ("frame,id\n1,2\n", "JSON"),
-        (json.dumps([ENTRY] * 9)[:400], "broken off"),
+        (json.dumps([ENTRY] * 9)[:400], "truncated"),
         ({"type": "FeatureCollection", "features": []}, "'type', 'features'"),
         ([], "a list without entries"),
         ([{"image_id": 1, "bbox": [1, 2, 3, 4]}], "entry 0 without keypoints"),
@@ -306,8 +306,8 @@ def test_boxes_without_keypoints_say_nothing_and_are_counted(street: Path, tmp_p
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--models", "k.json"], "--keypoints beside a model"),
-        (["--body-pose-model", "k.json"], "--keypoints beside a model"),
+        (["--models", "k.json"], "--keypoints with a model"),
+        (["--body-pose-model", "k.json"], "--keypoints with a model"),
         (["--person-class", "0"], "--person-class without a network"),
         (["--input-size", "640"], "--input-size without a network"),
     ],

@@ -113,7 +113,7 @@ def test_detection_that_was_broken_off_goes_on(
     done = run(*arguments)
     assert decoded == ["0003", "0004", "0005", *(f"{k:04d}" for k in range(6))]
     assert done.returncode == 0, done.stderr
-    assert "going on after 3 frames" in done.stderr and "looked for people in 3 frames" in done.stderr
+    assert "going on after 3 frames" in done.stderr and "searched for people in 3 frames" in done.stderr
     assert len(looked) == 4 + 3 and "observed 6 detections" in done.stderr
     assert set(pd.read_csv(tmp_path / "o.csv")["track_id"]) == {-1}
     assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
@@ -136,7 +136,7 @@ def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: 
     for text in (
         "0003.png cannot be decoded",
         "inside the image",
-        "1 boxes of frames that did not come, such as 77: frames 0 to 5 came",
+        "1 boxes of missing frames, such as 77: frames 0 to 5 came",
         "no camera",
         "1 marked to be ignored",
     ):
@@ -364,7 +364,7 @@ def test_streamed_rows_are_those_of_a_causal_file(long_clip: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("options", "output", "told"),
     [
-        (["--boxes", "boxes.txt", "--write-boxes", "again.txt"], "o.csv", "--write-boxes beside --boxes"),
+        (["--boxes", "boxes.txt", "--write-boxes", "again.txt"], "o.csv", "--write-boxes with --boxes"),
         (["--homography", "h.txt", "--calibration", "h.txt"], "o.csv", "--homography and --calibration"),
         (["--boxes", "det.txt"], "o.txt", "detections without identities"),
         (["--whole-track"], "-", "--whole-track with -o -"),

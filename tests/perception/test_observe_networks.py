@@ -96,7 +96,7 @@ def test_a_pose_network_makes_boxes_or_is_asked_of_those_given(walk: Path, tmp_p
     np.testing.assert_allclose(alone[["u", "v"]], [[112.0, 224.0]] * FRAMES, atol=0.1)
     write_boxes([PersonBox(k, 4, (80.0, 48.0, 66.0, 178.0)) for k in range(1, FRAMES)], tmp_path / "b.txt")
     done = run("observe", walk, "--keypoints", model, "--boxes", tmp_path / "b.txt", "-o", out)
-    assert done.returncode == 0 and "looked for keypoints in 4 frames" in done.stderr
+    assert done.returncode == 0 and "detected keypoints in 4 frames" in done.stderr
     given = pd.read_csv(out)
     assert set(given["track_id"]) == {4}
     body = [f"body_p{k}" for k in range(8)]
@@ -152,7 +152,7 @@ def test_a_run_that_was_broken_off_goes_on_unless_the_network_has_changed(
         (brightest, ["--person-class", "3", "--detector"], "--person-class"),
         (brightest, ["--input-size", "wide", "--detector"], "--input-size wide"),
         (brightest, ["--input-size", "320", "--detector"], "--input-size 320x320"),
-        (brightest, ["--boxes", "boxes.txt", "--detector"], "--detector beside --boxes"),
+        (brightest, ["--boxes", "boxes.txt", "--detector"], "--detector with --boxes"),
     ],
 )
 def test_bad_networks_are_one_line_and_nothing_is_written(

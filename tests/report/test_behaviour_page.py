@@ -94,12 +94,12 @@ def test_each_kind_has_a_checkbox_and_only_where_there_is_some(report, tracks):
 
 
 def test_sections_say_what_was_given(report):
-    assert [section.title for section in report.sections][:3] == ["Groups", "Looks", "Forecasts"]
+    assert [section.title for section in report.sections][:3] == ["Groups", "Gaze", "Forecasts"]
     (group,) = table(report, "All groups")
     assert group["who"] == "1, 2" and group["kind"] == "conversing" and group["to (s)"] == pytest.approx(7.6)
     dwell = table(report, "Dwell times")
     assert {(row["place"], row["seconds"]) for row in dwell} == {("bar", 1.6)}  # 8 s, 0.2 of them
-    looks = {row["person"]: row for row in table(report, "Looks of each person")}
+    looks = {row["person"]: row for row in table(report, "Gaze of each person")}
     assert looks[1]["looks most at"] == "2" and looks[1]["for (s)"] == pytest.approx(4.8)
     # They stand, and were forecast to go: the error is how far.
     for row in table(report, "Forecasts by time"):
@@ -344,17 +344,17 @@ def test_one_person_and_one_without_a_place_have_a_page():
         looks = nobody[: len(tracks)]
         given = behaviour_of(tracks, groups=groups, attention=looks, forecast=forecast(alone))
         report = tracking_report(tracks, behaviour=given)
-        assert "Nobody was in a group." in render_report(report)
+        assert "No groups were found." in render_report(report)
         assert in_page(report, "return doingInWords(behaviour, people, 0, 1.0);").startswith("alone")
 
 
 def test_looks_and_forecasts_of_others_are_refused(tracks):
     more = standing(people=5)
-    with pytest.raises(InputError, match="looks at person 5, expected people of the tracks"):
+    with pytest.raises(InputError, match="gaze at person 5, expected people of the tracks"):
         behaviour_of(tracks, attention=looking(more)[:4])
     with pytest.raises(InputError, match="looks of person 5"):
         behaviour_of(tracks, attention=looking(more)[4:])
-    with pytest.raises(InputError, match="looks at 'bar', expected a place of those given"):
+    with pytest.raises(InputError, match="gaze at 'bar', expected one of the given places"):
         behaviour_of(tracks, attention=looking(tracks, (BAR,)), places=[SCREEN])
     with pytest.raises(InputError, match="forecasts of person 5"):
         behaviour_of(tracks, forecast=forecast(more))
@@ -411,7 +411,7 @@ def test_the_command_writes_the_page(here):
         ("groups", "\n0,0,2,", "\n0,0,7,", "groups of person 7, expected people of the tracks"),
         ("attention", "person", "persons", "column kind: found 'persons', expected one of person, place"),
         ("attention", '"person","2"', '"person","two"', "column target: found 'two', expected an id"),
-        ("attention", '"person","2"', '"person","8"', "looks at person 8, expected people of the tracks"),
+        ("attention", '"person","2"', '"person","8"', "gaze at person 8, expected people of the tracks"),
         ("attention", ",0.6", ",", "column probability: found an empty cell, expected a finite number"),
         ("places", ",0.5", ",", "places.csv, line 2: found place 'bar' with neither radius nor polygon"),
         ("forecast", "\n1,0,0,", "\n1,33,0,", "forecasts of person 1 in frame 33, expected frames"),

@@ -109,7 +109,7 @@ def test_a_topic_of_poses_is_one_person_and_a_pattern_several(tmp_path):
         ]
 
     bag = record(tmp_path / "bag", {"/p1/pose": told(0.0), "/p2/pose": told(4.0)})
-    with pytest.raises(gt.InputError, match=r"2 topics that tell of people.*--topic.*/p1/pose.*/p2/pose"):
+    with pytest.raises(gt.InputError, match=r"2 topics with people.*--topic.*/p1/pose.*/p2/pose"):
         gt.read(bag)
     (one,) = gt.read(bag, topic="/p2/pose")
     assert one.label == "/p2/pose" and one.position[0, 1] == 4.0
@@ -121,7 +121,7 @@ def test_orientations_that_nobody_set_are_none(tmp_path):
     told = [(t, make("geometry_msgs/msg/PoseStamped", header=header(t), pose=pose(t, 0.0))) for t in TIMES]
     tracks = gt.read(record(tmp_path / "bag", {"/pose": told}))
     assert tracks.by_id(1).body is None
-    assert any("taken for unsaid" in note for note in tracks.summary.notes)
+    assert any("treated as unknown" in note for note in tracks.summary.notes)
 
 
 def turning_robot(rate=0.5, speed=1.0, static=0.3):
@@ -203,9 +203,7 @@ def test_humans_are_where_tf_has_their_frames(tmp_path):
 
 def test_a_topic_of_another_type_is_told_with_those_there_are(tmp_path):
     other = {"/chatter": [(0.0, make("std_msgs/msg/String", data="hello"))]}
-    with pytest.raises(
-        gt.InputError, match=r"no topic that tells of people.*/chatter \(std_msgs/msg/String\)"
-    ):
+    with pytest.raises(gt.InputError, match=r"no topic with people.*/chatter \(std_msgs/msg/String\)"):
         gt.read(record(tmp_path / "first", other))
     bag = record(tmp_path / "second", {"/people": walkers()} | other)
     assert len(gt.read(bag)) == 2

@@ -33,8 +33,8 @@ def run(*arguments: object, program: str = "perception") -> Done:
 TRACK_STREAM = [sys.executable, "-c", "from graphtrack.cli import main; main()", "track", "-"]
 
 _SAID = re.compile(
-    r"going on from .*, after (\d+) rows?"
-    r"(?: \(the last is line (\d+)\))?(; the answer to row \d+ is given again)?"
+    r"resuming from .*, after (\d+) rows?"
+    r"(?: \(the last is line (\d+)\))?(; the answer to row \d+ is repeated)?"
 )
 
 

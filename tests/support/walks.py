@@ -108,3 +108,12 @@ def errors(tracks: Iterable[Track], found: Iterable[Track]) -> np.ndarray:
     pairs, names = list(zip(tracks, found, strict=True)), ("body", "head")
     of = [[mean_absolute_error(getattr(e, a), getattr(t, f"true_{a}")) for t, e in pairs] for a in names]
     return np.degrees(np.mean(of, axis=1))
+
+
+def out_and_back(seed: int) -> Track:
+    """A straight walk out, a stop, and the same line back: to turn either way is as likely."""
+    rng = np.random.default_rng(seed)
+    n, dt, still = int(rng.integers(15, 40)), float(rng.choice([0.1, 0.2, 0.4])), int(rng.integers(0, 10))
+    out = np.arange(n) * rng.uniform(0.5, 1.6) * dt
+    x = np.concatenate([out, np.full(still, out[-1]), out[::-1]])
+    return Track(seed, np.arange(len(x)), np.arange(len(x)) * dt, np.column_stack([x, np.zeros(len(x))]))

@@ -1,10 +1,10 @@
 """CAVIAR ground truth (XML): boxes, and in some clips labelled feet, shoulders and gaze.
 
 Two views. In the corridors people stand upright in the image and the foot point is the middle of the
-box's lower edge. In the lobby the camera looks down through a wide-angle lens: people stretch away from
-the pixel below the camera, and the feet are near the end of the box that points to it. Measured against
-1,551 labelled pairs of feet, that point is off by 2.0 px in the median; the middle of the lower edge by
-15.7 px.
+box's lower edge. In the lobby the camera points down through a wide-angle lens: people extend away from
+the pixel below the camera, and the feet are near the end of the box that is closest to it. The median
+error of that point against 1,551 labelled pairs of feet is 2.0 px; that of the middle of the lower edge
+is 15.7 px.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LOBBY_NADIR = (295.0, 221.0)
 """Pixel of the lobby view to which the lines from labelled heads to labelled feet converge."""
 
 LOBBY_HEIGHT = 5.35
-"""Metres of the lobby's camera above the floor, as far as heads are 1.6 m above feet."""
+"""Height of the lobby's camera above the floor, metres, assuming heads 1.6 m above feet."""
 
 _TOWARDS_NADIR = 0.8  # position of the feet between the box's centre (0) and its edge towards the nadir (1)
 
@@ -49,8 +49,8 @@ def lobby_camera() -> GroundCamera:
 
     No calibration of it is published. This one was fitted (least squares, soft L1) to 1,545 labelled
     pairs of head and feet, with heads 1.6 m above the feet and the principal point in the middle of the
-    image; heads are predicted from feet to 2.7 px in the median. The scale rests on those 1.6 m; walking
-    people come out at 1.3–1.6 m/s.
+    image; the median error of heads predicted from feet is 2.7 px. The scale depends on the 1.6 m; walking
+    speeds are 1.3–1.6 m/s.
     """
     from scipy.spatial.transform import Rotation
 
@@ -93,7 +93,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
-    """The labelled objects in the order of the file, without those whose box is empty.
+    """Return the labelled objects in the order of the file, without empty boxes.
 
     The channel is ``box`` (n, 4): left, top, width and height in pixels.
     """
@@ -103,7 +103,7 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
 
 
 def read_heads(source: Source) -> Rows:
-    """The labelled heads in the order of the file, without the objects whose head is not labelled.
+    """Return the labelled heads in the order of the file, without objects that lack one.
 
     The channel is ``head`` (n, 2): the pixel of the head's middle.
     """
@@ -113,7 +113,7 @@ def read_heads(source: Source) -> Rows:
 
 
 def _rows(source: Source, observations: list[_Observation], channels: dict[str, FloatArray]) -> Rows:
-    """Observations with their channels, without those whose box is empty."""
+    """Return observations with their channels, without empty boxes."""
     rows = Rows(
         source.path,
         "caviar",
@@ -129,7 +129,7 @@ def _rows(source: Source, observations: list[_Observation], channels: dict[str, 
 def _foot_points(
     observations: list[_Observation], boxes: FloatArray, options: ReadOptions
 ) -> tuple[FloatArray, str, bool]:
-    """Foot pixels (n, 2), a note on them, and whether the view is taken to be the lobby's."""
+    """Return foot pixels (n, 2), a note on them, and whether the view is classified as the lobby's."""
     labelled = np.array([o.foot for o in observations])
     centre, half = boxes[:, :2], boxes[:, 2:] / 2.0
     within = bool(np.all(centre <= _LOBBY_SIZE))
@@ -166,7 +166,7 @@ def _camera(
 def _orientations(
     observations: list[_Observation], camera: GroundCamera, foot: FloatArray
 ) -> dict[str, FloatArray]:
-    """Body and head (n,) in the world, radians."""
+    """Return body and head (n,) in the world, radians."""
     left = camera.image_to_ground([o.left for o in observations])
     right = camera.image_to_ground([o.right for o in observations])
     across = left - right
@@ -181,14 +181,14 @@ def _orientations(
 
 
 class _Reader:
-    """Walks the XML; knows the place of the object it is at, for messages."""
+    """Parser of the XML; it keeps the position of the current object for messages."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
         self._objects = 0
 
     def observations(self) -> list[_Observation]:
-        """All objects of all frames; at least one."""
+        """Return all objects of all frames; at least one."""
         found = []
         for frame in self._root().iter("frame"):
             number = self._number(frame, "number", LARGEST_FRAME, whole=True)
@@ -247,7 +247,7 @@ class _Reader:
         )
 
     def _point(self, element: Element | None) -> tuple[float, float]:
-        """Pixel of a part of the body; NaN where it is not labelled."""
+        """Return the pixel of a part of the body; NaN where it is not labelled."""
         if element is None or element.get("xc") is None or element.get("yc") is None:
             return float("nan"), float("nan")
         low = -LARGEST_PIXELS
@@ -277,7 +277,7 @@ class _Reader:
 
 
 def _line_of_object(source: Source, index: int) -> int:
-    """Line of the ``index``-th object of the file, counted only when a message needs it."""
+    """Return the line of the ``index``-th object of the file, counted only for a message."""
     line = 1
     for i, match in enumerate(re.finditer(rb"<object[\s>]", source.data)):
         line = source.data.count(b"\n", 0, match.start()) + 1

@@ -23,14 +23,14 @@ from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXE
 PERSON = 1
 """COCO's category of people."""
 
-_PEOPLE = ("person", "pedestrian")  # names of that category in files that have names
+_PEOPLE = ("person", "pedestrian")  # names of that category in files with names
 _ENTRY = "an object with image_id and bbox"
 _KEYS = re.compile(rb'"image_id"')
 _NUMBER_AT_THE_END = re.compile(r"(\d{1,15})$", re.ASCII)
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
-    """Read boxes and put the middles of their lower edges on the ground; see `read_boxes`."""
+    """Read boxes and project the middles of their lower edges to the ground; see `read_boxes`."""
     if options.fps is None:
         raise InputError("no frame rate", "frames a second (--fps)", path=source.path)
     rows = placed_boxes(read_boxes(source, options), options).with_times(options.fps)
@@ -38,12 +38,12 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
-    """Rows of people in the order of the file, with the channels ``box`` (n, 4) and ``confidence`` (n,).
+    """Return rows of people in the file's order, with the channels ``box`` (n, 4) and ``confidence`` (n,).
 
     A frame is the number at the end of the image's file name, where the file names its images, and else
     ``image_id``. Identities are ``track_id``, where all entries have one.
-    Refused are other categories (by their names, where the file has them, or else all but 1), entries without
-    a box, and crowds (``iscrowd``).
+    Other categories (by name where the file has names, else all but 1), entries without a box, and crowds
+    (``iscrowd``) are refused.
     """
     entries, whole = _entries(source)
     frame = _frames(source, entries, whole)
@@ -74,7 +74,7 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
 
 
 def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
-    """The boxes, and the whole where they are those of a dataset."""
+    """Return the boxes, and the whole dataset if they belong to one."""
     try:
         data = orjson.loads(source.text)
     except orjson.JSONDecodeError as error:
@@ -96,7 +96,7 @@ def _fail(source: Source, k: int, found: str, expected: str, column: str | None 
 
 
 def _line_of(source: Source, k: int) -> int:
-    """The line of an entry, counted only when a message needs it."""
+    """Return the line of an entry, counted only for a message."""
     first = re.search(rb'"annotations"\s*:', source.data)
     matches = list(_KEYS.finditer(source.data, 0 if first is None else first.end()))
     place = matches[min(k, len(matches) - 1)].start() if matches else 0
@@ -108,7 +108,7 @@ def _is_whole(value: object, lowest: int, highest: int) -> bool:
 
 
 def _names(whole: Mapping[str, Any]) -> dict[Any, int]:
-    """Image id → number at the end of its file name; none where one has no such number, or two the same."""
+    """Return image id → number at the end of its file name; none if a number is missing or repeated."""
     images = whole.get("images")
     if not isinstance(images, list) or not all(isinstance(one, dict) for one in images):
         return {}
@@ -138,7 +138,7 @@ def _frames(
 def _categories(
     entries: Sequence[Mapping[str, Any]], whole: Mapping[str, Any], options: ReadOptions
 ) -> NDArray[Any]:
-    """Why each entry (n,) is no single person: the name of its category, or "crowd"; "" for people."""
+    """Return each entry's reason of refusal (n,): the name of its category, or "crowd"; "" for people."""
     wanted = {*_PEOPLE, *(name.lower() for name in options.classes)}
     named = whole.get("categories")
     named = named if isinstance(named, list) else []

@@ -67,7 +67,7 @@ _UCY_FPS = 25.0
 _CENTRE = (360.0, 288.0)  # the file's origin in its 720×576 image, as (u, v)
 
 _FROM_PIXEL = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""(u, v) → (row, column), which is what the homographies that come with the data expect."""
+"""(u, v) → (row, column), the input of the homographies that come with the data."""
 
 _MIRROR = np.diag([1.0, -1.0, 1.0])
 
@@ -96,7 +96,7 @@ def _read_ucy(source: Source, options: ReadOptions) -> Rows:
     points = _control_points(lines)
     pixel = np.array([(point.u, point.v) for point in points]).reshape(-1, 2)
     notes = [
-        "gaze was not read: most of it is the direction to the next control point, which tells the future",
+        "gaze was not read: most of it is the direction to the next control point, a future position",
         *_obstacles(lines),
     ]
     camera, more = _camera(source, options, pixel)
@@ -106,7 +106,7 @@ def _read_ucy(source: Source, options: ReadOptions) -> Rows:
         source.path, "ucy", spline, frame, {"pixel": pixel}, lambda row: points[row].line, notes=tuple(notes)
     )
     rows = on_ground(rows, camera, more)
-    # Annotators at times set two control points in one frame; the first one stands.
+    # Annotators at times set two control points in one frame; the first is kept.
     _, first = np.unique(np.column_stack([rows.track_id, rows.frame]), axis=0, return_index=True)
     kept = np.zeros(len(rows), dtype=bool)
     kept[first] = True
@@ -145,7 +145,7 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
 
 
 class _Lines:
-    """The lines of a file that hold something, one after the other."""
+    """Iterator over the non-empty lines of a file."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -154,7 +154,7 @@ class _Lines:
 
     @property
     def number(self) -> int:
-        """Of the current line, in the file; of the last one at the end."""
+        """Number of the current line in the file, or of the last line at the end."""
         return self._lines[self._place][0] if self.left else len(self._source.lines)
 
     @property
@@ -163,17 +163,17 @@ class _Lines:
         return self._place < len(self._lines)
 
     def text(self, expected: str) -> str:
-        """The current line; an error at the end of the file."""
+        """Return the current line; raise an error at the end of the file."""
         if not self.left:
             raise self.fail("the end of the file", expected)
         return self._lines[self._place][1]
 
     def fail(self, found: str, expected: str, column: str | None = None) -> InputError:
-        """The error for the current line."""
+        """Return the error for the current line."""
         return InputError(found, expected, path=self._source.path, line=self.number, column=column)
 
     def count(self, expected: str) -> int:
-        """The count that the current line begins with, and go on."""
+        """Return the count at the beginning of the current line, and advance."""
         text = self.text(expected)
         match = _COUNT.fullmatch(text)
         if match is None:
@@ -182,7 +182,7 @@ class _Lines:
         return int(match[1])
 
     def numbers(self, names: tuple[str, ...], expected: str) -> list[float]:
-        """The numbers of the current line, before its comment, and go on."""
+        """Return the numbers of the current line, before its comment, and advance."""
         text = self.text(expected)
         cells = _COMMENT.split(text, maxsplit=1)[0].split()
         if len(cells) != len(names):
@@ -200,7 +200,7 @@ class _Lines:
 
 
 def _control_points(lines: _Lines) -> list[_ControlPoint]:
-    """All control points, in the order of the file."""
+    """Return all control points, in the order of the file."""
     splines = lines.count("the number of splines")
     points: list[_ControlPoint] = []
     for spline in range(splines):
@@ -213,7 +213,7 @@ def _control_points(lines: _Lines) -> list[_ControlPoint]:
 
 
 def _obstacles(lines: _Lines) -> tuple[str, ...]:
-    """A note on the obstacles that may stand after the splines; they say nothing of people's tracks."""
+    """Return a note on obstacles, which may follow the splines and are not read."""
     if not lines.left:
         return ()
     expected = "the end of the file, or the number of line or cylinder obstacles, after the splines"
@@ -279,7 +279,7 @@ def _read_trajnet(source: Source, options: ReadOptions) -> Rows:
 
 
 def _trajnet_line(path: Path, number: int, line: str) -> tuple[str, dict[str, Any]]:
-    """Kind and values of a line."""
+    """Return kind and values of a line."""
     try:
         pairs = parse_line(line)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""KITTI tracking labels, brought from the moving camera to the world by ego motion and calibration.
+"""KITTI tracking labels, transformed from the moving camera to the world by ego motion and calibration.
 
 The files are described in Geiger, Lenz, Stiller & Urtasun, Vision meets robotics: the KITTI dataset,
 IJRR 2013, and in the development kits of the raw data and of the tracking benchmark.
@@ -29,17 +29,17 @@ _LABEL = (
     *("height", "width", "length", "x", "y", "z", "rotation_y", "score"),
 )
 _OXTS_COLUMNS = 30
-_EARTH_RADIUS = 6378137.0  # metres; the devkit's, of the WGS 84 ellipsoid at the equator
+_EARTH_RADIUS = 6378137.0  # metres; as in the devkit, the WGS 84 ellipsoid at the equator
 
 
 BESIDE = ("../oxts/{name}", "../calib/{name}")
-"""Ego motion and calibration: the labels' name in folders next to theirs."""
+"""Ego motion and calibration: files of the labels' name in sibling folders."""
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
-    """Read positions and headings in a world of east, north, up that begins at the first ego pose.
+    """Read positions and headings in an east-north-up world with its origin at the first ego pose.
 
-    Positions go from the rectified camera through R_rect, Tr_velo_cam, Tr_imu_velo and the ego pose.
+    Positions are transformed from the rectified camera by R_rect, Tr_velo_cam, Tr_imu_velo and the ego pose.
     Body heading = ego yaw − rotation_y − π/2. Ego motion and calibration are those of the options, or
     ``../oxts/NAME`` and ``../calib/NAME``. 10 frames a second unless ``fps`` is given.
     """
@@ -49,7 +49,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     rotation = labels.bounded(16, -1e4, 1e4)
     wanted = np.isin(classes, options.classes)
     refused = {f"of class {name}": n for name, n in Counter(classes[~wanted].tolist()).items()}
-    # A result without a 3-D box has −1000 for its place and −10 for its rotation.
+    # A result without a 3-D box has −1000 as position and −10 as rotation.
     placed = wanted & (location[:, 0] > -999.0)
     if (wanted & ~placed).any():
         refused["without a place in space"] = int((wanted & ~placed).sum())
@@ -86,7 +86,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:
-    """The label file as numbers, with 0 in place of the class, and the classes."""
+    """Return the label file as numbers, with 0 in place of the class, and the classes."""
     classes: list[str] = []
     plain: list[str] = []
     for line in source.lines:
@@ -103,7 +103,7 @@ def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:
 def _given_or_beside(
     found: Path, option: str, given: str | Path | None, labels: Path, notes: list[str]
 ) -> Path:
-    """The path that was given, or the one that was ``found`` next to the labels."""
+    """Return the path that was given, or the one ``found`` next to the labels."""
     if given is not None:
         return Path(given)
     if not found.is_file():
@@ -113,7 +113,7 @@ def _given_or_beside(
 
 
 def _read_poses(path: Path) -> FloatArray:
-    """Ego poses (n, 4, 4), inertial unit → world, from latitude, longitude, altitude, roll, pitch and yaw."""
+    """Return ego poses (n, 4, 4), inertial unit → world, from latitude, longitude, altitude and attitude."""
     from scipy.spatial.transform import Rotation
 
     names = ("lat", "lon", "alt", "roll", "pitch", "yaw")
@@ -136,11 +136,11 @@ _CALIBRATION = (
     (("R_rect", "R0_rect", "R_rect_00"), 9),
     (("Tr_velo_cam", "Tr_velo_to_cam"), 12),
     (("Tr_imu_velo", "Tr_imu_to_velo"), 12),
-)  # names of a matrix, and its size
+)  # names of a matrix and number of its elements
 
 
 def _read_camera_to_imu(path: Path) -> FloatArray:
-    """The rigid motion (4, 4) from the rectified camera to the inertial unit."""
+    """Return the rigid motion (4, 4) from the rectified camera to the inertial unit."""
     lines = {}
     for number, line in enumerate(Source.open(path).lines, 1):
         head, _, numbers = line.strip().partition(" ")

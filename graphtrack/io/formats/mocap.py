@@ -21,7 +21,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     """Read a table ``clip,frame,t_s,x_m,y_m,…,shoulder_yaw_rad,head_yaw_rad,…``.
 
     Body is the yaw of the shoulders, head that of the head, both in the world; tracks are numbered from 0 in
-    the order of the clips and carry the clip as their label. Times are the file's own.
+    the order of the clips and have the clip as their label. Times are those of the file.
     """
     lines = source.lines
     header = lines[0].split(",")

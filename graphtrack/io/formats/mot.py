@@ -2,7 +2,7 @@
 
 Frames of MOT text are numbered from 1, and programs such as TrackEval refuse a frame 0. A table whose frames
 begin at 0 is therefore written with one added to each, and its last column, z, is ``-0`` in place of ``0``:
-zero metres to every reader, and to this one the mark by which rows get their frames again.
+zero metres for every reader, and for this one the mark to restore the original frames.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ _CLASSES = (
 
 
 FROM_ZERO = "-0"
-"""In the last column: the row's frame is one less in the table from which it was written."""
+"""Mark in the last column: the row's frame is one less in the original table."""
 
 SHIFTED = "frames are those of the table from which it was written, numbered from 0 (-0 in the last column)"
-"""Note on a file that has that mark in all rows."""
+"""Note on a file with that mark in all rows."""
 
 
 BESIDE = ("seqinfo.ini", "../seqinfo.ini")
@@ -66,10 +66,10 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
     Columns 8 and 9 are metres unless all are −1; a row of −1 among metres is a missing position. With
     nine columns they are class and visibility (ground truth of MOT16 and later). Without metres the foot
-    point, the middle of the box's lower edge, is put on the ground by the camera of the options or by a
-    scale. A confidence of 0 marks a row to be ignored. Of detections the confidence is the channel
-    ``score``, see `with_scores`. Frames are those of the file, or of the table from which it was written (see
-    the module). The frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
+    point, the middle of the box's lower edge, is projected to the ground by the camera of the options or by
+    a scale. A confidence of 0 marks a row to be ignored. The confidence of detections is the channel
+    ``score``, see `with_scores`. Frames are those of the file or of the original table (see the module). The
+    frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
     """
     rows = read_boxes(source, options)
     fps, note = _frame_rate(source.path, options)
@@ -78,10 +78,10 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
-    """Rows with ids, in the order of the file, without those to be ignored and those of other classes.
+    """Return rows with ids, in the order of the file, without ignored rows and other classes.
 
     The channels are ``box`` (n, 4), left, top, width and height in pixels, NaN where the row has no box;
-    ``confidence`` (n,), negative ones among them; and ``position`` (n, 2) in metres, where the file has any.
+    ``confidence`` (n,), possibly negative; and ``position`` (n, 2) in metres, where the file has any.
     """
     table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
     identity = table.integers(1, LARGEST_ID)
@@ -108,19 +108,19 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     if table.values.shape[1] == 9:
         rows = _of_classes(rows, table, options)
     confidence = rows.channels["confidence"]
-    if nobodys and (confidence < 0.0).any():  # 0 is a number like any other
+    if nobodys and (confidence < 0.0).any():  # 0 is a valid confidence there
         return rows
     return rows.keep(confidence != 0.0, IGNORED)
 
 
 def _counted_from_zero(table: Numbers) -> NDArray[np.bool_]:
-    """Rows (n,) with the mark `FROM_ZERO`."""
+    """Return a mask (n,) of rows with the mark `FROM_ZERO`."""
     z = table.values[:, 9] if table.values.shape[1] == 10 else np.ones(len(table.values))
     return np.signbit(z) & (z == 0.0)
 
 
 def _boxes_of(table: Numbers) -> FloatArray:
-    """Boxes (n, 4) in pixels; NaN in rows whose box is −1, −1, −1, −1: no box."""
+    """Return boxes (n, 4) in pixels; NaN in rows whose box is −1, −1, −1, −1: no box."""
     absent = np.all(table.values[:, 2:6] == -1.0, axis=1)
     for column in (4, 5):
         bad = (table.values[:, column] <= 0.0) & ~absent
@@ -132,7 +132,7 @@ def _boxes_of(table: Numbers) -> FloatArray:
 
 
 def _world(table: Numbers) -> FloatArray | None:
-    """Positions (n, 2) in metres, if the file has any."""
+    """Return positions (n, 2) in metres, if the file has any."""
     if table.values.shape[1] < 10:
         return None
     absent = np.all(table.values[:, 7:9] == -1.0, axis=1)
@@ -142,7 +142,7 @@ def _world(table: Numbers) -> FloatArray | None:
 
 
 def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
-    """The rows of the classes asked for; the others are refused, counted by class."""
+    """Return the rows of the selected classes; other rows are refused and counted by class."""
     number = table.integers(7)
     if (number < 1).all():  # −1: a result without classes
         return rows
@@ -168,7 +168,7 @@ def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...
 
 
 def _setting(text: str, name: str) -> str | None:
-    """A number above 0 of a ``seqinfo.ini``, as it stands."""
+    """Return a number above 0 of a ``seqinfo.ini``, as text."""
     match = re.search(rf"(?m)^{name}\s*=\s*(\d{{1,6}}(?:\.\d+)?)\s*$", text)
     return match[1] if match is not None and float(match[1]) > 0.0 else None
 
@@ -177,14 +177,14 @@ def write(tracks: TrackSet, path: Path) -> None:
     """Write rows with positions in metres in columns 8 and 9.
 
     With a camera the box is that of a person 1.7 m tall and 0.41 times as wide whose foot point is the
-    position; 1.7 m are as many pixels upwards as sideways on the ground, so the homography is enough.
+    position; 1.7 m upwards are taken to span as many pixels as 1.7 m sideways on the ground.
     Without a camera, or behind it, the box is −1, −1, −1, −1. Ids are those of the tracks; frames too, unless
     they begin at 0 (see the module).
 
     Warns
     -----
     InputWarning
-        If the frames begin at 0, and are written as one more.
+        If the frames begin at 0, and are written with one added.
     """
     negative = next((track.track_id for track in tracks if track.track_id < 0), None)
     if negative is not None:
@@ -212,7 +212,7 @@ def _lines(track: Track, boxes: FloatArray, from_zero: bool) -> list[tuple[int, 
 
 
 def _boxes(track: Track, tracks: TrackSet) -> FloatArray:
-    """Boxes (n, 4) left, top, width, height."""
+    """Return boxes (n, 4) left, top, width, height."""
     boxes = np.full((len(track), 4), -1.0)
     if tracks.camera is None:
         return boxes

@@ -49,13 +49,13 @@ FURTHER: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "covariance": ("state", "other_state"),
     }
 )
-"""Attribute of a `Track` → dimensions of its variable other than time and individuals; names are the same."""
+"""Attribute of a `Track` → dimensions of its variable of that name other than time and individuals."""
 
 LENGTHS = ("position_std", "velocity", "true_position")
-"""Variables in the unit of the positions, or that a second."""
+"""Variables in the unit of the positions, or in that unit a second."""
 
 HAS_ROW = "has_row"
-"""Variable (time, individuals) that says where a track has a row, where rows without a position are some."""
+"""Variable (time, individuals), a mask of rows, used if some rows have no position."""
 
 PARTIAL = "with a part of what gives a position"
 
@@ -65,7 +65,7 @@ SPACE_UNITS = {
     **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
     **dict.fromkeys(("ft", "feet", "foot"), "ft"),
 }
-"""Values of the positions' ``space_unit``, and the unit of each."""
+"""Value of the positions' ``space_unit`` → unit."""
 
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
@@ -75,11 +75,11 @@ _MIDDLES = ("centroid", "center", "centre", "position")
 
 _ON_THE_GROUND = ("hip", "shoulder", "ear", "ankle", "foot")
 _IN_AN_IMAGE = ("ankle", "heel", "foot", "hip", "shoulder", "ear")
-"""Pairs of points between which somebody stands; what is seen by a camera is where it touches the ground."""
+"""Pairs of keypoints whose middle is the position; in an image the points on the ground come first."""
 
 
 def places_of(names: Sequence[str]) -> dict[str, int]:
-    """Plain name, such as ``nose`` or ``left_shoulder`` → the place of that keypoint among the names.
+    """Return plain name, such as ``nose`` or ``left_shoulder`` → index of that keypoint among the names.
 
     Names may be written as ``LeftShoulder``, ``l-shoulder`` or ``shoulder_left``. Left and right are the
     person's own.
@@ -101,13 +101,13 @@ def _plain(name: str) -> str:
 
 
 def middle(points: FloatArray, names: Sequence[str], *, in_image: bool) -> tuple[FloatArray, str]:
-    """Positions (..., 2) of people by their keypoints (..., k, 2), and the keypoints used.
+    """Return positions (..., 2) of people by their keypoints (..., k, 2), and the keypoints used.
 
-    That is the middle of a pair, NaN where one of the two is missing, or of all points where no such pair is.
+    A position is the middle of a pair, NaN where one of the two is missing; without a pair, of all points.
 
     Parameters
     ----------
-    in_image : whether the points are pixels, of which those at the feet are on the ground
+    in_image : whether the points are pixels; only those at the feet are then on the ground
     """
     places = places_of(names)
     if len(names) == 1:
@@ -130,18 +130,18 @@ def middle(points: FloatArray, names: Sequence[str], *, in_image: bool) -> tuple
 def orientations(
     points: FloatArray, places: Mapping[str, int], *, mirrored: bool, nose_is_on_ground: bool
 ) -> dict[str, FloatArray]:
-    """Orientations (...) of body and head in radians by points (..., k, 2) on a plane; NaN if unknown.
+    """Return orientations (...) of body and head, radians, from points (..., k, 2); NaN if unknown.
 
-    The body is square to the shoulders. The head is square to the ears, and points, in one vector with that,
-    from their middle to the nose. A camera's homography of the ground moves all points of one height along
-    alike, away from the camera's foot: it leaves the direction from one shoulder, or ear, to the other as it
-    is, but not that to a nose of another height.
+    The body is perpendicular to the shoulders. The head is the sum of the perpendicular to the ears and the
+    vector from their middle to the nose. A ground homography shifts points of equal height alike, away from
+    the camera's foot: it preserves the direction from one shoulder, or ear, to the other, but not the
+    direction to a nose of another height.
 
     Parameters
     ----------
-    places : as `places_of` gives them
+    places : result of `places_of`
     mirrored : whether the plane is left-handed as seen from above
-    nose_is_on_ground : whether all points are seen from straight above
+    nose_is_on_ground : whether the view is from straight above
     """
     found: dict[str, FloatArray] = {}
     for name, part in (("body", "shoulder"), ("head", "ear")):
@@ -162,11 +162,11 @@ def orientations(
 def frames_and_times(
     dataset: Any, options: ReadOptions, path: Path
 ) -> tuple[NDArray[np.int64], FloatArray, TimeScale | None, list[str]]:
-    """Frames (n,) and seconds (n,) of the steps of a dataset, what dates they are, and notes.
+    """Return frames (n,) and seconds (n,) of the steps of a dataset, their time scale, and notes.
 
-    Times are those of the coordinate ``time``: dates, seconds, or, where the attribute ``time_unit`` says so
-    or they are whole numbers without a frame rate, frames. Then the rate is ``fps`` of the options, or the
-    dataset's attribute of that name.
+    Times are those of the coordinate ``time``: dates, seconds, or frames (if the attribute ``time_unit`` is
+    "frames", or for whole numbers). The rate of frames is ``fps`` of the options, or the dataset's attribute
+    of that name.
     """
     n = dataset.sizes[TIME]
     values = dataset[TIME].to_numpy() if TIME in dataset.coords else np.arange(n)
@@ -226,16 +226,16 @@ _NATIVE = ("position", "confidence", "shape", HAS_ROW)
 
 
 def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
-    """The rows of a dataset, checked, in metres and seconds.
+    """Return the rows of a dataset, checked, in metres and seconds.
 
-    Positions are metres if the variable's attribute ``space_unit`` or ``options.units`` says a unit of
-    length, and else pixels, which a camera or a scale of the options brings to the ground.
+    Positions are lengths if the variable's attribute ``space_unit`` or ``options.units`` is a unit of length,
+    and else pixels, which a camera or a scale of the options projects to the ground.
 
     Parameters
     ----------
     dataset : xarray.Dataset with a variable ``position`` (time, space and perhaps keypoints and individuals,
         in any order); variables that `to_movement` writes are read too
-    path : where it comes from, for messages
+    path : of its file, for messages
     """
     layout = options.layout() or Layout()
     read = _Reading(dataset.rename({k: v for k, v in _SINGULAR.items() if k in dataset.dims}), path)
@@ -302,7 +302,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    """A dataset that is read, arrays of it as (individuals, time, …), and what is wrong with it."""
+    """Access to a dataset's arrays as (individuals, time, …), with errors that name its file."""
 
     dataset: Any
     path: Path
@@ -311,7 +311,7 @@ class _Reading:
         return InputError(found, expected, path=self.path)
 
     def array(self, name: str, *further: str) -> FloatArray:
-        """A variable (individuals, time, *further) as numbers."""
+        """Return a variable (individuals, time, *further) as numbers."""
         one = self.dataset[name]
         if KEYPOINTS in one.dims and KEYPOINTS not in further:
             one = one.isel({KEYPOINTS: 0})
@@ -323,7 +323,7 @@ class _Reading:
             raise self.fail(f"{name} that is no array of numbers", "numbers") from error
 
     def points(self, layout: Layout) -> FloatArray:
-        """Positions (individuals, time, keypoints, 2) on the ground, or in the image."""
+        """Return positions (individuals, time, keypoints, 2) on the ground, or in the image."""
         if "position" not in self.dataset.data_vars:
             there = ", ".join(map(str, self.dataset.data_vars)) or "none"
             raise self.fail(
@@ -345,7 +345,7 @@ class _Reading:
         return self.array("position", SPACE)[..., None, axes]
 
     def axes(self, layout: Layout) -> list[int]:
-        """The places of the ground's two coordinates among those of space."""
+        """Return the indices of the ground's two coordinates among those of space."""
         if set(layout.columns) not in (set(), {"x", "y"}):
             raise self.fail(
                 "columns of a dataset other than x and y", "coordinates of space: --columns x=x,y=z"
@@ -357,12 +357,12 @@ class _Reading:
             return [0, 1]
         wanted = [layout.columns.get(name, name) for name in ("x", "y")]
         if (len(there) > 2 and not layout.columns) or not set(wanted) <= set(there):
-            expected = "x and y on the ground; --columns says which two are, such as --columns x=z,y=x"
+            expected = "x and y on the ground; name the two axes with --columns, such as --columns x=z,y=x"
             raise self.fail(f"space {', '.join(there)}", expected)
         return [there.index(name) for name in wanted]
 
     def names(self, dimension: str, prefix: str) -> list[str]:
-        """Coordinates of a dimension as text; numbers with a prefix where it has none."""
+        """Return coordinates of a dimension as text; numbers with a prefix where it has none."""
         if dimension not in self.dataset.dims:
             said = self.dataset.coords.get(dimension)
             return [str(said.item()) if said is not None and said.ndim == 0 else f"{prefix}0"]
@@ -371,7 +371,7 @@ class _Reading:
         return [f"{prefix}{k}" for k in range(self.dataset.sizes[dimension])]
 
     def identities(self) -> tuple[NDArray[np.int64], dict[int, str]]:
-        """The track ids of the individuals, and those of them that have names that are no numbers."""
+        """Return the track ids of the individuals, and id → name for names that are not numbers."""
         names = self.names(INDIVIDUALS, "id_")
         if len(set(names)) < len(names):
             twice = repeated(names)
@@ -386,14 +386,14 @@ class _Reading:
         return ids.astype(np.int64), {k: name for k, name in known if name != str(k)}
 
     def labels(self, ids: NDArray[np.int64]) -> dict[int, str]:
-        """Labels of people, where the dataset has any."""
+        """Return labels of people, where the dataset has any."""
         if "label" not in self.dataset.coords or self.dataset["label"].dims != (INDIVIDUALS,):
             return {}
         said = self.dataset["label"].to_numpy().tolist()
         return {k: str(name) for k, name in zip(ids.tolist(), said, strict=True) if name}
 
     def unit(self, layout: Layout, options: ReadOptions) -> str | None:
-        """The unit of length of the positions; None: they are pixels, and the options have a camera."""
+        """Return the unit of length of the positions; None for pixels with a camera in the options."""
         attributes = {**self.dataset.attrs, **self.dataset["position"].attrs}
         said = str(attributes.get("space_unit", attributes.get("units", ""))).strip().lower()
         unit = SPACE_UNITS.get(said)
@@ -412,11 +412,11 @@ class _Reading:
 
     @property
     def height(self) -> FloatArray:
-        """(individuals, time) of the boxes, in pixels."""
+        """Return (individuals, time) of the boxes, in pixels."""
         return self.array("shape", SPACE)[..., 1]
 
     def confidence(self) -> FloatArray | None:
-        """(individuals, time) of what was found, over its keypoints; None where nothing is said."""
+        """Return (individuals, time) confidences, over the keypoints; None where the dataset has none."""
         if "confidence" not in self.dataset.data_vars:
             return None
         poses = KEYPOINTS in self.dataset["confidence"].dims
@@ -428,7 +428,7 @@ class _Reading:
         return found if np.isfinite(found).any() and not (found < 0.0).any() else None
 
     def variables(self) -> tuple[dict[str, FloatArray], list[str]]:
-        """Channel → (individuals, time, …) of variables that tracks have too, and the names of the others."""
+        """Return channel → (individuals, time, …) of variables of tracks, and the names of others."""
         found: dict[str, FloatArray] = {}
         ignored: list[str] = []
         for name in map(str, self.dataset.data_vars):
@@ -442,7 +442,7 @@ class _Reading:
             n = values.shape[0] * values.shape[1]
             empty = np.isnan(values).reshape(n, -1)
             if name != "covariance" and (empty.any(axis=1) & ~empty.all(axis=1)).any():
-                raise self.fail(f"{name} of which a part is missing", "all of it, or none, in each frame")
+                raise self.fail(f"{name} with missing values", "all of it, or none, in each frame")
             if name in ("body", "head", "true_body", "true_head", "gait_offset"):
                 with np.errstate(invalid="ignore"):
                     inside = (values > -np.pi) & (values <= np.pi)
@@ -451,7 +451,7 @@ class _Reading:
         return found, ignored
 
     def _further(self, name: str) -> tuple[str, ...] | None:
-        """The dimensions of a variable other than those of all; None where it is none of a track."""
+        """Return a variable's dimensions other than time and individuals; None if tracks do not have it."""
         dims = [str(one) for one in self.dataset[name].dims]
         if KEYPOINTS in dims and self.dataset.sizes[KEYPOINTS] == 1:
             dims.remove(KEYPOINTS)
@@ -467,7 +467,7 @@ class _Reading:
         return wanted if sizes == SHAPES[name] else None
 
     def has_row(self, channels: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
-        """(individuals, time) where somebody has a row."""
+        """Return a mask (individuals, time) of rows."""
         if HAS_ROW in self.dataset.data_vars:
             return self.array(HAS_ROW) > 0.5
         known = [np.isfinite(v).reshape(*v.shape[:2], -1).any(axis=2) for v in channels.values()]
@@ -480,42 +480,42 @@ _STD = "std"
 
 
 def from_movement(dataset: Any, **options: Unpack[Reading]) -> TrackSet:
-    """Tracks from a dataset of the package movement.
+    """Return tracks from a dataset of the package movement.
 
-    A person's position is a pair of keypoints' middle (hips, or ankles where a camera sees them), body and
-    head are where shoulders, ears and nose say that they point; see docs/formats.md.
+    A person's position is the middle of a pair of keypoints (hips, or ankles in an image); body and head are
+    computed from shoulders, ears and nose; see docs/formats.md.
 
     Parameters
     ----------
     dataset : xarray.Dataset of poses or boxes, or one of `to_movement`
-    **options : fields of `ReadOptions`: ``units``, or a camera, where the positions do not say that they are
-        lengths; ``fps``, where they are of frames; ``columns`` with x and y, where space has other axes
+    **options : fields of `ReadOptions`: ``units``, or a camera, where the positions have no unit of length;
+        ``fps``, where times are frames; ``columns`` with x and y, where space has other axes
 
     Raises
     ------
     InputError
-        For what is none, and for options that are missing.
+        For an invalid dataset, and for missing options.
     """
     rows = rows_of_dataset(dataset, ReadOptions.named(**options), Path("dataset"))
     return TrackSet.from_identified_rows(rows)
 
 
 def to_movement(tracks: TrackSet) -> xarray.Dataset:
-    """A dataset of the package movement: poses of one keypoint, metres and seconds.
+    """Return a dataset of the package movement: poses of one keypoint, metres and seconds.
 
     Each attribute of a `Track` is a data variable of its name: ``body`` and ``head`` in radians,
-    ``covariance``, and so on. ``std`` (time, individuals, state) has its diagonal's roots. `from_movement`
-    gives the same tracks back, to the last bit.
+    ``covariance``, and so on. ``std`` (time, individuals, state) is the square root of its diagonal.
+    `from_movement` restores the same tracks, to the last bit.
 
     Returns
     -------
     xarray.Dataset
-        Which ``to_netcdf`` writes.
+        Its method ``to_netcdf`` writes it.
 
     Raises
     ------
     InputError
-        If the package xarray is not there.
+        If the package xarray is not installed.
     """
     xr = package("xarray", EXTRA)
     moments, places = _steps(tracks)
@@ -568,7 +568,7 @@ def to_movement(tracks: TrackSet) -> xarray.Dataset:
 
 
 def _steps(tracks: TrackSet) -> tuple[list[tuple[float, int]], list[NDArray[np.int64]]]:
-    """Times and frames of all rows, each pair once and in order, and the places of each track's rows."""
+    """Return the sorted unique times and frames of all rows, and the indices of each track's rows."""
     moments = sorted(
         {pair for one in tracks for pair in zip(one.t.tolist(), one.frame.tolist(), strict=True)}
     )
@@ -580,7 +580,7 @@ def _steps(tracks: TrackSet) -> tuple[list[tuple[float, int]], list[NDArray[np.i
 
 
 class _Grid:
-    """The rows of tracks on a grid of all steps and all people."""
+    """Rows of tracks on a grid of all steps and all people."""
 
     def __init__(self, tracks: TrackSet, places: list[NDArray[np.int64]], steps: int) -> None:
         self._tracks, self._places = tracks, places
@@ -589,7 +589,7 @@ class _Grid:
             self.there[place, k] = True
 
     def filled(self, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """A channel (steps, people, *shape); NaN where there is no row, or it says nothing."""
+        """Return a channel (steps, people, *shape); NaN where there is no row or no value."""
         found = np.full((*self.there.shape, *shape), np.nan)
         for k, (track, place) in enumerate(zip(self._tracks, self._places, strict=True)):
             values = (
@@ -601,25 +601,25 @@ class _Grid:
 
 
 DEEPLABCUT, SLEAP = "DeepLabCut", "SLEAP"
-"""Names by which `movement.io.load_dataset` knows the software of a file."""
+"""Software names of `movement.io.load_dataset`."""
 
-_OF_SLEAP, _OF_DLC = {"tracks", "node_names"}, {"df_with_missing"}  # what is in their HDF5 files
+_OF_SLEAP, _OF_DLC = {"tracks", "node_names"}, {"df_with_missing"}  # groups in their HDF5 files
 
 
 def software_of(source: Source) -> str | None:
-    """The software that wrote a file of poses, as movement calls it; None: the file is a dataset."""
+    """Return movement's name of the software that wrote a file of poses; None for a dataset."""
     if not source.data.startswith(HDF5):
         return None if source.data.startswith(CLASSIC) else DEEPLABCUT
     try:
         with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
             names = set(file)
-    except (OSError, RuntimeError, ValueError):  # damaged: as a dataset it is told how
+    except (OSError, RuntimeError, ValueError):  # damaged: reading it as a dataset reports the fault
         return None
     return SLEAP if names >= _OF_SLEAP else DEEPLABCUT if names >= _OF_DLC else None
 
 
 def _by_movement(source: Source, software: str) -> Any:
-    """The dataset that movement makes of a file of another software."""
+    """Return the dataset that movement makes of a file of another software."""
     try:
         movement = import_module("movement.io")
     except ImportError as error:
@@ -634,14 +634,14 @@ def _by_movement(source: Source, software: str) -> Any:
         file.write_bytes(source.data)
         try:
             return movement.load_dataset(file, source_software=software).load()
-        except Exception as error:  # what movement and pandas say of files that are none is of many kinds
+        except Exception as error:  # movement and pandas raise many kinds for invalid files
             said = " ".join(str(error).replace(str(file), "it").split()) or type(error).__name__
             found = f"a file of {software} that movement cannot read ({said[:200]})"
             raise InputError(found, "a whole one", path=source.path) from error
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
-    """Read a dataset, or a file of DeepLabCut or SLEAP of which movement makes one; see `rows_of_dataset`."""
+    """Read a dataset, or a file of DeepLabCut or SLEAP, converted by movement; see `rows_of_dataset`."""
     software = software_of(source)
     if software is not None:
         return rows_of_dataset(_by_movement(source, software), options, source.path)
@@ -660,13 +660,13 @@ def _check_packages() -> None:
 def _loaded(xr: Any, source: Source, engine: str) -> Any:
     try:
         if engine == "h5netcdf":
-            # Which complains once more, at its end, of a file that cannot be opened.
+            # h5py first: xarray repeats an error about a file that it cannot open when it is deleted.
             with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
                 file.visititems(lambda name, item: list(item.attrs) and None)
                 list(file.attrs.items())
         with xr.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
             return dataset.load()
-    except Exception as error:  # what HDF5 says of files that are none is of many kinds
+    except Exception as error:  # HDF5 raises many kinds for invalid files
         said = " ".join(str(error).split()) or type(error).__name__
         found = f"a netCDF file that cannot be read ({said[:200]})"
         raise InputError(found, "a whole one, of movement's dataset.to_netcdf", path=source.path) from error
@@ -675,7 +675,7 @@ def _loaded(xr: Any, source: Source, engine: str) -> Any:
 def write(tracks: TrackSet, path: Path) -> None:
     """Write `to_movement`'s dataset as netCDF 4."""
     _check_packages()
-    # In memory first: HDF5 ends the process where the disk is full as it closes a file.
+    # In memory first: HDF5 aborts the process if the disk is full when it closes a file.
     path.write_bytes(to_movement(tracks).to_netcdf(engine="h5netcdf"))
 
 

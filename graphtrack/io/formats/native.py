@@ -1,7 +1,7 @@
 """The native table as CSV and Parquet; null and NaN both mean a missing observation.
 
-pyarrow reads CSV in strict typing. What it refuses is read again cell by cell, to find the place for the
-message or to accept it after all (such as a quoted label with a line break in it).
+pyarrow reads CSV with strict types. A file that it refuses is read again cell by cell, to locate the error or
+to accept the file (such as one with a quoted label that holds a line break).
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-_SMALL = 200_000  # characters that are read before pyarrow would be imported
+_SMALL = 200_000  # characters that plain Python reads in less time than pyarrow takes to import
 
 
 def _read_csv(source: Source, options: ReadOptions) -> Rows:
-    """Read the native CSV table (ARCHITECTURE: *the table*)."""
+    """Read the native table from CSV."""
     header = _header(source)
     columns = _read_fast(source, header) if len(source.text) > _SMALL else None
     line_of: Callable[[int], int] = _LineFinder(source)
@@ -69,7 +69,7 @@ def _header(source: Source) -> list[str]:
 
 
 def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | None:
-    """The columns by pyarrow, or None when a cell needs a closer look."""
+    """Return the columns by pyarrow, or None if a cell needs the slow reader."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -92,7 +92,7 @@ def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | N
             columns[name] = np.array(column.to_pylist(), dtype=object)
             continue
         values = _doubles(column.combine_chunks())
-        # An empty cell is null in Arrow; a NaN beyond those, or an infinity, stood in the file as text.
+        # An empty cell is null in Arrow; any other NaN, or an infinity, was text in the file.
         if np.count_nonzero(np.isnan(values)) != column.null_count or np.isinf(values).any():
             return None
         columns[name] = values
@@ -100,8 +100,8 @@ def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | N
 
 
 def _doubles(array: Any) -> NDArray[np.float64]:
-    """The values (n,) of an Arrow array of doubles, NaN for null."""
-    # From its buffers: Arrow's own conversion imports pandas, which takes longer than to read a file.
+    """Return the values (n,) of an Arrow array of doubles, NaN for null."""
+    # From its buffers: Arrow's own conversion imports pandas, which takes longer than reading a file.
     rows = slice(array.offset, array.offset + len(array))
     valid, data = array.buffers()
     if not len(array):
@@ -113,12 +113,12 @@ def _doubles(array: Any) -> NDArray[np.float64]:
 
 
 def _lines_to_data(source: Source) -> int:
-    """Lines up to and including the header."""
+    """Return the number of lines up to and including the header."""
     return next(number for number, line in enumerate(source.lines, 1) if line.strip())
 
 
 def _read_slowly(source: Source, header: list[str]) -> tuple[dict[str, NDArray[Any]], list[int]]:
-    """The columns and the line of each row, cell by cell: the definition of what is accepted."""
+    """Return the columns and the line of each row, cell by cell: the reference for what is accepted."""
     start = _lines_to_data(source)
     wanted = [(j, name) for j, name in enumerate(header) if is_column(name)]
     cells: dict[str, list[Any]] = {name: [] for _, name in wanted}
@@ -148,7 +148,7 @@ def _number(text: str, path: Path, line: int, column: str) -> float:
 
 
 class _LineFinder:
-    """Row number → line, counted only when a message needs it."""
+    """Row number → line, counted only for a message."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -159,13 +159,13 @@ class _LineFinder:
 
 
 def write_csv_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Write columns of the native table, which need not have identities."""
+    """Write columns of the native table, with or without identities."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
     table = pa.table({name: arrow_array(_clean(values)) for name, values in columns.items()})
     options = arrow_csv.WriteOptions(include_header=False)
-    # Python's own gzip, since Arrow's prints a line of its own where the disk is full.
+    # Python's gzip, since Arrow's prints a line to the terminal if the disk is full.
     packed = path.name.lower().endswith(".gz")
     with gzip.open(path, "wb") if packed else path.open("wb") as stream:
         stream.write((",".join(columns) + "\n").encode())
@@ -173,7 +173,7 @@ def write_csv_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
 
 
 def _clean(values: NDArray[Any]) -> NDArray[Any]:
-    """Labels without line breaks, None where they are empty; dates as text; numbers as they are."""
+    """Return labels without line breaks, None where they are empty; dates as text; numbers unchanged."""
     if values.dtype.kind == "M":
         return date_texts(values)
     if values.dtype != object:
@@ -193,7 +193,7 @@ CSV = Format(
 
 
 ROW_GROUP = 131_072
-"""Rows of a row group in written files: few enough that a reader can take one at a time."""
+"""Rows of a row group in written files, few enough to read one group at a time."""
 
 
 def _read_parquet(source: Source, options: ReadOptions) -> Rows:
@@ -242,7 +242,7 @@ def _is_moment(kind: pa.DataType) -> bool:
 
 @contextmanager
 def damage_told(path: Path) -> Iterator[None]:
-    """Turn pyarrow's exceptions for a file that it cannot read into an `InputError`."""
+    """Convert pyarrow's exceptions for an unreadable file to an `InputError`."""
     import pyarrow as pa
 
     try:
@@ -253,7 +253,7 @@ def damage_told(path: Path) -> Iterator[None]:
 
 
 def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDArray[Any]:
-    """An Arrow column, ``first_row`` rows into its file, as (n,) doubles, NaN for null; labels as objects."""
+    """Return an Arrow column from row ``first_row`` as (n,) doubles, NaN for null; labels as objects."""
     import pyarrow as pa
 
     if pa.types.is_dictionary(column.type):
@@ -285,7 +285,7 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
 
 
 def _write_parquet_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Write columns of the native table, which need not have identities."""
+    """Write columns of the native table, with or without identities."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -1,6 +1,6 @@
 """The native table as NDJSON: a JSON object a line, its keys the columns; null, or no key, is an empty cell.
 
-`graphtrack track -` reads the lines of a stream by the same functions as a file is read.
+`graphtrack track -` reads the lines of a stream by the same functions.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _ENCODED = json.JSONEncoder(allow_nan=False).encode
 
 
 def encoded(value: Any) -> str:
-    """A JSON-able value as ASCII text."""
+    """Return a JSON-able value as ASCII text."""
     try:
         text = orjson.dumps(value)
         if text.isascii():
@@ -53,12 +53,12 @@ def encoded(value: Any) -> str:
 
 
 def plain_cells(line: bytes) -> dict[str, Any] | None:
-    """Result of `read_cells` for a line of numbers within bounds, each of its keys once; None for others."""
+    """Return the result of `read_cells` for a line of numbers within bounds and unique keys; else None."""
     try:
         given = orjson.loads(line)
     except orjson.JSONDecodeError:
         return None
-    # Each key has a colon, so that one that stands there twice is one too many, as is any in a text.
+    # Each key has one colon, so that a repeated key, or a colon in a text, is one too many.
     if type(given) is not dict or line.count(b":") != len(given):
         return None
     layout = _layout(tuple(given))
@@ -80,13 +80,13 @@ def plain_cells(line: bytes) -> dict[str, Any] | None:
 
 @lru_cache(64)
 def _layout(names: tuple[str, ...]) -> list[tuple[str, float, float, bool]] | None:
-    """Each key with its bounds, and whether it is a whole number; None where there is more to say."""
+    """Return each key with its bounds, and whether it is a whole number; None for keys with more rules."""
     found: list[tuple[str, float, float, bool]] = []
     for name in names:
         column = numeric(name)
         if name in INTEGERS:
             found.append((name, -INTEGERS[name], INTEGERS[name], True))
-        elif column is None or name.endswith("_p0"):  # some class has to be likely
+        elif column is None or name.endswith("_p0"):  # the probabilities of classes must not all be 0
             return None
         else:
             found.append((name, column.bounds.low, column.bounds.high, False))
@@ -95,7 +95,7 @@ def _layout(names: tuple[str, ...]) -> list[tuple[str, float, float, bool]] | No
 
 
 Pairs = tuple[tuple[str, Any], ...]
-"""Keys and values of a JSON object in their order; a key may stand there twice."""
+"""Keys and values of a JSON object in their order; keys may repeat."""
 
 _LONGEST = 40  # characters of a value that a message repeats
 
@@ -103,7 +103,7 @@ _LONGEST = 40  # characters of a value that a message repeats
 
 
 class _Literal(str):
-    """A number that is none for us, as it was written: NaN, 1e999, or of thousands of digits."""
+    """A number that is refused, as it was written: NaN, 1e999, or with thousands of digits."""
 
 
 def _integer(text: str) -> int | _Literal:
@@ -124,7 +124,7 @@ _HUGE = re.compile(r"[eE]\+?\d{3}|\d{300}")
 
 
 def parse_line(text: str) -> Pairs:
-    """The keys and values of one line."""
+    """Return the keys and values of one line."""
     try:
         pairs = (_CAREFUL if _HUGE.search(text) else _DECODER).decode(text)
     except json.JSONDecodeError as error:
@@ -137,7 +137,7 @@ def parse_line(text: str) -> Pairs:
 
 
 def _no_json(text: str, place: int) -> InputError:
-    """The error for a place where the decoder could not go on, with its key."""
+    """Return the error for the position where the decoder failed, with its key."""
     if place >= len(text.rstrip()):
         return InputError("the end of the line", _EXPECTED)
     begin = place - len(_WORD_BEFORE.search(text[:place])[0])  # type: ignore[index]  # it always matches
@@ -153,14 +153,14 @@ _KEY_BEFORE = re.compile(r'"([^"\\]{1,40})"\s*:\s*$')
 
 
 def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
-    """Column of the native table → its value, checked; cells that are empty are left out.
+    """Return column of the native table → its value, checked; empty cells are left out.
 
-    Identity and frame are int, the label is text, all others are float, in the units of the table.
+    Identity and frame are int, the label is text, all other values are float, in the units of the table.
 
     Parameters
     ----------
-    pairs : of a line
-    optional : of the identity and the frame those that may be missing
+    pairs : keys and values of a line
+    optional : those of identity and frame that may be missing
     """
     given = dict(pairs)
     if len(given) < len(pairs):
@@ -188,7 +188,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
 
 
 def identity(pairs: Pairs) -> dict[str, int | None]:
-    """Track and frame of a line that cannot be used, as far as they can be read."""
+    """Return track and frame of an invalid line, as far as they can be read."""
     found: dict[str, int | None] = {}
     for name in INTEGERS:
         values = [value for key, value in pairs if key == name]
@@ -226,7 +226,7 @@ def _check_group(group: tuple[str, ...], cells: dict[str, Any]) -> None:
 
 
 def _shown(value: Any) -> str:
-    """A JSON value in a message."""
+    """Return a JSON value as text for a message."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -248,11 +248,11 @@ def _cut(text: str) -> str:
 class _Row(NamedTuple):
     line: int
     cells: dict[str, Any]
-    status: Any  # what `graphtrack track -` says of its estimate; None in a file of observations
+    status: Any  # status of an estimate of `graphtrack track -`; None in a file of observations
 
     @property
     def place(self) -> tuple[int, int]:
-        """Person and frame; a detection without identity has a place of its own."""
+        """Person and frame; a detection without identity has a unique key."""
         return self.cells.get("track_id", -self.line), self.cells["frame"]
 
 
@@ -263,9 +263,9 @@ REPLACED = "estimates that a later row of the same frame replaces"
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
 
-    Lines with the key ``end``, which end a frame of a stream, are no rows, nor is what is told of people when
-    their frame has ended. Of answers to one frame, as late and repeated rows bring them, the last one stands;
-    rows with an ``error`` are left out. The summary counts both.
+    Lines with the key ``end``, which end a frame of a stream, and lines of groups, attention and forecasts
+    are not rows. Of several answers to one frame, as from rows out of sequence, the last is kept; rows with
+    an ``error`` are left out. The summary counts both.
     """
     rows: list[_Row] = []
     keys: dict[str, None] = {}
@@ -307,7 +307,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
-    """Return whether a line tells of groups, looks or a forecast, and not of what was seen or estimated."""
+    """Return whether a line holds groups, attention or a forecast, and not an observation or estimate."""
     if "status" in given or "x" in given or "u" in given:
         return False
     is_list = any(isinstance(given.get(name), list) for name in ("attention", "forecast"))
@@ -315,7 +315,7 @@ def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
 
 
 def _last_answers(rows: list[_Row]) -> list[_Row]:
-    """Without the estimates that a later row of the same person and frame replaces."""
+    """Drop estimates that a later row of the same person and frame replaces."""
     kept: dict[int, _Row] = {}
     newest: dict[tuple[int, int], _Row] = {}
     for row in rows:
@@ -352,7 +352,7 @@ def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
 
 
 def _values(cells: NDArray[Any]) -> list[Any]:
-    """A column as JSON has it: null where a number is NaN or a label empty; dates are text."""
+    """Return a column as JSON values: null where a number is NaN or a label empty; dates are text."""
     if cells.dtype.kind == "M":
         cells = date_texts(cells)
     return [None if value != value or value == "" else value for value in cells.tolist()]

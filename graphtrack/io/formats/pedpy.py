@@ -34,14 +34,14 @@ _IDENTITY, _POINT = "id", "point"
 
 
 def from_pedpy(trajectory: Any) -> TrackSet:
-    """Tracks from a ``pedpy.TrajectoryData``.
+    """Return tracks from a ``pedpy.TrajectoryData``.
 
-    Columns of the native table that its data have besides, as those of `to_pedpy` do, are read too.
+    Further columns of the native table in its data, as `to_pedpy` writes them, are read too.
 
     Raises
     ------
     InputError
-        If it is none, or a value cannot be used.
+        If it has another type, or a value is invalid.
     """
     data, rate = getattr(trajectory, "data", None), getattr(trajectory, "frame_rate", None)
     if data is None or rate is None:
@@ -53,9 +53,9 @@ def from_pedpy(trajectory: Any) -> TrackSet:
 
 
 def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.TrajectoryData:
-    """A ``pedpy.TrajectoryData``: id, frame, x and y in metres, and in addition the native table's columns.
+    """Return a ``pedpy.TrajectoryData``: id, frame, x and y in metres, and the native table's columns.
 
-    Rows without a position are left out. Times that frames and rate do not say are kept as the column ``t``.
+    Rows without a position are left out. Times that do not follow from frames and rate are the column ``t``.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.Traj
     Raises
     ------
     InputError
-        If the package pedpy is not there, or the times have no steady rate.
+        If the package pedpy is not installed, or the times have no steady rate.
     """
     module = package("pedpy", EXTRA)
     import pandas as pd
@@ -76,7 +76,7 @@ def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.Traj
 def trajectory_columns(
     tracks: TrackSet, *, path: Path | None = None, frame_rate: float | None = None
 ) -> tuple[Mapping[str, NDArray[Any]], float]:
-    """Columns id, frame, x, y and the native table's others, of rows with a position, and their rate."""
+    """Return columns id, frame, x, y and further native columns, of rows with a position, and their rate."""
     rate = rate_to_write(tracks, path, frame_rate)
     columns = to_columns(tracks)
     known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
@@ -96,7 +96,7 @@ _UNITS = {
 
 
 def _read_text(source: Source, options: ReadOptions) -> Rows:
-    """Read ``id frame x y``; more columns, such as a height, are passed over."""
+    """Read ``id frame x y``; further columns, such as a height, are ignored."""
     header = []
     for line in source.lines:
         if line.strip() and not line.lstrip().startswith("#"):
@@ -133,7 +133,7 @@ def _unit(header: list[str], options: ReadOptions, path: Path) -> str:
 
 
 def _write_text(tracks: TrackSet, path: Path) -> None:
-    """Write ``id frame x/m y/m`` of the rows with a position, below the frame rate; nothing else is held."""
+    """Write the frame rate, and ``id frame x/m y/m`` of the rows with a position, and nothing else."""
     columns, rate = trajectory_columns(tracks, path=path)
     cells = (columns[name].tolist() for name in _NAMES[:4])
     with path.open("w", encoding="ascii", newline="\n") as stream:
@@ -154,12 +154,12 @@ PEDPY = Format(
 _VERSION = 2
 _OWN = {"id": "track_id", "frame": "frame", "pos_x": "x", "pos_y": "y"}
 _FACING = ("ori_x", "ori_y")
-_AROUND = 1.0  # metres of ground around everybody's positions, in the geometry that is written
+_AROUND = 1.0  # metres of ground around all positions, in the geometry that is written
 _WITH_A_LOG = 2
 
 
 def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
-    """Read positions, and where agents point as the body; and native columns in addition."""
+    """Read positions, the agents' orientation as body, and further native columns."""
     data = source.data
     if data[18:19] == bytes([_WITH_A_LOG]):
         raise InputError(
@@ -186,7 +186,7 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
     if rate is None and "t" not in columns:
         raise InputError("no fps in the table metadata", "frames a second (--fps)", path=source.path)
-    # Of tracks that were written here those columns say what is known of the body.
+    # In files written by this module those columns hold what is known of the body.
     if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
         columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
     ignored = unknown([name for name in names if name not in (*_OWN, *_FACING)])
@@ -234,7 +234,7 @@ def _numbers(cells: list[Any], name: str, path: Path) -> NDArray[Any]:
 
 
 def _degrees(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Directions of vectors; NaN for those of no length."""
+    """Return directions of vectors; NaN for vectors of length 0."""
     return np.where((x == 0.0) & (y == 0.0), np.nan, np.rad2deg(np.arctan2(y, x)))
 
 
@@ -293,7 +293,7 @@ def _fill(
 
 
 def _cells(values: NDArray[Any]) -> list[Any]:
-    """Cells as SQLite has them: nothing for a number that is missing."""
+    """Return cells as SQLite values: null for a missing number."""
     return [None if cell != cell or cell == "" else cell for cell in values.tolist()]
 
 

@@ -1,7 +1,7 @@
-"""ROS 2 recordings (MCAP, SQLite), the messages in them that tell of people, and their definitions.
+"""ROS 2 recordings (MCAP, SQLite), their messages of people, and the definitions of those.
 
-Quaternions are x, y, z, w; covariances are those of ROS's poses: row by row 6×6 of x, y, z (metres) and of
-the rotations about the axes (radians). Messages are read by their attributes: rclpy's, rosbags' or others.
+Quaternions are x, y, z, w; covariances are those of ROS's poses: 6×6, row-major, of x, y, z (metres) and of
+the rotations about the axes (radians). Messages of any library are read by their attributes.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
 _AXES = {"x": [1.0, 0.0, 0.0], "z": [0.0, 0.0, 1.0]}
 
 _STEEP = 0.1
-"""Of an axis: the part along the ground (sine of its angle to the vertical) below which it has no heading."""
+"""Horizontal part of a unit axis (sine of its angle to the vertical) below which it has no heading."""
 
 
 def yaw_of(quaternion: FloatArray, axis: str = "x") -> FloatArray:
-    """Headings (n,) of an axis of rotated frames, in radians counter-clockwise from x.
+    """Return headings (n,) of an axis of rotated frames, in radians counter-clockwise from x.
 
     Parameters
     ----------
-    quaternion : (n, 4); of any length, for those who publish them often do not care
+    quaternion : (n, 4), not necessarily normalised
     axis : "x" as for bodies and faces, "z" as for gazes and cameras
 
     Returns
     -------
-    (n,) NaN where the quaternion is 0 or not finite, or the axis stands upright
+    (n,) NaN where the quaternion is 0 or not finite, or the axis is vertical
     """
     quaternion = np.asarray(quaternion, dtype=float).reshape(-1, 4)
     known = _is_rotation(quaternion)
@@ -63,7 +63,7 @@ def _is_rotation(quaternion: FloatArray) -> NDArray[np.bool_]:
 
 
 def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
-    """The quaternions (n, 4) of turning by the second, then by the first."""
+    """Return the quaternions (n, 4) of the second rotation followed by the first."""
     known = _is_rotation(second)
     found = np.zeros_like(second)
     if known.any():
@@ -74,19 +74,19 @@ def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Position and yaw spread on the ground plane by covariances of poses.
+    """Return position and yaw uncertainty on the ground plane from covariances of poses.
 
     Parameters
     ----------
     covariance : (n, 36)
-    turn : (n, 3, 3) rotations into the frame whose plane is meant
+    turn : (n, 3, 3) rotations into the frame of the ground plane
 
     Returns
     -------
-    position_std : (n,) metres of each axis, as if both were alike: the root of the mean of both variances
+    position_std : (n,) metres, the root of the mean variance of both axes
     yaw_variance : (n,) rad²
 
-    NaN where they are not positive: ROS says by zeros, or by −1, that they are unknown.
+    NaN where they are not positive: ROS marks unknown covariances by 0 or −1.
     """
     covariance = np.asarray(covariance, dtype=float).reshape(-1, 6, 6)
     places, turns = covariance[:, :3, :3], covariance[:, 3:, 3:]
@@ -100,13 +100,13 @@ def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[F
 
 
 def kappa_of(variance: FloatArray) -> FloatArray:
-    """von Mises concentrations (n,) of variances in rad², NaN where unknown."""
+    """Return von Mises concentrations (n,) of variances in rad², NaN where unknown."""
     with np.errstate(divide="ignore"):
         return np.minimum(1.0 / np.asarray(variance, dtype=float), LARGEST_CONCENTRATION)
 
 
 def variance_of(kappa: FloatArray) -> FloatArray:
-    """Variances (n,), rad², of von Mises concentrations; NaN where unknown or where nothing is said (0)."""
+    """Return variances (n,), rad², of von Mises concentrations; NaN where unknown or 0."""
     kappa = np.asarray(kappa, dtype=float)
     with np.errstate(divide="ignore"):
         return np.where(kappa > 0.0, 1.0 / kappa, np.nan)
@@ -125,7 +125,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TEXT = "std_msgs/msg/String"
 
 OF_PEOPLE = (PEOPLE, DETECTIONS, POSES, POSE, POSE_WITH_COVARIANCE, IDS)
-"""Types of the topics that say where people are."""
+"""Types of topics with positions of people."""
 
 FIELDS: Mapping[str, str] = {
     PEOPLE: "std_msgs/Header header; people_msgs/Person[] people",
@@ -142,18 +142,18 @@ FIELDS: Mapping[str, str] = {
     GAZE: "std_msgs/Header header; string sender; string receiver",
     GROUP: "std_msgs/Header header; string group_id; string[] members",
 }
-"""Type → its fields, for the types that are not among ROS's own common interfaces."""
+"""Type → its fields, for the types that are not among ROS's common interfaces."""
 
 
 def need_rosbags() -> None:
-    """Raise InputError if the packages that read and write bags are not there."""
+    """Raise InputError if the packages that read and write bags are not installed."""
     for name in ("mcap", "rosbags"):
         package(name, "ros")
 
 
 @cache
 def own_types() -> dict[str, Any]:
-    """The definitions above as rosbags takes them."""
+    """Return the definitions above as types of rosbags."""
     from rosbags.typesys import get_types_from_msg
 
     found: dict[str, Any] = {}
@@ -163,7 +163,7 @@ def own_types() -> dict[str, Any]:
 
 
 def typestore(embedded: Mapping[str, Any] | None = None) -> Typestore:
-    """A store of ROS 2's interfaces and of `FIELDS`; those ``embedded`` in a bag go before the latter."""
+    """Return a typestore of ROS 2's interfaces and `FIELDS`; ``embedded`` types override the latter."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -173,22 +173,22 @@ def typestore(embedded: Mapping[str, Any] | None = None) -> Typestore:
 
 
 SECOND = 10**9
-"""Nanoseconds, in which stamps are."""
+"""Nanoseconds a second, the unit of stamps."""
 HEAD = "head"
-"""The class of a hypothesis of a detection whose pose is that of the head."""
+"""Class of a detection's hypothesis whose pose is that of the head."""
 
 
 class Sighting(NamedTuple):
-    """Somebody who was seen.
+    """Observation of a person.
 
     Attributes
     ----------
     name : the identity; "" where there is none
-    place : x, y, z in metres; None: unknown, or told by tf
+    place : x, y, z in metres; None: unknown, or given by tf
     turn : quaternion x, y, z, w of the body; None: the message has none
     covariance : 36 numbers of a pose's covariance, or None
     head, head_covariance : the same of the head
-    score : how sure the detector was; 0 is taken for unsaid
+    score : the detector's confidence; 0 means unknown
     kind : the class of a detection
     """
 
@@ -203,7 +203,7 @@ class Sighting(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A message: when it was stamped (ns), in which frame of reference, and whom it tells of."""
+    """A message: its stamp (ns), its frame of reference, and its people."""
 
     stamp: int
     frame_id: str
@@ -211,12 +211,12 @@ class Frame(NamedTuple):
 
 
 def stamp_of(header: Any) -> int:
-    """Nanoseconds of a header's stamp."""
+    """Return a header's stamp in nanoseconds."""
     return int(header.stamp.sec) * SECOND + int(header.stamp.nanosec)
 
 
 def frame_of(message: Any, kind: str) -> Frame:
-    """Sightings of a message of one of the types `OF_PEOPLE`."""
+    """Return the sightings of a message of one of the types `OF_PEOPLE`."""
     header = message.header
     return Frame(stamp_of(header), header.frame_id.lstrip("/"), list(_READERS[kind](message)))
 
@@ -269,21 +269,21 @@ _READERS: Mapping[str, Callable[[Any], Iterable[Sighting]]] = {
 
 
 OURS = "/graphtrack/"
-"""Prefix of the topics that are written."""
+"""Prefix of written topics."""
 
 OWN_INPUT = f"{OURS}detections"
-"""Of the topics that are written here, that which is read back: it says most."""
+"""The written topic that is read back, since it has the most detail."""
 
 _OF_ONE = (POSE, POSE_WITH_COVARIANCE)
 
 
 def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> list[str]:
-    """The topics to read, all of one type: one, or those of one person each.
+    """Return the topics to read, all of one type: one topic, or several of one person each.
 
     Parameters
     ----------
     topics : of the recording, name → type
-    asked : a name, or a pattern for several of one person each; None: the one that tells of people
+    asked : a name, or a pattern for several of one person each; None: the one topic with people
     """
     known = {name: kind for name, kind in sorted(topics.items()) if kind in OF_PEOPLE}
     if asked is not None:
@@ -294,22 +294,22 @@ def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> l
         if not found:
             raise InputError(f"no topic {asked}", f"one of {_listed(known or topics)}", path=path)
     else:
-        # A recording of observations and of estimates means the observations.
+        # Observations take precedence over estimates of the same recording.
         found = [name for name in known if not name.startswith(OURS)]
         if not found:
             found = [name for name in (OWN_INPUT,) if name in known] or list(known)
         tracked = [name for name in found if topics[name] == IDS]
         if len(found) == len(tracked) > 1:
-            # People who are tracked are among those who are known; their faces and bodies are parts of them.
+            # Tracked people are among the known people; faces and bodies are parts of people.
             first = [name for name in tracked if name.endswith("persons/tracked")]
             found = first or found
     if not known:
         types = ", ".join(OF_PEOPLE)
         expected = f"a topic of one of {types}; there are {_listed(topics)}"
-        raise InputError("no topic that tells of people", expected, path=path)
+        raise InputError("no topic with people", expected, path=path)
     if len(found) > 1 and not (asked is not None and _is_of_each(topics, found)):
         expected = f"--topic with one of {_listed({name: topics[name] for name in found})}"
-        raise InputError(f"{len(found)} topics that tell of people", expected, path=path)
+        raise InputError(f"{len(found)} topics with people", expected, path=path)
     return found
 
 
@@ -320,7 +320,7 @@ def _is_of_each(topics: Mapping[str, str], found: list[str]) -> bool:
 
 
 def is_of_one(kind: str) -> bool:
-    """Return whether the messages of a type tell of one person."""
+    """Return whether the messages of a type hold one person each."""
     return kind in _OF_ONE
 
 
@@ -337,7 +337,7 @@ Read = TypeVar("Read")
 
 
 class Definition(NamedTuple):
-    """A type of messages, and how it is defined where the recording says so."""
+    """A type of messages, and its definition where the recording has it."""
 
     kind: str
     text: str = ""
@@ -345,7 +345,7 @@ class Definition(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A message as it stands: topic, when it was recorded (ns), bytes, and its number in the topic."""
+    """A raw message: topic, time of recording (ns), bytes, and its number in the topic."""
 
     topic: str
     logged: int
@@ -354,7 +354,7 @@ class Recorded(NamedTuple):
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a recording lies at a path."""
+    """Return whether a path is a recording."""
     try:
         if isinstance(path, RemoteFile):
             return str(path).lower().endswith(".mcap")
@@ -385,7 +385,7 @@ class Bag:
     _definitions: Mapping[str, Definition]
 
     def store(self, kinds: Collection[str]) -> Typestore:
-        """The typestore of messages of these types, by the recording's own definitions where it has them."""
+        """Return the typestore of these types, with the recording's definitions where it has them."""
         from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
         embedded: dict[str, Any] = {}
@@ -399,7 +399,7 @@ class Bag:
             return typestore(embedded)
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
-        """The messages of some topics, in the order of the recording."""
+        """Yield the messages of some topics, in the order of the recording."""
         numbers = dict.fromkeys(topics, 0)
         with told(self.path, "a recording"):
             for part in self._parts:
@@ -410,14 +410,14 @@ class Bag:
     def decoded(
         self, kind: str, topics: Collection[str], use: Callable[[Any], Read]
     ) -> Iterator[tuple[Recorded, Read]]:
-        """The messages of topics of one type, and what ``use`` makes of each."""
+        """Yield the messages of topics of one type, and the result of ``use`` for each."""
         store = self.store({kind})
         for one in self.messages(topics):
             try:
                 found = use(store.deserialize_cdr(one.raw, kind))
             except InputError:
                 raise
-            except Exception as error:  # bytes and fields of any other kind
+            except Exception as error:  # bytes or fields of another type
                 said = " ".join(str(error).split())[:100] or type(error).__name__
                 text = f"a message that is none of {kind} ({said})"
                 raise InputError(
@@ -444,7 +444,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 @contextmanager
 def told(path: Path, what: str) -> Iterator[None]:
-    """Turn the exceptions of packages for what they cannot read into an `InputError`."""
+    """Convert exceptions of packages about unreadable content to an `InputError`."""
     try:
         yield
     except InputError as error:
@@ -453,14 +453,14 @@ def told(path: Path, what: str) -> Iterator[None]:
         raise InputError(error.found, error.expected, path=path, line=error.line) from error
     except PermissionError as error:
         raise InputError("a file without permission to read", "a readable file", path=path) from error
-    except Exception as error:  # two packages and what they stand on: zstd, lz4, SQLite, YAML, their parsers
+    except Exception as error:  # from rosbags, mcap, zstd, lz4, SQLite, YAML or parsers
         said = " ".join(str(error).split())[:200] or type(error).__name__
         found = f"{what} that is cut or damaged ({said})"
         raise InputError(found, "a whole one of ROS 2 (ros2 bag reindex, mcap recover)", path=path) from error
 
 
 def _mcap_files(folder: Path) -> list[Path]:
-    """The MCAP files of a folder, those with lower numbers first."""
+    """Return the MCAP files of a folder in numerical order."""
 
     def number(path: Path) -> tuple[int, str]:
         last = path.stem.rpartition("_")[2]
@@ -470,7 +470,7 @@ def _mcap_files(folder: Path) -> list[Path]:
 
 
 class _Part:
-    """One file of a recording, or a folder with its metadata, by rosbags."""
+    """Open one file of a recording, or a folder with its metadata, by rosbags."""
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
         from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
@@ -491,7 +491,7 @@ class _Part:
             )
 
     def _close(self) -> None:
-        with contextlib.suppress(Exception):  # what is only read loses nothing
+        with contextlib.suppress(Exception):  # nothing is lost in a recording that is only read
             self._reader.close()
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
@@ -503,6 +503,6 @@ class _Part:
 
 
 def _full(name: str) -> str:
-    """The full name of a type, such as geometry_msgs/msg/Pose for geometry_msgs/Pose."""
+    """Return the full name of a type, such as geometry_msgs/msg/Pose for geometry_msgs/Pose."""
     package, _, last = name.partition("/")
     return name if "/" in last or not last else f"{package}/msg/{last}"

@@ -1,4 +1,4 @@
-"""The rows of a ROS 2 recording: people of messages and of ``tf`` (REP 155) on the ground of one frame."""
+"""Rows of a ROS 2 recording: people of messages and of ``tf`` (REP 155) on the ground of one frame."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ from graphtrack.packages import transform
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale
 
-_LONGEST = 100  # frames between one and the root, above which there must be a circle
+_LONGEST = 100  # frames on the way to the root, above which there must be a circle
 
-_FEW = 500  # tellings of a frame that are kept however old they are
+_FEW = 500  # transforms of a frame that are kept regardless of age
 
-_REACH = 500_000_000  # nanoseconds by which a transform holds before its first and after its last telling
+_REACH = 500_000_000  # nanoseconds of validity before a frame's first and after its last transform
 
 
 @dataclass(eq=False)
@@ -70,7 +70,7 @@ class Placement:
     ----------
     quaternion : (n, 4)
     translation : (n, 3) metres
-    known : (n,) whether tf tells of that time
+    known : (n,) whether tf covers that time
     """
 
     quaternion: FloatArray
@@ -82,20 +82,20 @@ class Placement:
         return transform.Rotation.from_quat(self.quaternion).as_matrix()
 
     def after(self, inner: Placement) -> Placement:
-        """Placement, in the outer frame, of one that has a placement in this frame."""
+        """Compose with a placement in this frame; return that in the outer frame."""
         outer = transform.Rotation.from_quat(self.quaternion)
         turned = outer * transform.Rotation.from_quat(inner.quaternion)
         place = outer.apply(inner.translation) + self.translation
         return Placement(turned.as_quat(), place, self.known & inner.known)
 
     def inverse(self) -> Placement:
-        """The pose of the other in the one."""
+        """Return the inverse placement."""
         back = transform.Rotation.from_quat(self.quaternion).inv()
         return Placement(back.as_quat(), -back.apply(self.translation), self.known)
 
 
 class Transforms:
-    """All that a recording's ``tf`` and ``tf_static`` say."""
+    """Transforms of a recording's ``tf`` and ``tf_static``."""
 
     def __init__(self) -> None:
         self._links: dict[str, _Link] = {}
@@ -108,11 +108,11 @@ class Transforms:
 
     @property
     def frames(self) -> list[str]:
-        """The names of all frames."""
+        """Names of all frames."""
         return sorted({*self._links, *(link.parent for link in self._links.values())})
 
     def add(self, transforms: Iterable[Any], *, static: bool) -> None:
-        """Take in the transforms of a message."""
+        """Add the transforms of a message."""
         for one in transforms:
             child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
             link = self._links.setdefault(child, _Link(parent, static))
@@ -128,7 +128,7 @@ class Transforms:
             link.poses.extend(pose)
 
     def forget(self, before: int) -> None:
-        """Drop what was told before a time (ns), as far as it is much, but not of what stands still."""
+        """Drop transforms before a time (ns) from frames with many of them, except static frames."""
         for link in self._links.values():
             half = len(link.stamps) // 2
             if not link.static and half >= _FEW and link.stamps[half] < before:
@@ -136,7 +136,7 @@ class Transforms:
                 link.sorted = None
 
     def forget_after(self, now: int) -> None:
-        """Drop what was told of a time (ns) to come, by a clock that was set back since."""
+        """Drop transforms after a time (ns), which a clock emitted before it was set back."""
         for link in self._links.values():
             if link.static:
                 continue
@@ -146,7 +146,7 @@ class Transforms:
             link.sorted = None
 
     def placement(self, frame: str, fixed: str, stamps: NDArray[np.int64]) -> Placement:
-        """The poses of a frame in another at some times (n,), in nanoseconds."""
+        """Return the poses of a frame in another at times (n,), in nanoseconds."""
         up, other = self._to_root(frame), self._to_root(fixed)
         shared = next((one for one in up if one in other), None)
         if shared is None:
@@ -167,7 +167,7 @@ class Transforms:
         return path
 
     def _along(self, frames: list[str], stamps: NDArray[np.int64]) -> Placement:
-        """The pose of the first frame in the parent of the last."""
+        """Return the pose of the first frame in the parent of the last."""
         n = len(stamps)
         found = Placement(np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 3)), np.ones(n, dtype=bool))
         for frame in frames:
@@ -176,7 +176,7 @@ class Transforms:
 
 
 def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
-    """A link's poses at some times, between those that were told."""
+    """Interpolate a link's poses at some times."""
     n = len(stamps)
     told, poses = _in_order(link)
     if not len(told):
@@ -185,7 +185,7 @@ def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
         known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - told[0]) <= _REACH
         return Placement(np.tile(poses[-1, :4], (n, 1)), np.tile(poses[-1, 4:], (n, 1)), known)
     within = np.clip(stamps, told[0], told[-1])
-    # Relative to the first, for a double has not the digits of an epoch's nanoseconds.
+    # Relative to the first, since a double lacks the digits of an epoch's nanoseconds.
     since, at = (told - told[0]) / 1e9, (within - told[0]) / 1e9
     turn = transform.Slerp(since, transform.Rotation.from_quat(poses[:, :4]))(at).as_quat()
     place = np.column_stack([np.interp(at, since, poses[:, k]) for k in (4, 5, 6)])
@@ -193,7 +193,7 @@ def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
 
 
 def _in_order(link: _Link) -> tuple[NDArray[np.int64], FloatArray]:
-    """Stamps that increase, and the poses (m, 7) told at them; of several at one time the last."""
+    """Return increasing stamps and their poses (m, 7); of several at one time the last."""
     if link.sorted is None:
         stamps = np.array(link.stamps, dtype=np.int64)
         poses = np.array(link.poses, dtype=float).reshape(-1, 7)
@@ -210,12 +210,12 @@ _MATCH = re.compile(r"/humans/persons/([^/]+)/(face|body)_id")
 
 @dataclass(frozen=True)
 class Humans:
-    """Meaning of the names of people.
+    """Resolution of the names of people.
 
     Attributes
     ----------
-    part : what the names are of
-    matched : (person, "face" or "body") → the name of that, as last told
+    part : kind of entity that the names denote
+    matched : (person, "face" or "body") → the latest name of that part
     """
 
     part: Part
@@ -223,7 +223,7 @@ class Humans:
 
     @classmethod
     def of(cls, bag: Bag, topic: str) -> Humans:
-        """Meaning of the names of a topic such as /humans/persons/tracked."""
+        """Return the resolution of names of a topic such as /humans/persons/tracked."""
         kind: Part = next((part for plural, part in _PARTS.items() if f"/{plural}/" in topic), "person")
         matched: dict[tuple[str, str], str] = {}
         if kind == "person":
@@ -240,9 +240,9 @@ class Humans:
     def placed(
         self, name: str, fixed: str, stamps: NDArray[np.int64], transforms: Transforms
     ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]] | None:
-        """Position (n, 2), body and head (n,), whether they are known (n,); None where no frame is theirs.
+        """Return position (n, 2), body and head (n,), a mask of known rows (n,); None without a frame.
 
-        The position is that of the frame of the name; bodies look along x of ``body_``, heads along z of
+        The position is that of the frame of the name; bodies point along x of ``body_``, heads along z of
         ``gaze_``, else x of ``face_``, else x of ``head_``.
         """
         body = self.matched.get((name, "body"), name)
@@ -259,7 +259,7 @@ class Humans:
                 if frame in transforms:
                     try:
                         turned = transforms.placement(frame, fixed, stamps)
-                    except InputError:  # what is not connected is not known
+                    except InputError:  # unknown, since it is not connected
                         continue
                     return np.where(turned.known, yaw_of(turned.quaternion, axis), np.nan)
             return np.full(len(stamps), np.nan)
@@ -268,7 +268,7 @@ class Humans:
         return pose.translation[:, :2], looks((frames["body"], "x")), head, pose.known
 
 
-_USUAL = ("map", "odom", "world", "earth", "")  # frames of reference that do not move, by REP 105
+_USUAL = ("map", "odom", "world", "earth", "")  # fixed frames of reference, by REP 105
 
 _UNTOLD = (0.0, 0.0, 0.0, 0.0)
 _NOWHERE = (np.nan, np.nan, np.nan)
@@ -286,7 +286,7 @@ class Seen:
     place : (n, 3) metres
     turn, head : (n, 4) quaternions, 0 where unknown
     covariance, head_covariance : (n, 36)
-    score : (n,) 0 where unsaid
+    score : (n,) 0 where unknown
     """
 
     stamp: NDArray[np.int64]
@@ -306,7 +306,7 @@ class Seen:
 
     @classmethod
     def of(cls, frames: Sequence[tuple[Frame, int]]) -> Seen:
-        """The sightings of some messages."""
+        """Return the sightings of some messages."""
         people: list[Sighting] = [one for frame, _ in frames for one in frame.people]
         counts = [len(frame.people) for frame, _ in frames]
 
@@ -335,23 +335,23 @@ class Seen:
         )
 
     def is_turned(self) -> bool:
-        """Return whether any orientation is told that is another than none at all."""
+        """Return whether any orientation is neither missing nor the identity rotation."""
         return bool((self.turn[:, :3] != 0.0).any())
 
 
 class Ground:
-    """Brings sightings to the ground of a frame of reference.
+    """Transformation of sightings to the ground of a frame of reference.
 
     Parameters
     ----------
     fixed : its name; None: that of all messages
-    transforms : what tf says
-    humans : what places people of whom a message has the name alone
+    transforms : from tf
+    humans : positions of people that messages list by name alone
     has_transforms : whether the recording has tf, read or not
 
     Attributes
     ----------
-    fixed, notes : the frame of reference, as it is known by now, and what was assumed
+    fixed, notes : the frame of reference, once known, and assumptions
     """
 
     def __init__(
@@ -364,23 +364,23 @@ class Ground:
     def notes(self) -> list[str]:
         """Notes on assumptions."""
         if self._was_given:
-            return [f"places are in the frame {self.fixed}"]
+            return [f"positions are in the frame {self.fixed}"]
         may_move = self._has_transforms and self.fixed not in _USUAL
-        hint = "; --fixed-frame brings them to one that does not move" if may_move else ""
-        return [f"places are in the frame {self.fixed or 'that has no name'}, as they stand{hint}"]
+        hint = "; --fixed-frame transforms them to a fixed one" if may_move else ""
+        return [f"positions are in the frame {self.fixed or 'without a name'}, not transformed{hint}"]
 
     def placed(self, seen: Seen) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
-        """Columns x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
+        """Return x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
 
         Returns
         -------
-        columns, known : name → (n,), and whether tf places a row (n,)
+        columns, known : name → (n,), and a mask of rows with a known transform (n,)
         """
         if self.fixed is None:
             self.fixed = str(seen.frame_id[0])
             if self._humans is not None and self.fixed not in self._transforms:
                 there = ", ".join(self._transforms.frames[:20]) or "none: the recording has no tf"
-                raise InputError("people whom tf places", f"--fixed-frame with one of {there}")
+                raise InputError("people with positions in tf", f"--fixed-frame with one of {there}")
         if self._humans is not None:
             return self._placed_by_transforms(seen, self._humans)
         place, turn, head = seen.place, seen.turn, seen.head
@@ -391,7 +391,7 @@ class Ground:
                 continue
             if not self._was_given:
                 found = f"messages in the frames {self.fixed!r} and {frame_id!r}"
-                raise InputError(found, "--fixed-frame: the one that tf brings them to")
+                raise InputError(found, "--fixed-frame with the frame to transform them to by tf")
             rows = np.flatnonzero(seen.frame_id == frame_id)
             pose = self._transforms.placement(frame_id, self.fixed, seen.stamp[rows])
             if turns is None:
@@ -450,33 +450,33 @@ def _of_anybody(seen: Seen, place: FloatArray) -> dict[str, NDArray[Any]]:
     }
 
 
-_AT_A_TIME = 2048  # messages that are brought to the ground together
+_AT_A_TIME = 2048  # messages that are transformed together
 
 _BACK, _AHEAD = 10**9, 86_400 * 10**9
-"""Nanoseconds by which stamps may go back, as messages overtake each other, and go ahead from the last."""
+"""Nanoseconds by which stamps may be out of sequence, and ahead of the last."""
 
 _LAYOUT = Layout(
     {"track_id": "name", "t": "stamp", "body_rad": "body_rad", "head_rad": "head_rad"}, time_unit="ns"
 )
 _STATIC = "tf_static"
 
-_AGAIN = "told again with the same stamp"
+_AGAIN = "repeated with the same stamp"
 _NO_TRANSFORM = "at a time without tf"
 _OTHER_CLASS = "of another class"
 
 
 @dataclass(eq=False)
 class _Columns:
-    """Content of the messages read so far, on the ground."""
+    """Content of the messages read so far, on the ground plane."""
 
     parts: list[dict[str, NDArray[Any]]] = field(default_factory=list)
     refused: Counter[str] = field(default_factory=Counter)
     kinds: Counter[str] = field(default_factory=Counter)
-    turned: bool = False  # some orientation is another than that of the frame of reference
+    turned: bool = False  # whether some orientation is not the identity
 
 
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
-    """Rows of a recording by the options ``topic``, ``fixed_frame`` and ``classes``."""
+    """Return rows of a recording by the options ``topic``, ``fixed_frame`` and ``classes``."""
     with open_bag(path) as bag:
         topics = chosen_topics(bag.topics, options.topic, path)
         kind = bag.topics[topics[0]]
@@ -491,17 +491,17 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
             ) from error
         notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
-            notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class picks")
+            notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class selects")
         return _rows(path, columns, notes, options.beside, ground.fixed or "")
 
 
 def _is_given(classes: tuple[str, ...]) -> bool:
-    """Return whether classes were asked for, rather than left at what KITTI calls people."""
+    """Return whether classes were selected, other than the default, KITTI's classes of people."""
     return classes != ("Pedestrian",)
 
 
 def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int]]:
-    """The messages that tell of people, and their numbers; times are those of one clock."""
+    """Yield the messages of people, and their numbers; times are those of one clock."""
     of_one = is_of_one(kind)
     before: dict[str, int] = {}
     unstamped = _is_unstamped(bag, kind, topics)
@@ -518,7 +518,7 @@ def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int
 
 
 def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
-    """Return whether nobody stamped the messages: a simulation's first may be stamped 0, not the second."""
+    """Return whether messages lack stamps: a simulation's first stamp may be 0, but not the second."""
     with open_bag(bag.path) as other:
         frames = other.decoded(kind, topics[:1], partial(frame_of, kind=kind))
         first = [frame.stamp for _, frame in islice(frames, 2)]
@@ -528,12 +528,12 @@ def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
 def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> None:
     if before is not None and not -_BACK <= stamp - before <= _AHEAD:
         found = f"a clock that jumps by {(stamp - before) / 1e9:+.6g} s"
-        expected = "stamps that go on; cut the recording where its clock was set (ros2 bag convert)"
+        expected = "continuous stamps; cut the recording where its clock was set (ros2 bag convert)"
         raise InputError(found, expected, line=number, column=topic)
 
 
 def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground:
-    """The conversion to the ground; tf is read where it may be needed."""
+    """Return the transformation to the ground; tf is read where it may be needed."""
     humans = Humans.of(bag, topics[0]) if kind == IDS else None
     fixed = None if fixed is None else fixed.lstrip("/")
     transforms = Transforms()
@@ -588,7 +588,7 @@ def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None
         del joined["name"]
     if not columns.turned and np.isfinite(joined["body_rad"]).any():
         joined["body_rad"][:] = np.nan
-        notes.append("orientations are all those of the frame of reference, and were taken for unsaid")
+        notes.append("all orientations equal that of the frame of reference and were treated as unknown")
     number = joined.pop("number")
     void = {name for name, values in joined.items() if values.dtype.kind == "f" and np.isnan(values).all()}
     said = {name: values for name, values in joined.items() if name not in void}
@@ -597,14 +597,14 @@ def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None
     rows = rows_of_cells(cells, layout, beside=beside)
     told = rows.as_read
     assert told is not None and told.time is not None
-    # As a table, seconds of the same clock, which read back as they stand.
+    # As a table: seconds of the same clock, unchanged when read back.
     as_read = AsRead({}, TimeScale("number", origin=told.time.origin), names=told.names, frame=frame)
     notes = [*notes, *(note for note in rows.notes if note not in notes)]
     return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
 
 
 def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """The rows in which somebody is told of for the first time at a stamp."""
+    """Return a mask of the first row of each person at each stamp."""
     _, who = np.unique(joined["name"].astype(str), return_inverse=True)
     order = np.lexsort((np.arange(len(who)), joined["stamp"], who))
     again = (np.diff(who[order]) == 0) & (np.diff(joined["stamp"][order]) == 0)

@@ -1,4 +1,4 @@
-"""Estimates as ROS messages of any library's classes, and tracks as an MCAP file for Foxglove and RViz."""
+"""Estimates as ROS messages of any library, and tracks as an MCAP file for Foxglove and RViz."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ if TYPE_CHECKING:
 
 
 HEIGHT, WIDTH = 1.7, 0.5
-"""Metres: how tall and wide a person is drawn, and the box of a detection is."""
+"""Height and width of drawn people and of the boxes of detections, metres."""
 EYES = 1.55
 """Metres above the ground of a head's pose."""
 
-_CHI2_95 = 5.991464547107979  # of two degrees of freedom: what 95 % stay below
+_CHI2_95 = 5.991464547107979  # 95 % quantile, two degrees of freedom
 
-_SHORTEST = 0.01  # metres of an arrow: what has no length at all, RViz complains of
+_SHORTEST = 0.01  # metres of an arrow; RViz rejects length 0
 
 
 class Make(Protocol):
-    """Makes a message of a type from some of its fields; the others are empty."""
+    """Factory of messages from some of their fields; the other fields are empty."""
 
     def __call__(self, kind: str, **fields: Any) -> Any:
-        """A message of a type such as "geometry_msgs/msg/Pose"."""
+        """Return a message of a type such as "geometry_msgs/msg/Pose"."""
 
 
 class Person(NamedTuple):
@@ -64,7 +64,7 @@ class Person(NamedTuple):
     body, head : radians
     xx, xy, yy : variances and covariance of the position, m²
     body_variance, head_variance : rad²
-    score : probability that the person is there
+    score : probability that the person is present
     """
 
     name: str
@@ -85,7 +85,7 @@ class Person(NamedTuple):
 
     @property
     def ellipse(self) -> tuple[float, float, float] | None:
-        """Ellipse that holds 95 % of the position: both diameters (m) and its direction, or None."""
+        """Return the 95 % ellipse of the position: both diameters (m) and its direction, or None."""
         middle, spread = (self.xx + self.yy) / 2.0, math.hypot((self.xx - self.yy) / 2.0, self.xy)
         if not middle > 0.0:  # NaN too
             return None
@@ -100,17 +100,17 @@ def _known(value: float) -> float:
 
 
 def time_of(make: Make, stamp: int) -> Any:
-    """A time (ns) as ROS has it."""
+    """Return a time (ns) as ROS message."""
     return make("builtin_interfaces/msg/Time", sec=stamp // SECOND, nanosec=stamp % SECOND)
 
 
 def header_of(make: Make, stamp: int, frame_id: str) -> Any:
-    """The header of a message; the stamp is in nanoseconds."""
+    """Return the header of a message; the stamp is in nanoseconds."""
     return make("std_msgs/msg/Header", stamp=time_of(make, stamp), frame_id=frame_id)
 
 
 def pose_at(make: Make, x: float, y: float, z: float, yaw: float = 0.0) -> Any:
-    """Pose rotated about the vertical by a yaw (rad); no rotation for NaN."""
+    """Return a pose rotated about the vertical by a yaw (rad); no rotation for NaN."""
     half = _known(yaw) / 2.0
     return make(
         "geometry_msgs/msg/Pose",
@@ -120,7 +120,7 @@ def pose_at(make: Make, x: float, y: float, z: float, yaw: float = 0.0) -> Any:
 
 
 def people_message(make: Make, header: Any, people: Iterable[Person]) -> Any:
-    """``people_msgs/People``: where everybody is, and how they move."""
+    """Return ``people_msgs/People``: positions and velocities."""
     point = "geometry_msgs/msg/Point"
     found = [
         make(
@@ -138,9 +138,9 @@ def people_message(make: Make, header: Any, people: Iterable[Person]) -> Any:
 
 
 def detections_message(make: Make, header: Any, people: Sequence[Person]) -> Any:
-    """``vision_msgs/Detection3DArray``: poses of bodies with covariances; heads are a second hypothesis.
+    """Return ``vision_msgs/Detection3DArray``: body poses with covariances; heads are a second hypothesis.
 
-    The quaternion is 0 where a direction is unknown, as covariances are.
+    Quaternion and covariance are 0 where a direction is unknown.
     """
     size = make("geometry_msgs/msg/Vector3", x=WIDTH, y=WIDTH, z=HEIGHT)
     found = []
@@ -171,38 +171,38 @@ def _hypothesis(make: Make, kind: str, score: float, pose: Any, one: Person, yaw
 
 
 def ids_message(make: Make, header: Any, people: Iterable[Person]) -> Any:
-    """``hri_msgs/IdsList``: who is there."""
+    """Return ``hri_msgs/IdsList``: the identities of the people present."""
     return make(IDS, header=header, ids=[one.name for one in people])
 
 
 def group_message(make: Make, header: Any, name: str, members: Sequence[str]) -> Any:
-    """``hri_msgs/Group``: who stands, or walks, with whom."""
+    """Return ``hri_msgs/Group``: the members of a group."""
     return make(GROUP, header=header, group_id=name, members=list(members))
 
 
 def gaze_message(make: Make, header: Any, sender: str, receiver: str) -> Any:
-    """``hri_msgs/Gaze``: who looks at whom."""
+    """Return ``hri_msgs/Gaze``: a person and the target of their gaze."""
     return make(GAZE, header=header, sender=sender, receiver=receiver)
 
 
 class Made:
-    """Makes messages of the types that a store knows; see `graphtrack.io.formats.ros_writing.Make`."""
+    """Factory of messages of a typestore; see `graphtrack.io.formats.ros_writing.Make`."""
 
     def __init__(self, store: Typestore) -> None:
         self._store = store
         self._empty: dict[str, dict[str, Any]] = {}
 
     def __call__(self, kind: str, **fields: Any) -> Any:
-        """A message of a type, with these fields."""
+        """Return a message of a type, with these fields."""
         if kind not in self._empty:
             _, described = self._store.fielddefs[kind]
             self._empty[kind] = {name: self._nothing(of) for name, of in described}
         empty = self._empty[kind]
-        # What is empty is shared, and nobody changes it.
+        # Empty values are shared; they are never modified.
         return self._store.types[kind](**(fields if len(fields) == len(empty) else {**empty, **fields}))
 
     def _nothing(self, described: Any) -> Any:
-        """The empty value of a field, as rosbags describes it."""
+        """Return the empty value of a field described by rosbags."""
         from rosbags.interfaces import Nodetype
 
         node, of = described
@@ -223,14 +223,14 @@ _SHOULDERS = 1.35
 _THIN = 0.02
 _ABOVE = HEIGHT + 0.25
 _WHITE = "#FFFFFF"
-_POINT = 0.3  # metres of the point of an arrow of body or head
+_POINT = 0.3  # metres of an arrowhead of body or head
 
 _ARROW, _CYLINDER, _TEXT = 0, 3, 9
 _DELETE_ALL = 3
 
 
 class Arrow(NamedTuple):
-    """Arrow along the ground: its quantity, its height (m), its direction (rad), and its lengths (m)."""
+    """Horizontal arrow: its quantity, height (m), direction (rad) and lengths (m)."""
 
     name: str
     z: float
@@ -241,7 +241,7 @@ class Arrow(NamedTuple):
 
 
 def arrows_of(one: Person) -> Iterator[Arrow]:
-    """Velocity, body and head, as far as they are known."""
+    """Yield arrows of velocity, body and head, as far as they are known."""
     if math.isfinite(one.vx + one.vy):
         length = max(math.hypot(one.vx, one.vy), _SHORTEST)
         yaw = math.atan2(one.vy, one.vx)
@@ -256,7 +256,7 @@ def arrows_of(one: Person) -> Iterator[Arrow]:
 
 @cache
 def _shares(colour: str) -> tuple[float, float, float]:
-    """Red, green and blue, from 0 to 1."""
+    """Return red, green and blue, from 0 to 1."""
     red, green, blue = rgb(colour)
     return red / 255.0, green / 255.0, blue / 255.0
 
@@ -266,7 +266,7 @@ def _size(make: Make, x: float, y: float, z: float) -> Any:
 
 
 def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person]) -> Any:
-    """``visualization_msgs/MarkerArray``: a namespace for each kind of drawing; stamp in ns."""
+    """Return ``visualization_msgs/MarkerArray``: a namespace for each kind of drawing; stamp in ns."""
     header = header_of(make, stamp, frame_id)
     found = [make("visualization_msgs/msg/Marker", header=header, action=_DELETE_ALL)]
 
@@ -304,7 +304,7 @@ def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[Pers
 
 
 FRAME = "map"
-"""The frame of reference where none is known: a ground that does not move, by REP 105."""
+"""Default frame of reference: a fixed ground, by REP 105."""
 
 TOPICS: Mapping[str, str] = {
     f"{OURS}people": PEOPLE,
@@ -312,17 +312,17 @@ TOPICS: Mapping[str, str] = {
     f"{OURS}tracked": IDS,
     f"{OURS}markers": MARKERS,
 }
-"""Topic → type of what is written."""
+"""Written topic → type."""
 
 _BETWEEN_DRAWINGS = 95_000_000
-"""Nanoseconds from one drawing to the next, at least: ten a second are seen as motion."""
+"""Shortest interval between drawings, nanoseconds: ten a second give smooth motion."""
 
 _LATEST = 2**31 * 10**9
 _CHUNK = 4 * 2**20
 
 
 def message_for(kind: str, make: Any, stamp: int, frame_id: str, people: list[Person]) -> Any:
-    """Estimates of people at a time (ns) as a message of one of the types of `TOPICS`."""
+    """Return estimates of people at a time (ns) as a message of one of the types of `TOPICS`."""
     if kind == MARKERS:
         return markers_message(make, stamp, frame_id, people)
     build: Mapping[str, Callable[..., Any]] = {
@@ -361,7 +361,7 @@ def write_mcap(tracks: TrackSet, path: Path) -> None:
 
 
 def people_by_time(tracks: TrackSet) -> Iterator[tuple[int, list[Person]]]:
-    """Yield each time and the people at it; nanoseconds since 1970, or from 0 where no date is known."""
+    """Yield each time and its people; nanoseconds since 1970, or from 0 where no date is known."""
     if not len(tracks):
         return
     scale = None if tracks.as_read is None else tracks.as_read.time
@@ -385,7 +385,7 @@ def people_by_time(tracks: TrackSet) -> Iterator[tuple[int, list[Person]]]:
 
 
 def _state(track: Track) -> FloatArray:
-    """Numbers of a person, (n, 12) in the order of `Person`."""
+    """Return the numbers of a person, (n, 12) in the order of `Person`."""
     n = len(track)
 
     def of(values: FloatArray | None) -> FloatArray:

@@ -56,7 +56,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def _without_ids(source: Source) -> tuple[dict[int, str], Source]:
-    """Person's number → label, and the text with 0 in place of the labels; they are the same in every row."""
+    """Return number → label, and the text with 0 in place of the labels, which every row repeats."""
     labels: list[str] = []
     plain: list[str] = []
     for number, line in enumerate(source.lines, 1):
@@ -85,7 +85,7 @@ def _without_ids(source: Source) -> tuple[dict[int, str], Source]:
         match = _ID.fullmatch(label)
         if match is None or int(match[1]) in ids:
             found = repr(label[:40]) + (" again" if match else "")
-            raise InputError(found, "ID_ and a number of its own", path=source.path, column=2 + 5 * k)
+            raise InputError(found, "ID_ and a unique number", path=source.path, column=2 + 5 * k)
         ids[int(match[1])] = label
     return ids, Source(source.path, "\n".join(plain).encode())
 

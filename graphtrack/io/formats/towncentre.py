@@ -20,15 +20,15 @@ _NAMES = ("frame", "id", "left", "top", "width", "height")
 
 
 BESIDE = ("calibration.ci",)
-"""The camera's calibration."""
+"""Calibration of the camera."""
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
-    """Read boxes and put their bottom centres on the ground.
+    """Read boxes and project their bottom centres to the ground.
 
-    The calibration is the one of the options or ``calibration.ci`` next to the file. The boxes may be
-    those of an image of half the calibrated size: that is recognised when all of them begin within it, or
-    told by ``image_scale``. 25 frames a second unless ``fps`` is given.
+    The calibration is that of the options or ``calibration.ci`` next to the file. The boxes may be those of
+    an image of half the calibrated size: that is recognised when all upper edges are centred within it, or
+    set by ``image_scale``. 25 frames a second unless ``fps`` is given.
     """
     rows = read_boxes(source)
     left, top, width, height = rows.channels["box"].T
@@ -39,7 +39,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
-    """Rows with the channel ``box`` (n, 4), left, top, width and height in the file's own pixels."""
+    """Return rows with the channel ``box`` (n, 4), left, top, width and height in the file's pixels."""
     table = read_numbers(source, delimiter=",", widths=(6,), names=_NAMES)
     box = np.column_stack([table.pixels(2), table.pixels(3), table.sizes(4), table.sizes(5)])
     track_id, frame = table.integers(1, LARGEST_ID), table.integers(0)
@@ -62,14 +62,14 @@ def _camera(
 
 
 def _image_scale(options: ReadOptions, camera: GroundCamera, top_centre: FloatArray) -> tuple[float, str]:
-    """Factor from the file's pixels to those of the calibrated image, and why."""
+    """Return the factor from the file's pixels to those of the calibrated image, and a note on it."""
     if options.image_scale is not None:
         scale = options.image_scale
-        return scale, f"the file's pixels are multiplied by {scale:g}, as told"
+        return scale, f"the file's pixels are multiplied by {scale:g}, as given"
     if camera.intrinsics is None:
         return 1.0, ""
     # The principal point is the middle of the calibrated image; half the image ends there. Boxes of people
-    # who are cut reach out below the image, so it is their upper edges that must lie within.
+    # at the border extend below the image, so only their upper edges must lie within it.
     half = camera.intrinsics[:2, 2] + 0.5
     if np.all(top_centre <= half):
         return 2.0, "the boxes fit into half of the calibrated image: their pixels are doubled"

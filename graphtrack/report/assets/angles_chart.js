@@ -1,4 +1,4 @@
-// The chart of body and head: of whom, over which time, and how it follows the replay.
+// Chart of body and head: selected person, time range, and synchronisation with the replay.
 
 function startAngles(root, crowd, replay) {
   const part = (name) => root.querySelector('[data-part="' + name + '"]');
@@ -100,7 +100,7 @@ function startAngles(root, crowd, replay) {
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { theme = readTheme(root); repaint(); });
   crowd.onChange(() => show(crowd.chosen));
   replay.onTime(redraw);
-  // Before anybody is chosen: of whom there is most to see.
+  // Default before a selection: the person with most data.
   const longest = angled.reduce((best, i) => (people[i].t.length > people[best].t.length ? i : best), angled[0]);
   show(crowd.chosen >= 0 ? crowd.chosen : longest);
   new ResizeObserver(resize).observe(canvas);

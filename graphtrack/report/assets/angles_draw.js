@@ -155,7 +155,7 @@ function drawTimeMark(ctx, width, height, range, t, colour) {
   ctx.beginPath(); ctx.moveTo(sx, CHART.top); ctx.lineTo(sx, height - CHART.bottom); ctx.stroke();
 }
 
-// What the chart says at a time, in words.
+// Text description of the chart at a time.
 function anglesInWords(person, t) {
   const state = stateAt(person, t), degrees = (angle) => Math.round(angle / TURN * 360).toString().replace("-", "−") + "°";
   if (!state) return t.toFixed(2) + " s: not there (" + person.t[0].toFixed(1) + " to " + person.t[person.t.length - 1].toFixed(1) + " s)";

@@ -75,7 +75,7 @@ function isInside(polygon, x, y) {
   }, false);
 }
 
-// Where somebody looks at a sample: {x, y, p, name}, likeliest first. A person who is not there is not looked at.
+// Gaze targets of a person at a sample: {x, y, p, name}, most probable first; absent people are omitted.
 function looksOf(behaviour, people, person, state, t) {
   const found = [];
   person.looks.forEach(({ target, p }) => {

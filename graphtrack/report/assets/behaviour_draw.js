@@ -1,7 +1,7 @@
 // Drawing groups, places, looks and forecasts of a moment on the replay's canvas.
 
 const CROWD = 40;  // people at a time beyond which dashes and areas of forecasts are left out: browsers take too long over them
-const FEW = 3;  // people of whom all circles of a forecast are drawn; of more, only those chosen or pointed at have them
+const FEW = 3;  // up to this many people all forecast circles are drawn; above it only for the selected or hovered person
 
 function traceOutline(ctx, view, outline) {
   ctx.beginPath();

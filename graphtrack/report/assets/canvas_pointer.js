@@ -25,7 +25,7 @@ function dragCanvas(canvas, actions) {
   }, { passive: false });
 }
 
-// Words beside the pointer, kept within the canvas.
+// Text next to the pointer, kept within the canvas.
 function placeTip(tip, canvas, sx, sy, words) {
   tip.hidden = !words;
   if (!words) return;

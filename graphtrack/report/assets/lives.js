@@ -54,7 +54,7 @@ function switchCounts(people, events) {
   return counts;
 }
 
-// Indices of those who are shown, in an order that a reader chose; who is alike comes as first seen.
+// Indices of the shown people, in the selected order; ties in order of first appearance.
 function orderedLives(people, events, order) {
   const counts = switchCounts(people, events);
   const keys = { birth: () => 0, unsure: (i) => leastSure(people[i]), gap: (i) => -longestGap(people[i]), switches: (i) => -counts[i] };
@@ -75,7 +75,7 @@ function eventInWords(event) {
   return "true person " + event.who + " found again by " + event.after;
 }
 
-// What a timeline says of a person at a time; `near`: seconds within which an event is meant.
+// Timeline text of a person at a time; `near`: tolerance in seconds for selecting an event.
 function lifeInWords(people, i, t, events, near) {
   const person = people[i], birth = birthOf(person), death = deathOf(person);
   const words = [person.name + ", " + birth.toFixed(1) + " to " + death.toFixed(1) + " s"];

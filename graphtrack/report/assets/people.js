@@ -1,4 +1,4 @@
-// Who is shown and who is chosen: one state for the replay, the list, the charts and the tables. Nothing here touches the page.
+// Visibility and selection of people: one state for the replay, the list, the charts and the tables, without page access.
 
 function createCrowd(people) {
   const listeners = [];

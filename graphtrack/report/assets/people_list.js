@@ -52,14 +52,14 @@ function startPeople(root, crowd, replay) {
     const shown = people.filter((p) => p.shown).length;
     part("tally").textContent = (find.value.trim() ? found.length + " found, " : "") + shown + " of " + people.length + " shown";
     part("only").disabled = !found.length;
-    // All controls of one person who is chosen.
+    // All controls of one selected person.
     const chosen = people[crowd.chosen];
     part("chosen").hidden = !chosen;
     if (!chosen) return;
     part("name").textContent = "Person " + chosen.name;
     part("extent").textContent = chosen.t[0].toFixed(1) + " to " + chosen.t[chosen.t.length - 1].toFixed(1) + " s";
   }
-  // What is made anew would lose the focus of the keyboard: who has it, and how to give it back.
+  // Rebuilt elements would lose the keyboard focus: store it, and restore it afterwards.
   function focused() {
     const at = [...list.querySelectorAll("input, button")].indexOf(document.activeElement);
     return at < 0 ? null : () => { const now = list.querySelectorAll("input, button")[at]; if (now) now.focus(); };

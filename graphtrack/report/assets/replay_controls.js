@@ -28,7 +28,7 @@ function startReplay(root, crowd, frame, unsure, events, behaviour) {
   function redraw() {
     if (!queued) { queued = true; requestAnimationFrame(draw); }
   }
-  // Everybody's paths change with the view and with who is shown, not with time.
+  // All paths change with the view and with the shown people, not with time.
   function repaint() { painted = false; redraw(); }
   function paintBackdrop() {
     backdrop.width = canvas.width; backdrop.height = canvas.height;

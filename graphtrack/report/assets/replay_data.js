@@ -4,7 +4,7 @@ const LENGTHS = ["x", "y", "vx", "vy", "major", "minor", "seen_x", "seen_y", "tr
 const ANGLES = ["tilt", "body", "head", "body_std", "head_std", "seen_body", "seen_head", "true_body", "true_head"];
 const TURN = 2 * Math.PI;
 
-// Base64 of zlib of JSON → what the JSON says.
+// Base64 of zlib of JSON → parsed JSON.
 async function unpack(text) {
   const letters = atob(text.trim()), bytes = new Uint8Array(letters.length);
   for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);

@@ -151,7 +151,7 @@ function drawTruth(ctx, view, state, theme) {
   });
 }
 
-// `size` shrinks the marks where many people are; `strong` is one whom the reader points at or has chosen.
+// `size` shrinks the symbols in crowds; `strong`: the hovered or selected person.
 function drawPerson(ctx, view, person, state, scene, size, strong) {
   const { layers, theme, time, trail } = scene, here = toScreen(view, state.x, state.y), halo = size < 0.8 ? null : theme.surface;
   if (layers.ellipse && Number.isFinite(state.major)) {

@@ -20,7 +20,7 @@ function nearestOnPath(person, x, y, since, until) {
   return [best, when];
 }
 
-// {index, time} of who is at the point (x, y) on the ground, or null. `trail`: seconds of it that are drawn; `everything`:
+// {index, time} of the person at the point (x, y) on the ground, or null. `trail`: seconds of it that are drawn; `everything`:
 // whether whole paths are; `reach`: how many metres a pixel is, times the size of the pointer.
 function pickPerson(people, x, y, now, trail, everything, reach) {
   let best = null, least = NEAR_PERSON * reach;

@@ -1,4 +1,4 @@
-// Pointing at people in the replay: who is there is named, a click chooses them.
+// Pointer in the replay: hovering shows a person's name, a click selects the person.
 
 function startPointing(tip, canvas, crowd, replay) {
   let last = null, queued = false;
@@ -32,7 +32,7 @@ function startPointing(tip, canvas, crowd, replay) {
   canvas.addEventListener("click", (event) => {
     const found = pick(event.offsetX, event.offsetY, event.pointerType === "touch" ? 2 : 1);
     crowd.choose(found ? found.index : -1);
-    // On the path of someone who is not there at this time: go to when they were.
+    // On the path of a person absent at this time: go to the time of that point.
     if (found && !stateAt(crowd.people[found.index], replay.moment().time)) replay.seek(found.time);
   });
   return { leave: () => later(null) };

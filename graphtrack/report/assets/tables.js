@@ -2,7 +2,7 @@
 
 const TABLE_ROWS = 20;
 
-// What a cell says as something to sort by: a number if it is one, else words; a dash is last, whichever way.
+// Sort key of a cell: a number if it is one, else text; a dash sorts last in both directions.
 function sortKey(text) {
   const words = text.trim();
   if (words === "–" || words === "") return null;
@@ -39,7 +39,7 @@ function makeElement(tag, attributes, ...children) {
 function startTable(table) {
   const body = table.tBodies[0], lines = [...body.rows], rows = lines.map((line) => [...line.cells].map((cell) => cell.textContent));
   const heads = [...table.tHead.rows[0].cells], words = heads.map((head) => head.textContent);
-  // On narrow screens each cell says its heading.
+  // On narrow screens each cell shows its heading.
   lines.forEach((line) => [...line.cells].forEach((cell, i) => { cell.dataset.heading = words[i]; }));
   table.classList.add("told");
   if (lines.length < 2) return null;
@@ -92,7 +92,7 @@ function startTable(table) {
   };
 }
 
-// In a table of people: who is chosen is marked, and their id is a button that takes the replay to them.
+// In a table of people: the selected person is highlighted, and each id is a button that selects the person in the replay.
 function linkTable(table, turning, crowd, replay) {
   const cells = [...table.tBodies[0].querySelectorAll("td[data-person]")];
   const places = new Map(crowd.people.map((person, i) => [person.id, i]));

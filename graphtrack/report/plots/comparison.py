@@ -111,9 +111,9 @@ _COLUMNS = ("method", "quantity", "nees", "confidence", "coverage")
 
 
 def plot_reliability(calibration: Records) -> Figure:
-    """Draw one panel a quantity: the share of the truth inside intervals, by the probability they state.
+    """Draw one panel a quantity: coverage of intervals against their nominal probability.
 
-    On the diagonal uncertainties are right, below it too small, above it too large.
+    Uncertainties are correct on the diagonal, too small below it, too large above it.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def plot_reliability(calibration: Records) -> Figure:
                 )
         _finish(axes, quantity)
     panels[0].set_ylabel("truth inside", fontsize=9)
-    words = "stated probability      grey: right; below: uncertainty too small; with each method its NEES"
+    words = "nominal probability      grey: correct; below: uncertainty too small; NEES next to each method"
     figure.supxlabel(words, fontsize=9, color=NEUTRAL_COLOUR)
     return figure
 
@@ -163,7 +163,7 @@ def _finish(axes: Axes, quantity: str) -> None:
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(FixedLocator((0.0, 0.25, 0.5, 0.75, 1.0)))
         axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
-    # Below the panel: inside, it would cover curves of methods that state too much.
+    # Below the panel: inside, it would cover curves of underconfident methods.
     axes.legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(0.0, -0.12), borderaxespad=0.0)
     tidy(axes)
 

@@ -31,18 +31,18 @@ from graphtrack.tracks.display import person_colour
 from graphtrack.tracks.track import TrackSet
 
 MOST = 40
-"""Groups that a timeline has."""
+"""Most groups in a timeline."""
 
 
 def plot_group_timeline(groups: Groups, spans: Sequence[GroupSpan]) -> Figure:
-    """Draw a band for each group, from when to when it was there, as tall as it had members.
+    """Draw a band for each group over its time span, with the number of members as height.
 
-    Those who walk together are hatched. Of more than `MOST` groups those with most person-seconds are shown.
+    People walking together are hatched. Of more than `MOST` groups those with most person-seconds are shown.
 
     Parameters
     ----------
-    groups : who is in which, over time
-    spans : what is said of each group
+    groups : members of groups over time
+    spans : summary of each group
     """
     largest = sorted(spans, key=lambda span: -span.person_seconds)[:MOST]
     shown = sorted(largest, key=lambda span: (span.start, span.number))
@@ -87,7 +87,7 @@ _HEXAGON = 0.3
 """Metres that a hexagon of the heat map is wide: about as wide as a person; in a large scene wider."""
 
 _LEAST_SECONDS = 1.0
-"""The heat map's colours span at least this: a moment is drawn faint, not as the most that there could be."""
+"""Smallest range of the heat map's colours in seconds, so that short gaze is drawn faint."""
 
 _LEAST_SHARE = 10.0
 """Per cent of the time that the matrix's colours span at least."""
@@ -103,7 +103,7 @@ def draw_looks(
     summary: LookSummary,
     paths: Sequence[Path],
 ) -> None:
-    """Write three pictures: a heat map of looks on the ground, a timeline, and the matrix."""
+    """Write three pictures: a heat map of gaze on the ground, a timeline, and the matrix."""
     figures = plot_heat_map(tracks, places, found), plot_look_timeline(found), plot_matrix(summary)
     for figure, path in zip(figures, paths, strict=True):
         with atomic_path(path) as temporary:
@@ -111,7 +111,7 @@ def draw_looks(
 
 
 def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Attention]) -> Figure:
-    """Draw where people and places are that are looked at, weighted by the seconds that they probably are."""
+    """Draw a heat map of gaze targets on the ground, weighted by expected seconds."""
     drawn = [place for place in places if any(place.name in one.places for one in found)]
     points, weights = _aims(tracks, drawn, found)
     known = np.concatenate([np.zeros((0, 2)), *(t.position[finite_rows(t.position)] for t in tracks)])
@@ -139,7 +139,7 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
         patches.set_norm(PowerNorm(0.5, vmin=0.0, vmax=most))
         patches.set_zorder(2)
         bar = figure.colorbar(patches, ax=axes, shrink=0.8, pad=0.02)
-        bar.set_label("seconds of looks")
+        bar.set_label("seconds of gaze")
         bar.outline.set_visible(False)
     for place in places:
         _draw_place(axes, place)
@@ -149,7 +149,7 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
 
 
 def plot_look_timeline(found: Sequence[Attention]) -> Figure:
-    """Draw the likeliest target of each person over time, named where there is room; blank: at nothing.
+    """Draw the most probable gaze target of each person over time, labelled if there is room; blank: none.
 
     Of more than `MOST` people those who look at somebody for longest are shown.
     """
@@ -184,7 +184,7 @@ def plot_look_timeline(found: Sequence[Attention]) -> Figure:
 
 
 def plot_matrix(summary: LookSummary, order: Sequence[int] | None = None) -> Figure:
-    """Draw the share of their time that each looks at each target, %; the last column is nothing.
+    """Draw the share of each person's time with gaze at each target, %; the last column is no target.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _key(target: tuple[str, str]) -> tuple[str, int, str]:
 
 
 def _seconds(one: Attention) -> FloatArray:
-    """(targets,) seconds that somebody probably looks at each."""
+    """Return the expected seconds (targets,) of a person's gaze at each target."""
     total: FloatArray = np.nansum(one.probability * frame_seconds(one.t)[:, None], axis=0)
     return total
 
@@ -235,7 +235,7 @@ def _seconds(one: Attention) -> FloatArray:
 def _aims(
     tracks: TrackSet, places: Sequence[Place], found: Sequence[Attention]
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (m, 2) that are looked at, and for how many seconds each probably is."""
+    """Return gaze targets (m, 2), and the expected seconds of gaze at each."""
     points: list[FloatArray] = [np.empty((0, 2))]
     weights: list[FloatArray] = [np.empty(0)]
     at = {place.name: place.centre for place in places}

@@ -38,7 +38,7 @@ DOTS: Any = (0.0, (0.01, 1.7))
 """Line style, with round caps, of a path where nobody was observed."""
 
 NAMED_PEOPLE = 10
-"""Up to this many people are named in the legend; with more, the ids beside the paths must do."""
+"""Up to this many people are named in the legend; with more, only ids next to the paths are drawn."""
 
 CROWD = 40
 """With more people than this only paths are drawn: arrows, ellipses and ids would hide them."""
@@ -48,7 +48,7 @@ ARROW_INCHES = {"body": 0.33, "head": 0.24}
 """Lengths of arrows on paper, so that they can be read in a room and in a car park."""
 
 ASIDE_INCHES = 0.055
-"""Arrows stand this far beside the path, the body's to their left and the head's to their right."""
+"""Offset of arrows from the path, the body's to the left and the head's to the right."""
 
 VISIBLE_INCHES = 0.08
 """Median semi-axis below which ellipses are enlarged by a factor that the legend states."""
@@ -61,12 +61,12 @@ def plot_tracks(
     arrow_interval: float | None = None,
     title: str = "",
 ) -> Figure:
-    """Draw everybody's path from above, in metres with equal axes.
+    """Draw all paths from above, in metres with equal axes.
 
-    Body and head arrows, beside the path, and the 95 % ellipses of the position stand at regular intervals of
-    time where the person was observed. Elsewhere the path is dotted, and longer gaps end in hollow circles.
-    Ellipses too small to be seen are enlarged; the legend states the factor. Of more than `CROWD` people only
-    the paths are drawn, in thin lines.
+    Body and head arrows, next to the path, and the 95 % ellipses of the position are drawn at regular
+    intervals of time where the person was observed. Elsewhere the path is dotted, and longer gaps end in
+    hollow circles. Ellipses too small to be seen are enlarged; the legend states the factor. Of more than
+    `CROWD` people only the paths are drawn, in thin lines.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def _draw_ellipses(axes: Axes, pair: Pair, at: NDArray[np.intp], colour: str, en
 def _draw_heading(
     axes: Axes, estimate: Track, name: str, at: NDArray[np.intp], size: float, inch: float
 ) -> None:
-    """Arrows of one length on paper, beside the path: people walk along their arrows, which would hide it."""
+    """Draw arrows of one length on paper, next to the path, which they would otherwise hide."""
     angles = getattr(estimate, name)
     at = at[np.isfinite(angles[at])] if angles is not None else at[:0]
     if not len(at):

@@ -128,7 +128,7 @@ WRONG = {
     "a negative distance": ("one.csv --truth truth.csv --metres -2", "metres = -2"),
     "no number": ("one.csv --truth truth.csv --metres nan", "metres = nan"),
     "an overlap above 1": ("boxes.txt --truth truth.txt --iou 2", "iou = 2"),
-    "no boxes": ("one.csv --truth truth.txt --iou 0.5", "the format csv, of which no boxes are read"),
+    "no boxes": ("one.csv --truth truth.txt --iou 0.5", "the format csv, which has no boxes"),
     "no frame in common": ("later.csv --truth truth.csv", "no frame in common"),
     "a truth without identities": (
         "boxes.txt --truth detections.txt --iou 0.5",

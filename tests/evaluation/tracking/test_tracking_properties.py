@@ -105,7 +105,7 @@ def test_missing_positions_are_no_detections_and_it_is_said():
     position[3:5] = np.nan
     score = gt.score(TrackSet((replace(truth[0], position=position), truth[1])), truth)
     assert score.together.misses == 2 and score.together.false_positives == 0
-    assert score.notes == ("2 rows of the estimates without a place: left out",)
+    assert score.notes == ("2 rows of the estimates without a position: left out",)
 
 
 def test_nobody_found_is_a_score_of_zero():

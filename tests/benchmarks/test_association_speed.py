@@ -1,0 +1,30 @@
+"""Cost of offline association in crowds: how that of a detection grows with the people who are there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from crossing_people import packed_square
+
+from graphtrack.association.offline import associate_detections
+
+pytestmark = pytest.mark.benchmark
+
+
+def seconds_of_a_detection(people: int) -> float:
+    """Processor time, of people 9 m² each at 5 Hz for 12 s."""
+    detections, _ = packed_square(np.random.default_rng(0), people=people, frames=60)
+    start = time.process_time()
+    associate_detections(detections)
+    return (time.process_time() - start) / len(detections)
+
+
+def test_a_detection_costs_the_same_among_many(record: Callable[[str, float], None]) -> None:
+    seconds_of_a_detection(10)  # compiles
+    few, many = seconds_of_a_detection(50), seconds_of_a_detection(400)
+    print(f"\nµs of a detection: {1e6 * few:.0f} among 50 people, {1e6 * many:.0f} among 400")
+    record("offline association, a detection among 400 people / among 50, processor time", many / few)
+    assert many < 2.0 * few
