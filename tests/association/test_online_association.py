@@ -131,4 +131,4 @@ def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> Non
             sizes.append(len(association.chains.t))
     assert 0.5 * first < density[40] < first and density[199] < 0.9 * density[40]
     assert set(density[200:]) == {0.02}
-    assert max(sizes[100:200]) <= max(sizes[:100]) + 40  # what is forgotten bounds the memory
+    assert max(sizes[100:200]) <= max(sizes[:100]) + 40  # dropped detections bound the memory

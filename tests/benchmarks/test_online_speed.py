@@ -143,5 +143,5 @@ def test_the_cost_of_a_late_step(lag: float | None, count: int, growth: float, r
     mode = "full history" if lag is None else "window"
     record(f"isam2 {mode}, step {count:,} / step 200, processor time", late / at_200)
     record(f"online step {count:,}, fixed-lag / isam2 {mode}, processor time", fixed / late)
-    # The full history grows by what GTSAM counts in its tree.
+    # The growth of the full history is measured in GTSAM's tree.
     assert late < growth * at_200 and fixed < 1.3 * fixed_at_200

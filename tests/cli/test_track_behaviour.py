@@ -56,7 +56,7 @@ def test_rows_with_identities_are_answered_at_once_and_a_frame_when_it_has_ended
     found = answers(people, rows()) + people.finish()
     told = [row for row in found if "status" not in row]
     assert [(row["track_id"], row["frame"]) for row in told] == [(k, f) for f in range(8) for k in (1, 2, 3)]
-    # Somebody seen once is in a group, or alone, and has no forecast.
+    # A person observed once is in a group, or alone, and has no forecast.
     assert list(told[0]) == ["track_id", "frame", "t", *OF_GROUPS, "attention"]
     assert list(told[-1]) == [*told[0], "forecast"]
     first, second, alone = told[-3:]

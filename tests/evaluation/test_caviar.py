@@ -109,7 +109,7 @@ def test_what_the_gains_are_made_of() -> None:
     likelihood = {
         one.control: float(np.median(one.likelihood)) for one in found if one.method == "consistent"
     }
-    # The likelihood gains from the prior's narrowness, whatever the head says; the error does not.
+    # The likelihood gains from the prior's narrowness, for any head angle; the error does not.
     assert likelihood["as recorded"] > 1.3
     assert likelihood["head turned around"] > 1.25
     assert error["head turned around"] < 0.3 * error["as recorded"]

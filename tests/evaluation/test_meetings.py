@@ -62,7 +62,7 @@ def test_a_switch_is_another_identity_than_the_one_before() -> None:
     whose = np.array([0, 1, 0, 1, 0, 1, 0])
     assert switches(whose, np.array([5, 7, 5, 7, 5, 7, 5])) == 0
     assert switches(whose, np.array([5, 7, 7, 5, 7, 5, 7])) == 2
-    assert switches(whose, np.array([5, 7, -1, 7, 5, 7, 7])) == 1  # nobody's is passed over
+    assert switches(whose, np.array([5, 7, -1, 7, 5, 7, 7])) == 1  # none is skipped
 
 
 def test_body_and_head_tell_apart_who_turns() -> None:

@@ -69,6 +69,6 @@ def test_ten_frames_at_one_place_on_motion_capture(data_dir: Path) -> None:
                     squares = [np.mean(np.sum((one.position - true) ** 2, axis=1)) for one, true in pairs]
                     found[loss, way] = float(np.sqrt(np.mean(squares)))
             print(std, metres, {key: round(value, 3) for key, value in found.items()})
-            # What is near, and lasts for ten frames, may be true as far as the past tells.
+            # A near position that lasts for ten frames is plausible given the past.
             assert found["cauchy", "offline"] < (0.9 if metres else 1.02) * found["huber", "offline"]
             assert found["cauchy", "online"] < (0.4 if metres == 3.0 else 1.02) * found["huber", "online"]

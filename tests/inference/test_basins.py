@@ -115,7 +115,7 @@ def test_a_turn_too_many_is_taken_back_and_nothing_else_changes(place: int, turn
     np.testing.assert_array_equal(found[:, others], states[:, others])
     states[:, place] = right
     assert proposed(track, states) is None
-    # Who walks may turn as they like.
+    # A walking person may turn freely.
     states[:, 2], states[:, place] = 1.2, 2.0 * np.pi * ramp
     assert proposed(track, states) is None
 

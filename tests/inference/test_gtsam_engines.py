@@ -186,7 +186,7 @@ def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: 
     track = make()
     _, chain, covariance, modes = online(track, "full", engine="chain", lag=1.0)
     _, found, _, found_modes = online(track, "full", engine=engine, lag=lag)
-    # Before a second has passed modes are judged by velocities of which hardly anything is known.
+    # Before a second has passed modes depend on velocities that are hardly known.
     settled = track.t > track.t[0] + 1.0
     spread, classes = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), make is classified
     away = np.abs(apart(found, chain) / spread)[settled]

@@ -70,7 +70,7 @@ def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
     assert condense(problem_of(packed)._replace(prior=np.zeros((8, 6))), states, True, memory)
 
     def cost(vector: np.ndarray) -> float:
-        # Without what the couplings say about the second frame itself.
+        # Without the couplings of the second frame itself.
         return cost_around(here, both, model)(vector) - couplings(vector)
 
     def couplings(vector: np.ndarray) -> float:

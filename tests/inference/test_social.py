@@ -75,7 +75,7 @@ def test_engines_agree(engine: Any) -> None:
     _, seen = positions(people=3, steps=15)
     chain, graph = (gt.track_online(seen, "social", engine=one, lag=4.0) for one in ("chain", engine))
     for a, b in zip(chain, graph, strict=True):
-        # Who stands alone in the first seconds may face anywhere.
+        # A person who stands alone in the first seconds may face anywhere.
         assert np.median(np.abs(wrap(a.body - b.body)) / np.sqrt(a.covariance[:, 4, 4])) < 0.3
 
 

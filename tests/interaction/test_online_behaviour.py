@@ -149,7 +149,7 @@ def test_numbers_of_groups_are_forgotten() -> None:
     for k in range(200):
         assert numbering.of_frame(1.0 * k, [[1, 2], [10 + k, 1000 + k]]) == [0, k + 1]
     assert len(json.dumps(numbering.state())) < 2000
-    # Three of five keep the number, and who was gone for a while finds it again.
+    # Three of five keep the number, and a person who was absent gets it again.
     assert numbering.of_frame(200.0, [[1, 2, 3, 4]]) == [0]
     assert numbering.of_frame(201.0, [[1, 2, 3]]) == [0]
     assert numbering.of_frame(201.5, []) == []

@@ -96,7 +96,7 @@ def test_what_killed_runs_left_goes_with_the_next_writing_to_the_same_place(tmp_
     with atomic_path(tmp_path / "shown", directory=True):
         pass
     left = {entry.name for entry in tmp_path.iterdir()} - {"a.csv", "shown", mine.name}
-    # What was left of another place waits for a writing to that one.
+    # Remains at another path wait for the next write to that path.
     assert len(left) == 1 and left.pop().startswith(".b.csv.")
 
 

@@ -91,7 +91,7 @@ def answers():
         answer | {"frame": 3, "t": 3.0, "x": 5.0, "status": "failed", "reason": "no"},
         {"track_id": 1, "frame": None, "line": 9, "error": "line 9: found junk"},
         answer | {"frame": 4, "t": 4.0},
-        answer | {"frame": 4, "t": 4.0},  # said again by a run that went on
+        answer | {"frame": 4, "t": 4.0},  # repeated by a resumed run
     ]
 
 

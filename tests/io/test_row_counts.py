@@ -157,7 +157,7 @@ def test_rows_read_are_used_or_refused(name: str, tmp_path: Path) -> None:
     for package in way.needs:
         pytest.importorskip(package)
     tracks, given, unusable = way.read(tmp_path)
-    # Rows that association adds for frames in which nobody was seen were not read.
+    # Rows that association adds for frames without a detection were not read.
     used = sum(len(track) if track.observed is None else int(np.nansum(track.observed)) for track in tracks)
     assert tracks.summary.rows_read == given
     assert tracks.summary.rows_refused >= unusable

@@ -59,7 +59,7 @@ def test_what_detections_were_made_with_comes_out(
     assert learned["clutter_density"] == pytest.approx(false / square, rel=0.2)
     assert learned["birth_density"] == pytest.approx(len(seen.truth) / SECONDS / square, rel=0.35)
     assert learned["death_rate"] == pytest.approx(len(seen.truth) / present, rel=0.35)
-    # Nobody was hidden, and nobody had two detections.
+    # No occlusions and no duplicates.
     assert learned["occlusion_probability"] < 0.02 and learned["duplicate_rate"] < 0.01
 
 

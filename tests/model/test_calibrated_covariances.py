@@ -59,7 +59,7 @@ def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
         future[n - 1 - k] = future[n - k] + share * (angle[n - 1 - k] - future[n - k])
     inner = slice(1000, -1000)
     behind, around = (angle - past)[inner].var(), (angle - 0.5 * (past + future))[inner].var()
-    # A smoother, which is twice as sure, looks as far to both sides.
+    # A smoother, with half the variance, averages over both sides.
     for share, ends, found in ((1.0, 0.0, behind), (0.5, 1e3, around)):
         calibration = calibration_of(replace(Parameters(), orientation=orientation))
         turns = calibration.body_turns, calibration.head_turns

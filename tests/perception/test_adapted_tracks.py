@@ -85,7 +85,7 @@ def test_people_are_rendered_where_the_camera_saw_people_walk() -> None:
     camera = GroundCamera.from_scale(0.02)
     walkers = [PersonBox(k, 1, (40.0 + 5.0 * k, 60.0, 16.0, 40.0)) for k in range(12)]
     scenery = Scenery(walkers, walkers, None, camera)
-    # What is behind is told apart from who walks there, who is somewhere else in every frame.
+    # The background is distinguished from a walking person, who moves in every frame.
     behind = rng.integers(60, 200, (160, 160, 3), np.uint8)
     shown = []
     for item in walkers:
@@ -142,7 +142,7 @@ def test_people_of_few_kinds_move_with_those_they_help() -> None:
         return (clean + 0.1 * rng.normal(size=clean.shape)).astype(np.float32)
 
     off = np.array([3.0, -2.0, 1.0], np.float32)
-    real = np.full(20, np.pi)  # all of them are seen from behind
+    real = np.full(20, np.pi)  # all people face away
     few = Sums.of(looks(real) + off, sign, CLASSES.index(real), np.arange(20))
     many = Sums.of(looks(angle), sign, label, np.arange(len(angle)))
     helped = few.helped(many, 3.0)

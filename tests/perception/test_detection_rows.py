@@ -110,7 +110,7 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, ha
                     frame.people[:] = [replace(item, track_id=item.track_id % 3) for item in frame.people]
                 journal.add(k, frame)
             gc.collect()
-            tracemalloc.clear_traces()  # only what comes now is counted
+            tracemalloc.clear_traces()  # only new rows are counted
             make = to_tracks if has_identities else to_detections
             found = make(journal, PANS, CAMERA, 5.0)
             gc.collect()

@@ -128,7 +128,7 @@ def test_graphtrack_takes_the_table_as_it_is(folder: Path, capsys: pytest.Captur
     # The graph bridges the frames in which nothing was found.
     hidden = np.isin(frame, list(HIDDEN))
     assert np.linalg.norm(pixel - true, axis=1)[hidden].max() < 1.5
-    # The image's right is +x where y goes up: all the tracker's pan says is +π/2 in the image.
+    # The image's right is +x where y goes up: the tracker's pan is +π/2 in the image.
     assert smoothed.head is not None
     assert np.abs(difference(smoothed.head, 0.0)).max() < 0.3
 

@@ -182,7 +182,7 @@ def test_moved_cameras_have_no_foreground(street: PastedStreet) -> None:
     np.testing.assert_allclose(search.candidates(rolled, other).score, search.candidates(rolled, None).score)
 
 
-# -- what a recording teaches ------------------------------------------------------------------------------
+# -- learning from a recording -----------------------------------------------------------------------------
 
 
 def precision_and_recall(

@@ -104,7 +104,7 @@ def test_an_unseen_face_above_shoulders_that_are_seen_from_behind_says_so() -> N
     behind = (np.abs(difference(people.head, np.pi)) < 0.3) & (np.abs(difference(people.body, np.pi)) < 0.5)
     points = perceived(people.points, people.visibility, people.height, rng, CERTAIN)[behind]
     assert np.median(points[:, :3, 2]) < 0.2
-    points[:, :3] = 0.0  # as networks that leave out what they are not sure of
+    points[:, :3] = 0.0  # as networks that leave out uncertain keypoints
     _, head = MODEL.log_likelihoods(all_17(points))
     p = np.exp(head)
     back = np.abs(wrap(HEAD.pan - np.pi)) < np.deg2rad(50.0)

@@ -100,7 +100,7 @@ def test_a_pose_network_makes_boxes_or_is_asked_of_those_given(walk: Path, tmp_p
     given = pd.read_csv(out)
     assert set(given["track_id"]) == {4}
     body = [f"body_p{k}" for k in range(8)]
-    # Who faces the camera, which sees them from below the image: the same for any detector.
+    # A person facing the camera, which is below the image: the same for any detector.
     np.testing.assert_allclose(given[body], alone[body].iloc[1:], atol=1e-3)
     both = run("observe", walk, "--keypoints", model, "--detector", brightest(tmp_path / "d.onnx"), "-o", "-")
     assert both.returncode == 0

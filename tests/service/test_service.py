@@ -141,7 +141,7 @@ def test_those_who_misbehave_hurt_nobody_else(service):
         with service.connect("oversized") as bad:
             bad.send("x" * (1 << 17))
             assert everything(bad)[1].code == 1009
-        # One who never reads: rows wait in the sockets between, and no longer in anybody's memory.
+        # A client that never reads: rows wait in the sockets, and no longer in any process's memory.
         slow = service.connect("slow", max_queue=1)
         text = "\n".join(rows(200))
         with slow, half_open(service.port):

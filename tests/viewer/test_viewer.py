@@ -132,7 +132,7 @@ def test_groups_and_forecasts_are_where_they_were_found(tmp_path: Path) -> None:
             np.testing.assert_allclose(path[1:], ahead, atol=1e-5)
             radius = np.hypot(*(np.array(circle) - ahead[-1]).T)
             np.testing.assert_allclose(radius, columns["radius_90"][at][-1], rtol=1e-3, atol=1e-5)
-            # The ground that is seen has room for the whole circle.
+            # The visible ground has room for the whole circle.
             (lines,) = found["/ground/grid"]["LineStrips2D:strips"].values()
             assert np.all(np.min(lines, axis=(0, 1)) <= np.min(circle, axis=0))
             assert np.all(np.max(circle, axis=0) <= np.max(lines, axis=(0, 1)))

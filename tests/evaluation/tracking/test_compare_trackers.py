@@ -101,7 +101,7 @@ def test_our_trackers_find_most_and_the_offline_one_more(scene: Scene) -> None:
     assert all(0.6 < one.idf1 < offline.idf1 for one in online)
     filled = compare_trackers(scene.detections, scene.truth, OWN, fill=True)
     *online_filled, offline_again = (one.score for one in filled.results)
-    # `online` tells people whom it did not see itself: filling finds it nobody more.
+    # `online` reports hidden people itself: filling adds none.
     assert all(more.recall >= one.recall for more, one in zip(online_filled, online, strict=True))
     assert online_filled[1].recall > online[1].recall
     assert offline_again == offline
