@@ -36,7 +36,7 @@ def learned(rng: np.random.Generator, count: int, **settings: float) -> Appearan
 
 @pytest.mark.parametrize("count", [12, 60, 200])
 def test_it_is_calibrated_on_other_people(count: int) -> None:
-    """Of pairs that show one person with probability p, a share of about p does."""
+    """Among pairs with the probability p of one person, a share of about p has one person."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         model = learned(rng, count)

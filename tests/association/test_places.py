@@ -121,7 +121,7 @@ def test_observed_angles_are_the_given_ones_and_else_the_mean_of_class_likelihoo
 
 
 VARIANCE = 0.5
-"""Of an angle about the direction of travel, rad²."""
+"""Variance of an angle about the direction of travel, rad²."""
 
 
 def walking(way: float, speed: float = 1.2) -> np.ndarray:

@@ -109,7 +109,7 @@ def test_modes_that_are_all_alike_are_no_modes() -> None:
 
 
 def test_the_posterior_of_modes_is_that_of_the_exact_forward_filter() -> None:
-    """Of known motion, with bodies that are new in each frame: a hidden Markov chain over modes and offsets.
+    """Known motion, bodies redrawn in each frame: a hidden Markov chain over modes and offsets.
 
     The chain of the test is written from docs/model/modes.md; without drift, a mode stays or is drawn again.
     """

@@ -50,7 +50,7 @@ def test_whole_stamps_come_back_to_the_last_digit(unit: int, first: int, later: 
 
 
 def test_fractions_of_a_unit_come_back() -> None:
-    """Of milliseconds since 1970 a double has three digits after the point."""
+    """A double resolves milliseconds since 1970 to three digits after the point."""
     stamps = [1_763_892_000_123.25 + 0.5 * k for k in range(5)]
     lines = [(k, json.dumps({"t": stamp}).encode()) for k, stamp in enumerate(stamps)]
     rest, names = StreamNames(unit=10**6).beginning(iter(lines), nobody, print)

@@ -17,7 +17,7 @@ import graphtrack as gt
 from perception.detection import from_supervision, from_ultralytics
 
 Read = tuple[gt.TrackSet, int, int]
-"""What was read, the rows that went in, and those of them that no reader can use."""
+"""The result, the rows that went in, and the number of them that no reader can use."""
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ def memory(process: int) -> float:
 
 
 def processor_seconds(process: int) -> tuple[float, float]:
-    """Of a process itself, and of all below it with those that have ended."""
+    """Processor seconds of a process, and of all its descendants, ended ones included."""
     seconds = []
     for one in below(process):
         with suppress(OSError):

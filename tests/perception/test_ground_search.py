@@ -276,7 +276,7 @@ def test_observe_writes_detections_and_smooth_finds_who_is_who(
 def test_a_run_goes_on_with_what_it_was_taught(
     written: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where learning uses a part of the frames, the others are processed without learning again."""
+    """With learning from a part of the frames, the others are processed without learning again."""
     monkeypatch.setattr("perception.detection.rescoring._FRAMES", 45)
     monkeypatch.setattr("perception.detection.rescoring._RUNS", 1)
     assert run("observe", *written, "-o", tmp_path / "whole.csv").returncode == 0

@@ -113,7 +113,7 @@ def test_a_rough_truth_does_not_hide_the_turn() -> None:
         rough.append(replace(track, position=track.position + noise))
 
     def share(**more: float) -> float:
-        """Of the windows that hold the turn."""
+        """The share of the windows that hold the turn."""
         windows = occlude(TrackSet(tuple(rough)), 3.0, **more).windows
         return float(np.mean([windows[t.track_id][np.argmin(np.abs(t.t - 12.0))] for t in rough]))
 
