@@ -1,4 +1,4 @@
-"""Learning of forecasts: training data, and parameters found where they are known."""
+"""Learning of forecasts: training data, and recovery of known parameters."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A camera without a calibration: what boxes tell of the view, how surely, and when they do not."""
+"""A camera without a calibration: the view from boxes, its uncertainty, and insufficient boxes."""
 
 from __future__ import annotations
 
@@ -110,10 +110,10 @@ def test_cameras_are_recovered_within_what_is_said() -> None:
         try:
             scores.append(deviations(found_view(crowd(camera, rng, people=50), SIZE, rng), camera))
         except InputError:
-            continue  # it may say that it does not know
+            continue  # it may report that it is undetermined
     assert len(scores) >= 10
     assert (np.abs(scores) < 2.5).mean() > 0.9
-    assert (np.abs(scores) < 0.7).mean() < 0.75  # nor does it say far too much
+    assert (np.abs(scores) < 0.7).mean() < 0.75  # and the interval is not far too wide
 
 
 @pytest.mark.parametrize("identified", [True, False])

@@ -1,4 +1,4 @@
-"""Groups, looks and forecasts in the page: what it holds, what its scripts say, and what is refused."""
+"""Groups, attention and forecasts in the page: its content, its scripts' output, and refused input."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def report(tracks):
 
 
 def in_page(report, code):
-    """What ``code`` returns, with the page's ``people`` and ``behaviour`` at hand."""
+    """Return the value of ``code``, with the page's ``people`` and ``behaviour`` at hand."""
     data = json.dumps(report.replay)
     start = (
         f"const data = {data}; const people = data.people.map((p) => decodePerson(p, data.steps));"
