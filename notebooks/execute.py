@@ -39,7 +39,7 @@ def execute(path: Path, folder: Path, kernel: KernelManager | None = None) -> nb
     client.execute()
     if kernel is not None:
         del notebook.cells[0]
-    # What differs between machines and says nothing to a reader.
+    # Output that differs between machines and is of no use to a reader.
     notebook.metadata.pop("language_info", None)
     for cell in notebook.cells:
         if cell.cell_type == "code":
@@ -48,7 +48,7 @@ def execute(path: Path, folder: Path, kernel: KernelManager | None = None) -> nb
 
 
 def tells_of_compiling(output: nbformat.NotebookNode) -> bool:
-    """Whether an output says only what the first run on a machine does."""
+    """Return True for an output that only the first run on a machine has."""
     lines = output.get("text", "").splitlines() if output.get("name") == "stderr" else []
     return bool(lines) and all(line.startswith(("compiling ", "compiled in ")) for line in lines)
 

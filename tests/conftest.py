@@ -13,7 +13,7 @@ from hypothesis import settings
 
 from graphtrack.errors import InputError
 
-# Tests that run beside each other have the processors in use: more threads would wait for each other.
+# Parallel tests use all processors: more threads would wait for each other.
 # Here, since the libraries look at it when they are loaded.
 if "PYTEST_XDIST_WORKER" in os.environ:
     for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
@@ -49,7 +49,7 @@ if importlib.util.find_spec("gtsam") is None:  # Windows: there is no wheel
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """The folder of real recordings: ``GRAPHTRACK_DATA``, else ``../shared/data`` beside the repository."""
+    """The folder of real recordings: ``GRAPHTRACK_DATA``, else ``../shared/data`` next to the repository."""
     given = os.environ.get("GRAPHTRACK_DATA")
     folder = Path(given) if given else Path(__file__).resolve().parents[2] / "shared" / "data"
     if not folder.is_dir():

@@ -99,7 +99,7 @@ def answers() -> Iterator[tuple[str, np.ndarray]]:
 
 
 def compare(path: str) -> int:
-    """Print what differs by more than its bound; returns the number of such channels."""
+    """Print the differences beyond their bounds; return the number of such channels."""
     failed, worst = 0, dict[str, float]()
     with np.load(path) as before:
         left = set(before.files)

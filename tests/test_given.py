@@ -1,4 +1,4 @@
-"""Arguments of the public functions: each form works, or one error says what was expected."""
+"""Arguments of the public functions: each form works, or one error names the expected value."""
 
 from __future__ import annotations
 

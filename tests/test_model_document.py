@@ -1,4 +1,4 @@
-"""The pages about the model state what the code does, where that can be checked."""
+"""The pages about the model agree with the code, where that can be checked."""
 
 import importlib.util
 import inspect

@@ -48,7 +48,7 @@ def test_gtsam_is_loaded_where_a_graph_is_built_alone():
     code = "import graphtrack as gt, numpy as np\n"
     code += "track = gt.Track(0, np.arange(4), np.arange(4) * 0.1, np.zeros((4, 2)))\n"
     code += "gt.solve(track, 'position', engine={!r})"
-    # SciPy itself comes with numba, but what takes long of it does not.
+    # SciPy itself comes with numba, but its slow modules do not.
     assert modules_after(code.format("chain")) == ["scipy"]
     assert "gtsam" in modules_after(code.format("gtsam"))
     code = "from graphtrack import inference, simulation, diagnostics; import graphtrack.cli.commands"

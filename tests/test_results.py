@@ -1,4 +1,4 @@
-"""Pages show the results that are stored, and `make claims` stores what a command measured."""
+"""Pages show the stored results, and `make claims` stores a command's measurements."""
 
 import json
 import re

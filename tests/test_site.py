@@ -58,7 +58,7 @@ class Loaded(HTMLParser):
 
 
 class Links(HTMLParser):
-    """Where the links and pictures of a page lead, and the places in it that links can name."""
+    """Targets of a page's links and pictures, and the anchors of the page."""
 
     def __init__(self):
         super().__init__()

@@ -38,7 +38,7 @@ def imported_by(tree: ast.AST) -> Iterator[str]:
 
 @cache
 def imports(folder: str) -> dict[Path, list[str]]:
-    """Return what each module below a folder imports."""
+    """Return the imports of each module below a folder."""
     modules = sorted((ROOT / folder).rglob("*.py"))
     return {path: list(imported_by(ast.parse(path.read_text("utf-8")))) for path in modules}
 

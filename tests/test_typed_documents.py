@@ -32,7 +32,7 @@ def checked(page: str) -> list[Block]:
 
 
 def mypy(folder: Path, *files: str) -> str:
-    """What mypy prints about files; of modules that they import it reports nothing."""
+    """mypy's output about files; it reports nothing about their imports."""
     command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--no-error-summary"]
     (folder / "mypy.ini").write_text("[mypy]\n")  # no settings of this repository
     done = subprocess.run(

@@ -312,7 +312,7 @@ class Looks:
         return self.scores.of(score) - less * has_descriptor(descriptors)
 
     def state(self) -> dict[str, Any]:
-        """As JSON-able data."""
+        """The evidence as JSON-able data."""
         model = self.model
         return {
             "model": None

@@ -233,7 +233,7 @@ def most_offered(tail: Row, value: float, most: float, scene: Scene) -> float:
 def most_offered_each(
     chains: Chains, tails: IntArray, grid: Grid, least: FloatArray, scene: Scene
 ) -> FloatArray:
-    """Return the greatest `most_offered` over what is needed (``least``) in each group of a grid."""
+    """Return the greatest `most_offered` over the least gain (``least``) in each group of a grid."""
     most, offered = most_shown(scene), np.full(len(grid.shape), -np.inf)
     for g in range(len(grid.shape)):
         first = grid.shape[g, 2]
@@ -689,7 +689,7 @@ def insert(
 
 @allocating
 def changed_since(chains: Chains, heads: IntArray, tails: IntArray, since: int) -> NDArray[np.bool_]:
-    """Return whether heads or their tails (−1: none), or what counts of their chains, changed since then."""
+    """Return True where a head, its tail (−1: none) or a relevant link changed after move ``since``."""
     found = np.zeros(len(heads), np.bool_)
     for i in range(len(heads)):
         k, m = heads[i], tails[i]
@@ -708,7 +708,7 @@ def carried(
     stale_columns: NDArray[np.bool_],
     place: IntArray,
 ) -> Edges:
-    """Return those of earlier candidates that still hold, by their places in ``keys`` and ``columns``.
+    """Return the earlier candidates that are still valid, by their indices in ``keys`` and ``columns``.
 
     Columns become stale for which a stale row, or one with a candidate in a stale column, had a candidate:
     what that outbid may matter now. ``place``: −1 throughout, as long as there are keys

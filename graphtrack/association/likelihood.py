@@ -365,7 +365,7 @@ def is_within(
 
 @allocating
 def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
-    """Evidence of what follows detection k in its chain, from ``look_ahead`` detections on as remembered."""
+    """Evidence of the detections after k in its chain, stored values from ``look_ahead`` detections on."""
     total, seen, here = 0.0, 0, np.empty(STATE)
     m = chains.rows[k].following
     while m >= 0 and seen < scene.look_ahead:

@@ -229,7 +229,7 @@ class Association:
     """Identities of a recording's detections."""
 
     identity: NDArray[np.int64]  # (n,) of each detection, from 0 in the order of first appearance; −1: false
-    # (n,) that the detection is of the same person as the one before it in its track; 1 at first
+    # (n,) that the detection is of the same person as the previous one in its track; 1 for the first
     probability: FloatArray
     scene: SceneParameters  # the parameters that it was found with
     evidence: float  # log evidence ratio over all detections being false

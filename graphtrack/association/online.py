@@ -120,7 +120,7 @@ class History:
         self.since = float(chains.t[first]) if self.since is None else self.since
 
     def state(self) -> dict[str, Any]:
-        """As JSON-able data."""
+        """The detections as JSON-able data."""
         return pack_tree(vars(self))
 
     @classmethod

@@ -30,7 +30,7 @@ class HungarianParameters:
     Attributes
     ----------
     acceleration_density : q of white-noise acceleration, m²/s³
-    position_std : of detections that do not say how noisy they are, m on each axis
+    position_std : 1-σ of detections without declared noise, m on each axis
     speed_std : of a velocity that nothing is known of, m/s on each axis
     gate : Mahalanobis distance from which on a detection is not the person's
     hits, frames : somebody is confirmed by so many detections within so many frames of the first
@@ -59,7 +59,7 @@ class Reported:
 
     Attributes
     ----------
-    identity : (n,) of each detection; −1: of nobody who is confirmed by now
+    identity : (n,) of each detection; −1: no confirmed track
     people : (m,) identities of all who are reported, seen or not
     mean : (m, 4) their x, y, vx, vy
     covariance : (m, 4, 4)
@@ -74,7 +74,7 @@ class Reported:
 
 
 class HungarianTracker:
-    """Tells frame by frame who is who.
+    """Online data association frame by frame.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class HungarianTracker:
         )
 
     def _assign(self, position: FloatArray, variance: FloatArray) -> IntArray:
-        """The track (n,) of each detection, −1 where it has none."""
+        """Return the track (n,) of each detection, −1 without one."""
         track_of = np.full(len(position), -1)
         for group in (self._identity >= 0, self._identity < 0):
             tracks, free = np.flatnonzero(group), np.flatnonzero(track_of < 0)
@@ -163,7 +163,7 @@ class HungarianTracker:
         return np.where(confirmed, recent, hopeful)
 
     def _begin(self, t: float, position: FloatArray, variance: FloatArray) -> IntArray:
-        """Tracks of detections that are nobody's so far; their identities, −1 unless one hit is enough."""
+        """Start tracks from unassigned detections; return their identities, −1 unless one hit confirms."""
         n = len(position)
         spread = np.column_stack([variance, np.zeros(n), np.full(n, self.parameters.speed_std**2)])
         self._mean = np.concatenate([self._mean, np.column_stack([position, np.zeros((n, 2))])])

@@ -1,4 +1,4 @@
-"""The intentional tracker: a Kalman filter whose control input is where the head points.
+"""Intentional tracker: a Kalman filter with the head direction as control input.
 
 Baxter et al. 2014, §III, in steps: eq. 4–5 add α·d to the velocity but leave its rows of F at 1 (variant
 ``printed``); the variant ``consistent``, the default, scales the velocity by γ = 1 − α. Eq. 2 subtracts the
@@ -59,7 +59,7 @@ class IntentionalParameters:
     weight_offset : τ of eq. 3
     process_variance : Q = process_variance · I₄, (units of length)² for the position and the velocity a step
     observation_variance : R = observation_variance · I₂
-    initial_velocity_variance : of each axis where a track begins; the paper does not say
+    initial_velocity_variance : of each axis at the start of a track; not given in the paper
     """
 
     variant: Variant = "consistent"
@@ -128,13 +128,13 @@ def intentional_filter(
     """Filter m tracks of n steps, all at once.
 
     The prediction of step t uses the head at t − 1 (θ_p of eq. 6) and the deviations of the steps before t.
-    Where the head was not seen there is no intention: α = 0, a plain Kalman step. A missing position is
-    predicted, with the head if it was seen.
+    Without a head observation there is no intention: α = 0, a plain Kalman step. A missing position is
+    predicted, with the head if it was observed.
 
     Parameters
     ----------
     position : (m, n, 2) or (n, 2) in units of length; NaN where nothing was observed
-    head : (m, n) or (n,) radians in the world, NaN where it was not seen; None: the plain Kalman filter
+    head : (m, n) or (n,) radians in the world, NaN if not observed; None: the plain Kalman filter
         of the same Q and R
 
     Returns
@@ -183,7 +183,7 @@ def step_tracker(track: Track, parameters: IntentionalParameters | None = None) 
 
 
 class _Intention:
-    """The transitions of a run: it remembers the last positions and deviations of its tracks."""
+    """Transitions of a run, with the last positions and deviations of its tracks."""
 
     def __init__(self, head: FloatArray, parameters: IntentionalParameters) -> None:
         self.head, self.parameters = head, parameters
@@ -248,7 +248,7 @@ def steer(
     Parameters
     ----------
     position : (m, n, 2) metres; NaN where nothing was observed
-    head : (m, n) radians; NaN where it was not seen: there λ = 0
+    head : (m, n) radians; NaN if not observed, with λ = 0
     t : (n,) seconds
     variance : (m, n) of each axis of the positions, m²
     rate : λ ≥ 0 in 1/s, one or (m, n) of the steps that lead to the frames; by default the parameters'. Else

@@ -62,7 +62,7 @@ def draw_states(
 def recover(
     job: Job, k: int, particles: FloatArray, initial_speed_std: float, rng: np.random.Generator
 ) -> int:
-    """Draw again, in ``particles`` (n, 6), what is out of reach at frame k; the observations used up."""
+    """Redraw in ``particles`` (n, 6) states out of reach at frame k; return the used observations."""
     reach: dict[int, float] = {}
     found = np.zeros(len(particles))
     if job.position.kind[k]:
@@ -76,7 +76,7 @@ def recover(
             found[:] = 0.0
             add_pose_log_density(particles, place, k, pose, job.camera, found)
             reach[part] = float(found.max())
-    # If each is within reach of some particle, but none of them all, all are drawn anew.
+    # If each is within reach of some particle, but no particle reaches all, redraw all.
     lost = [part for part, best in reach.items() if best < VANISHED / 3.0] or list(reach)
     if POSITION in lost:
         particles[:, :4] = draw_states(job, k, len(particles), initial_speed_std, rng)
@@ -90,7 +90,7 @@ def recover(
 def draw_orientations(
     pose: PackedPose, camera: PackedCamera, k: int, position: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Orientations (n,) of people at positions (n, 2) from what was observed of them at frame k."""
+    """Sample orientations (n,) at positions (n, 2) from the observations at frame k."""
     size, n = int(pose.components[k]), len(position)
     heights = np.exp(pose.log_height[k, :size] - pose.log_height[k, :size].max())
     chosen = rng.choice(size, n, p=heights / heights.sum())
@@ -188,8 +188,7 @@ def particle_filter(
 ) -> ParticleEstimate:
     """Online estimates: each from what came before and the frame itself.
 
-    Where all weights vanish, what was observed is drawn again about the observation, and an `InputWarning`
-    says so.
+    If all weights vanish, the observed states are redrawn about the observation, with an `InputWarning`.
 
     Raises
     ------
@@ -227,7 +226,7 @@ def particle_smoother(
 
 
 def _rehearse() -> None:
-    """Call everything that is compiled, for somebody made up."""
+    """Call all compiled functions on a synthetic person."""
     options, rng = ParticleOptions(particles=2), generator(0)
     found = _filter(TRACK, Model("joint"), None, options, rng, keep=True)
     _backwards(found, 1, rng)

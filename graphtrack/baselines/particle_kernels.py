@@ -32,7 +32,7 @@ from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.intentional_motion import STANDSTILL
 
 PROPAGATE, FIRST, RECOVERED = 0, 1, 2
-"""How a run begins: from the frame before; with positions and velocities drawn already, angles from their
+"""Start of a run: from the frame before; with positions and velocities drawn already, angles from their
 couplings; with everything at hand already."""
 
 POSITION, BODY, HEAD = 1, 2, 4  # Observations that were used up when particles were drawn from them
@@ -243,7 +243,7 @@ def summarise_angle(
 def summarise(
     particles: FloatArray, weights: FloatArray, motion: PackedMotion, mean: FloatArray, covariance: FloatArray
 ) -> None:
-    """Write the weighted mean (6,), circular for angles, and covariance (6, 6) of what is estimated."""
+    """Write the weighted mean (6,), circular for angles, and covariance (6, 6) of the particles."""
     summarise_motion(particles, weights, mean, covariance)
     if motion.has_body:
         summarise_angle(particles, weights, 4, mean, covariance)
@@ -269,7 +269,7 @@ def summarise_modes(
 
 @compiled
 def doubted(log_density: float, doubt: float) -> float:
-    """Log density of an orientation that says nothing with the probability ``doubt``."""
+    """Return the log density of an orientation that is uninformative with the probability ``doubt``."""
     if doubt == 0.0:
         return log_density
     return math.log((1.0 - doubt) * math.exp(log_density) + doubt / (2.0 * math.pi))

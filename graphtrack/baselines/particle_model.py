@@ -48,7 +48,7 @@ class ModeTable(NamedTuple):
     cos, sin : the coupling's resultant, as multiples of its concentration when aligned
     held_cos, held_sin : of the offset itself; 0 in a glance, which steers nobody
     aligned : 1 in the aligned mode, else 0
-    doubt : probability that the offset is a classifier's, and what it says of the orientation nothing
+    doubt : probability that the offset is a classifier's, so that the orientation is uninformative
     """
 
     initial: FloatArray
@@ -92,7 +92,7 @@ def transition(modes: Modes, dt: float) -> FloatArray:
 
 
 def _memory(dt: float) -> ModeMemory:
-    """Memory for one frame in which nothing is seen."""
+    """Memory for one frame without observations."""
     memory = mode_memory(1)
     memory.dt[0], memory.likelihood[:] = dt, 0.0
     return memory

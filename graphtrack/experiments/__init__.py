@@ -1,4 +1,4 @@
-"""The experiments of the papers, with their own numbers beside ours."""
+"""Experiments of the papers, with published and own numbers."""
 
 from __future__ import annotations
 

@@ -46,8 +46,8 @@ LEAST_LABELS = 50
 """Labelled heads of a person that is judged: 2 s at 25 frames a second."""
 
 RELABELLED = float(np.radians(2.0))
-"""Change of a head from frame to frame beyond which it was labelled anew: the same direction in the image
-turns by less in the world as somebody walks through the wide-angle view."""
+"""Change of a head between frames above which it was relabelled: a constant direction in the image turns by
+less in the world as a person walks through the wide-angle view."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def labelled_stretch(track: Track) -> Track | None:
 
 
 def detected(track: Track, rate: float, rng: np.random.Generator) -> Track:
-    """The person seen at a share of the frames, the first among them; unseen, there is no head either."""
+    """Return a person observed at a share of the frames, including the first, with the head."""
     seen = rng.random(len(track)) < rate
     seen[0] = True
     position = np.where(seen[:, None], track.position, np.nan)
@@ -111,7 +111,7 @@ def with_noise(density: float, std: float) -> Parameters:
 
 
 def fit_filters(training: Sequence[Track], progress: Progress, *, quick: bool) -> Fitted:
-    """The parameters that make the innovations on the training tracks most likely, of each method its own.
+    """Fit the parameters of each method by the likelihood of the innovations on the training tracks.
 
     The graphs keep the noise of the positions that the Kalman filter's fit has found.
     """
@@ -170,7 +170,7 @@ LIGHT = 3.5
 """τ of eq. 3 with which a head in the bin of the travel has a weight of 0.005, not 0.905."""
 
 LABEL_STD = 0.07
-"""Metres, 1 σ of the labelled positions as the Kalman filter's fit finds it; Baxter et al.'s R says 0.71."""
+"""Metres, 1 σ of the labelled positions fitted with the Kalman filter; Baxter et al.'s R is 0.71."""
 
 
 def _as_they_are(parameters: IntentionalParameters) -> IntentionalParameters:
@@ -205,7 +205,7 @@ def turned_around(track: Track, rng: np.random.Generator) -> Track:
 
 
 def at_random(track: Track, rng: np.random.Generator) -> Track:
-    """Heads that say nothing."""
+    """Uninformative heads."""
     drawn = rng.uniform(-np.pi, np.pi, len(track))
     return replace(track, head=np.where(np.isfinite(np.asarray(track.head)), drawn, np.nan))
 
@@ -297,7 +297,7 @@ def control_gains(
     tracks : with all heads and positions
     repetitions : of the controls that are drawn
     rng_of : from the numbers of a control and a repetition to its source of randomness
-    controls : what is changed
+    controls : changes of the heads
     """
     found = []
     for c, control in enumerate(controls):
@@ -352,7 +352,7 @@ def seeds_at(rate: float, settings: Settings) -> int:
 
 
 def fit_folds(everyone: Sequence[Person], settings: Settings, progress: Progress) -> list[Fitted]:
-    """For each person what was fitted on the others' half, at a detection rate of 80 %."""
+    """For each person the fit on the other half of the people, at a detection rate of 80 %."""
     folds = []
     for fold in range(FOLDS):
         training = [
@@ -384,7 +384,7 @@ def judge(
 def gains(found: Outcomes, rate: float, method: str, *, over: str = "kf") -> tuple[FloatArray, FloatArray]:
     """Ratios (seeds, people) of MSE and CLL; above 1 the method is better.
 
-    A ratio of log-likelihoods says nothing where they are not both negative: NaN.
+    A ratio of log-likelihoods is undefined unless both are negative: NaN.
     """
     base, own = found[rate, over], found[rate, method]
     both = (base[..., 1] < 0.0) & (own[..., 1] < 0.0)
@@ -392,7 +392,7 @@ def gains(found: Outcomes, rate: float, method: str, *, over: str = "kf") -> tup
 
 
 def spread(ratios: FloatArray) -> tuple[float | None, float | None, float | None]:
-    """Median, 1 σ over the people, 1 σ of the seeds' medians; None where there is nothing to tell from."""
+    """Median, 1 σ over the people, 1 σ of the seeds' medians; None without data."""
     if not np.isfinite(ratios).all():
         return None, None, None
     seeds = float(np.std(np.median(ratios, axis=1))) if len(ratios) > 1 else None
@@ -400,7 +400,7 @@ def spread(ratios: FloatArray) -> tuple[float | None, float | None, float | None
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment; without the recordings a line that says so."""
+    """Run the experiment; without the recordings return a note."""
     everyone = chosen(settings)
     if len(everyone) < FOLDS:
         where = "no folder is named" if settings.data is None else f"looked for in {settings.data / 'caviar'}"
@@ -427,16 +427,16 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         page(_panels(detail, controls), columns=2),
         (
             "Labelled positions, in metres, are observations and truth; MSE is of one-step predictions. "
-            "Who is not detected shows no head either. Nobody sees the body.",
+            "Without a detection the head is missing too. The body is never observed.",
             "printed and consistent have Baxter et al.'s parameters (Q = 0.1·I, R = 0.5·I). The "
             "others are fitted on "
             f"the other half of the people: 1 σ of the positions {stds[0]:.2g} and {stds[1]:.2g} m, where "
-            f"Baxter et al.'s R says 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s.",
+            f"Baxter et al.'s R is 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s.",
             "CLL gains have no meaning for methods whose log-likelihood is positive, as it is once the noise "
             "is fitted: nats a detection are to be compared, between fitted methods.",
             "What the CLL gain is made of: heads turned around or drawn at random give nearly the same one. "
             "Where innovations are far below what R expects, it is the ratio of the log-determinants of "
-            "their covariances, which the prior narrows whatever it says, and it depends on the unit.",
+            "their covariances, which any prior narrows, and it depends on the unit.",
             "What the MSE loss is made of: R. With Baxter et al.'s Q and R its filter corrects 36 % "
             "of an innovation, "
             "the Kalman filter 65 %, so that what the head gets wrong stays for three frames. With R that of "

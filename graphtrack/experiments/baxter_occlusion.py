@@ -225,7 +225,7 @@ SHARP = (4, 5, 6)
 """Behaviours v–vii of the corpus."""
 
 BEFORE, AFTER = 40, 20
-"""Frames kept before and after the middle of a window: what is further off does not matter to it."""
+"""Frames kept before and after the middle of a window; frames further away have no effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +312,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         (detail, trajectories(found), _beside(found, rng)),
         page(_panels(detail), columns=2),
         (
-            "Position and body are withheld in the window, the head as the table says; nobody sees the body.",
+            "Position and body are withheld in the window, the head as in the table. The body is unobserved.",
             "Reduction: share by which the mean squared error is below a Kalman filter's (Baxter et "
             "al.'s own for "
             "printed, consistent and on the corpus, else the fitted one), offline below that of RTS, with a "
@@ -353,7 +353,7 @@ def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
 
 
 def trajectories(found: Sequence[WindowErrors]) -> Table:
-    """Baxter et al.'s seven trajectories beside the seven of ours that turn most in the window, head
+    """Baxter et al.'s seven trajectories next to our seven that turn most in the window, head
     visible."""
     errors = [one for one in found if one.head == "visible"][-1]
     turns = np.array([_turn(track, window) for track, window in errors.case.judged])
@@ -391,14 +391,14 @@ def trajectories(found: Sequence[WindowErrors]) -> Table:
 
 
 def _turn(track: Track, window: BoolArray) -> float:
-    """Sharpest turn in the window, radians; 0 where nobody moves."""
+    """Return the sharpest turn in the window, radians; 0 without motion."""
     found = turning(track)[window]
     return float(np.nanmax(found, initial=0.0))
 
 
 @tabulated("Paper / ours: reduction of the MSE in the window, head visible")
 def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
-    """Baxter et al.'s mean over seven trajectories beside our reductions, head visible."""
+    """Baxter et al.'s mean over seven trajectories next to our reductions, head visible."""
     for errors in found:
         if errors.head == "hidden":
             continue

@@ -203,7 +203,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             "Graphs against the fitted tracker: on the tracks that the graphs follow. Ratio of the squared "
             "errors: geometric mean over the tracks, below 1 the graph is better; nats a detection: above 0 "
             "the graph is better. A cell is a behaviour at a detection rate; clearly: by its 95 % interval.",
-            "Who is not detected shows no head either. All see positions and head, but the Kalman filters "
+            "Without a detection the head is missing too. All use positions and head, but the Kalman filters "
             "positions only. In joint-intentional the head steers the velocity as it does in the tracker; in "
             "joint it does not.",
         ),

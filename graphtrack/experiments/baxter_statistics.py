@@ -42,7 +42,7 @@ HISTOGRAM_EDGES = np.radians(np.arange(-180.0, 181.0, 10.0))
 """Edges (37,) of the histogram's bins in radians."""
 
 FUTURE_LAGS = 20
-"""Frames ahead at which `future_share` looks."""
+"""Largest lag in frames of `future_share`."""
 
 FUTURE_TOLERANCE = float(np.radians(0.25))
 """Radians within which a head counts as being a direction to a later position."""
@@ -63,7 +63,7 @@ class DeviationStatistics:
     name : of the data
     people, frames : that had a deviation
     mean : circular mean, radians
-    std : root mean square of what is off the mean, the short way around, radians
+    std : root mean square of wrapped deviations from the mean, radians
     density : (36,) histogram over `HISTOGRAM_EDGES`, per radian
     future : share of the heads that are exactly a direction to a later position
     """
@@ -78,7 +78,7 @@ class DeviationStatistics:
 
     @property
     def tells_the_future(self) -> bool:
-        """True if the head column looks as if it was made of the future path."""
+        """True if the head column was probably computed from the future path."""
         return self.future > SUSPICIOUS_SHARE
 
 
@@ -166,16 +166,14 @@ def deviation_statistics(
     Raises
     ------
     InputError
-        If nobody moves with a known head.
+        If no person moves with a known head.
     """
     tracks = list(tracks)
     deviations = [head_deviation(track, window=window) for track in tracks]
     deviations = [found[np.isfinite(found)] for found in deviations]
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):
-        raise InputError(
-            f"nobody in {name} who moves and whose head is known", "tracks with positions and head"
-        )
+        raise InputError(f"no person in {name} who moves with a known head", "tracks with positions and head")
     mean, std = _mean_and_spread(pooled)
     counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
     found = DeviationStatistics(
@@ -190,7 +188,7 @@ def deviation_statistics(
     if found.tells_the_future:
         warnings.warn(
             f"{name}: {found.future:.0%} of the heads are exactly the direction to a later position; "
-            "they were made from the path and tell a tracker its future",
+            "they were computed from the path and reveal its future to a tracker",
             InputWarning,
             stacklevel=2,
         )

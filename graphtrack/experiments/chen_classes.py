@@ -53,7 +53,7 @@ OPTIONS = {
     "particle, closest class, turned once": (False, ParticleOptions(pose="closest")),
     "particle, closest class, in the image": (True, ParticleOptions(pose="closest", image_pose=True)),
 }
-"""Filter → whether it is given the image's likelihoods, and its options; the last is eq. 13–14 as printed."""
+"""Filter → True if it uses the image's likelihoods, and its options; the last is eq. 13–14 as printed."""
 
 IMAGE_GROUPS = dict.fromkeys(OPTIONS, "online")
 
@@ -97,7 +97,7 @@ def camera_before(tracks: TrackSet) -> GroundCamera:
 
 
 def in_image(track: Track, camera: GroundCamera) -> Track:
-    """The track with its true angles as the camera sees them, for classifiers to answer."""
+    """Return the track with its true angles in the camera's view, as input of classifiers."""
     assert track.true_position is not None
     angles = {
         name: camera.image_angle(truth, track.true_position)
@@ -191,7 +191,7 @@ WITH_MODES = ("graph, chain", "graph, isam2", "smoother")
 
 
 def people(settings: Settings) -> dict[str, TrackSet]:
-    """People by source whose body and head are seen by classifiers with a known confusion."""
+    """People by source, with body and head observed by classifiers with a known confusion."""
     count = 4 if settings.quick else 42
     clips = settings.tracks(*MOCAP)
     if clips is not None:
@@ -208,7 +208,7 @@ def people(settings: Settings) -> dict[str, TrackSet]:
 
 
 def classified(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
-    """The tracks as the experiment's classifiers see them."""
+    """Return the tracks with the observations of the experiment's classifiers."""
     return add_class_likelihoods(
         tracks,
         body=confusion_matrix(BODY_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
@@ -267,7 +267,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def work(settings: Settings) -> int:
-    """Estimates, and the people of each source who are seen in the image."""
+    """Return estimates, and the people of each source who are visible in the image."""
     everyone = people(settings)
     estimates = len(default_models(METHODS, WITH_MODES)) * sum(len(tracks) for tracks in everyone.values())
     return estimates + len(everyone) + len(OTHERS) * len(next(iter(everyone.values())))

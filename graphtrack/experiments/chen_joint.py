@@ -74,7 +74,7 @@ Methods = Mapping[str, tuple[str, Estimator]]
 """Method → group, "online" or "offline", and estimator."""
 
 Errors = Mapping[tuple[str, str, str], FloatArray]
-"""(preset, method, angle) → mean errors (n,) in degrees of the people; "observation", "" of what was seen."""
+"""(preset, method, angle) → mean errors (n,) in degrees; ("observation", "") for the observations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ def detail(found: Iterable[Scores], groups: Mapping[str, str], rng: np.random.Ge
 
 
 def beside(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:
-    """Chen et al.'s Table 2 beside the errors of some methods, of which ``groups`` says whether they are
+    """Chen et al.'s Table 2 next to the errors of some methods, grouped by ``groups`` as
     online."""
     records: list[dict[str, Cell]] = []
     for i, angle in enumerate(ANGLES):
@@ -354,7 +354,7 @@ METHODS: Methods = {
 GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
 WITH_MODES = ("graph", f"graph{ISAM2}", "smoother")
-"""Methods that know the preset ``full`` as well, `joint` that is told whether people face where they go."""
+"""Methods for the preset ``full`` as well, which is `joint` with coupling modes."""
 
 
 def concentration_of(error: float) -> float:
@@ -459,7 +459,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def _evaluations(settings: Settings) -> int:
-    """Of each method and preset, for its parameters to be fitted."""
+    """Methods and presets with fitted parameters."""
     return 7 if settings.quick else 100
 
 
@@ -483,7 +483,7 @@ def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Records:
                 }
 
 
-@tabulated("Beyond Chen et al. 2011: the graph, told whether people face where they go (full)")
+@tabulated("Beyond Chen et al. 2011: the graph with coupling modes (full)")
 def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Records:
     """The errors with ``full``, which has modes of the couplings."""
     for one in found:

@@ -1,4 +1,4 @@
-"""The effect of coupling modes, on people who face where they go and on those who do not."""
+"""Effect of coupling modes, on people who face their direction of motion and people who do not."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The harness of the experiments: settings, recordings, tables with intervals, and pages drawn from them.
+"""Harness of the experiments: settings, recordings, tables with intervals, and pages.
 
 An experiment is a module with an `Experiment` named ``EXPERIMENT``: its name on the command line, its
 source, the number of its parts, and a function from `Settings` and progress to a `Reproduction`. Recordings
 come from `Settings.tracks`, randomness from `Settings.rng`, tables from `Table.of`, intervals over people
 from `paired` and `interval_cells`, and the page of figures from `page`, which draws columns of the tables.
-``graphtrack reproduce`` prints the tables and writes them as JSON beside the page. Other packages add
+``graphtrack reproduce`` prints the tables and writes them as JSON next to the page. Other packages add
 experiments as entry points of the group ``graphtrack.experiments``.
 
 Every method at its own best parameters, and the one-step predictions by which they are judged.
@@ -81,14 +81,14 @@ class Settings:
         return np.random.default_rng([self.seed, *stream])
 
     def recording(self, *names: str) -> Path | None:
-        """The path of a recording under ``data``; None where it is not there."""
+        """Return the path of a recording under ``data``; None if missing."""
         if self.data is None:
             return None
         path = self.data.joinpath(*names)
         return path if path.is_file() else None
 
     def tracks(self, *names: str) -> TrackSet | None:
-        """The tracks of a recording under ``data``, read once; None where it is not there."""
+        """Return the tracks of a recording under ``data``, read once; None if missing."""
         path = self.recording(*names)
         return None if path is None else quietly(path)
 
@@ -142,7 +142,7 @@ class Reproduction:
     Attributes
     ----------
     name : of the experiment
-    tables : the last one stands "paper" beside "ours"; none where nothing was found to judge
+    tables : the last one has "paper" next to "ours"; none without data
     figure : the page of figures; None where there is nothing to show
     notes : how to read them, one sentence or two each
     """
@@ -197,7 +197,7 @@ EVERY = 3
 
 @cache
 def quietly(path: Path) -> TrackSet:
-    """The tracks of a file, read once; what its reader has to say is left to ``graphtrack info``."""
+    """Return the tracks of a file, read once; reader notes are left to ``graphtrack info``."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         return read_identified(path)

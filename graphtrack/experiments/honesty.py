@@ -107,7 +107,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     notes = (
         f"{len(clips)} clips of motion capture that nothing was fitted to; body κ = {BODY_KAPPA}, head κ = "
         f"{HEAD_KAPPA}; true velocities are those of 30 Hz. Joint without side-stepping and backwards.",
-        "NEES a degree of freedom should be 1, intervals should hold the truth as often as they say.",
+        "NEES a degree of freedom should be 1, and coverage of intervals their nominal level.",
     )
     cells = [{**row, "of model": f"{row['model']}, {row['']}", "at": f"{row['Hz']:g} Hz"} for row in rows]
     panels = [

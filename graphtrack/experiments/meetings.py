@@ -44,7 +44,7 @@ SECONDS = 3.0
 _TURN, _TURN_SECONDS, _SLOWEST = np.radians(45.0), 1.0, 0.4
 """Somebody turns where the mean directions of a second before and after differ so much, at so many m/s."""
 _APART = 25.0
-"""Metres from one pair to the next: nobody is taken for one of another pair."""
+"""Distance in metres between pairs, which excludes confusions between pairs."""
 
 IntArray: TypeAlias = NDArray[np.int64]
 Tracker: TypeAlias = Callable[[Detections], IntArray]
@@ -115,12 +115,12 @@ def detected(people: TrackSet, position_std: float, rng: np.random.Generator) ->
 
 
 def offline(seen: Detections) -> IntArray:
-    """Whose each detection is, from the whole recording; −1: nobody's."""
+    """Return the identity of each detection, from the whole recording; −1: none."""
     return associate_detections(seen).identity
 
 
 def online(seen: Detections) -> IntArray:
-    """Whose each detection is, as it is said at once; below 1: nobody's yet."""
+    """Return the identity of each detection as reported online; below 1: none yet."""
     association, identity = OnlineAssociation({}, 2.0), np.zeros(len(seen), np.int64)
     facing = observed_angles(seen.channels, len(seen))
     for frame in np.unique(seen.frame):
@@ -175,8 +175,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         f"missing, body κ = {BODY_KAPPA}, head κ = {HEAD_KAPPA} (Chen et al.'s noise), clips of "
         f"motion capture "
         "turned at random.",
-        "All pairs are in one recording, from which the scene's parameters are learned; online is what was "
-        "said at once. A switch is a detection whose identity is not that of the person's one before.",
+        "All pairs are in one recording, from which the scene's parameters are learned; online is without "
+        "revision. A switch is a detection whose identity is not that of the person's one before.",
     )
     table = _table(counts)
     panels = [
@@ -221,7 +221,7 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "meetings",
-    "no paper's: who is who where people meet and turn, with and without body and head",
+    "no paper's: identities where people meet and turn, with and without body and head",
     work,
     run,
     f"{FEW} pairs, one seed",

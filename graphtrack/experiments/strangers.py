@@ -65,7 +65,7 @@ def independent_walkers(
 ) -> TrackSet:
     """People who cross a square alone, each without regard to the others.
 
-    Bodies point along the way, or where they last did in somebody who stands; heads glance aside (0.4 rad).
+    Bodies point along the way, or in the last walking direction when standing; heads glance aside (0.4 rad).
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def estimated(people: TrackSet, evidence: str, rng: np.random.Generator) -> Trac
 
 
 def at_random_times(people: TrackSet, rng: np.random.Generator) -> TrackSet:
-    """People of a recording, each at a random time within it: nobody there is in a group with anybody.
+    """Return people of a recording, each shifted to a random time, so that there are no groups.
 
-    Somebody who was seen alone for long is shown among others who were there before or after. Tracks that
+    A person observed alone for long is placed among people from earlier or later times. Tracks that
     would go on after the end begin earlier.
     """
     begin, end = (f(track.t[k] for track in people) for f, k in ((min, 0), (max, -1)))
@@ -124,7 +124,7 @@ def shares(found: Groups) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """People without any group, or with known ones, and the columns that say what they are."""
+    """People without groups or with known groups, and the columns with their labels."""
 
     about: dict[str, Cell]
     people: TrackSet

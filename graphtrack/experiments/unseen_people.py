@@ -150,7 +150,7 @@ def party(settings: Settings, stream: int) -> People:
 
 
 def crossing(settings: Settings, stream: int) -> People:
-    """Independent walkers of another simulator, who cross a square, some of whom stop."""
+    """Simulate independent walkers of another simulator, who cross a square and sometimes stop."""
     people = independent_walkers(settings.rng(44, stream), 12.0, 0.5, 40.0 if settings.quick else 80.0)
     long = people.with_tracks(track for track in people if len(track) >= 20)
     return {
@@ -185,7 +185,7 @@ def errors_of(people: TrackSet, estimates: Sequence[Track]) -> FloatArray:
 
 
 def estimated(people: TrackSet, model: Model | str) -> Sequence[Track]:
-    """Estimates by a model or a preset, online where its name says so."""
+    """Return estimates by a model or a preset, online for `ONLINE`."""
     if model == ONLINE:
         return [track_online(track, "full") for track in people]
     return smooth(people, model).tracks

@@ -26,7 +26,7 @@ def wrap(angle: ArrayLike) -> FloatArray:
 
 
 def wrapped(angle: float) -> float:
-    """As `wrap`, for a single float, in a tenth of the time."""
+    """`wrap` for a single float, in a tenth of the time."""
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 

@@ -62,7 +62,7 @@ def fit_homography(source: ArrayLike, target: ArrayLike) -> HomographyFit:
     if len(source) < 4:
         raise InputError(f"{len(source)} point pairs", "at least 4")
     if not (np.all(np.abs(source) <= LARGEST_ENTRY) and np.all(np.abs(target) <= LARGEST_ENTRY)):
-        raise InputError("a point beyond reason", f"coordinates within ±{LARGEST_ENTRY:g}")
+        raise InputError("a point out of range", f"coordinates within ±{LARGEST_ENTRY:g}")
     into_source, into_target = _normaliser(source), _normaliser(target)
     (u, v), (x, y) = apply_homography(into_source, source).T, apply_homography(into_target, target).T
     one, zero = np.ones_like(u), np.zeros_like(u)
@@ -74,7 +74,7 @@ def fit_homography(source: ArrayLike, target: ArrayLike) -> HomographyFit:
     )
     _, singular, rows = np.linalg.svd(equations)
     if singular[7] <= singular[0] * 1e-9:
-        raise InputError("points in a line (or the same point again)", "4 points, no 3 of them in a line")
+        raise InputError("points in a line, or repeated points", "4 points, no 3 of them in a line")
     normalised = rows[-1].reshape(3, 3)
     if np.linalg.cond(normalised) > LARGEST_CONDITION:
         raise InputError("points in a line", "4 points, no 3 of them in a line")
@@ -120,7 +120,7 @@ def check_homography(homography: ArrayLike) -> FloatArray:
     if homography.shape != (3, 3):
         raise InputError(f"a homography of shape {homography.shape}", "shape (3, 3)")
     if not np.all(np.abs(homography) <= LARGEST_ENTRY):
-        raise InputError("a homography with a value beyond reason", f"nine numbers within ±{LARGEST_ENTRY:g}")
+        raise InputError("a homography with a value out of range", f"nine numbers within ±{LARGEST_ENTRY:g}")
     # Balance rows and columns first: metres and pixels differ in scale without being singular.
     balanced = homography.copy()
     for _ in range(10):

@@ -26,7 +26,7 @@ def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
     if engine in ("isam2", "fixed-lag"):
         raise InputError(
             f"engine {engine!r}, which is online, for offline smoothing",
-            "gtsam, where iSAM2 ends once it has all, or graphtrack track with --engine isam2 --lag none",
+            "gtsam, or graphtrack track with --engine isam2 --lag none",
         )
     if engine not in ("auto", "chain", "gtsam"):
         raise InputError(f"engine {engine!r}", "auto, chain or gtsam")

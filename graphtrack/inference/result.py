@@ -143,7 +143,7 @@ NOT_FINITE = "the estimate is not finite"
 _INDETERMINATE = re.compile(
     r"Indetermin(?:ate|ant) linear system.*?near variable\s+\d+ \(Symbol: (\w+)\)", re.DOTALL
 )
-"""How GTSAM reports that a linear system has no unique solution, with the variable."""
+"""GTSAM's message for a linear system without a unique solution, with the variable."""
 _NUMERICAL = (_INDETERMINATE, re.compile("a step of the solver is not finite"))
 """Reasons that extreme input can cause."""
 

@@ -45,7 +45,7 @@ class Field(NamedTuple):
     shape: tuple[int, ...] = ()
 
 
-DT = Field("dt", "seconds since the person's previous frame; 0 at the first")  # What every record has
+DT = Field("dt", "seconds since the person's previous frame; 0 at the first")  # A field of every record
 
 
 def record_type(fields: Iterable[Field]) -> np.dtype:

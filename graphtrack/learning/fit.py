@@ -1,4 +1,4 @@
-"""`fit`: the parameters of a model that a set of tracks makes most probable, with their uncertainty."""
+"""`fit`: maximum-likelihood parameters of a model from tracks, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ _FLAT = 0.05
 class Learned:
     """One parameter: where it started, its value, and the 95 % interval.
 
-    ``note`` says why it was not learned; then the value is the one it started from.
+    ``note`` has the reason if it was not learned; the value is then the initial value.
     """
 
     name: str
@@ -190,20 +190,20 @@ def fit(
 
     With the truth, what grows is the likelihood of the true positions and angles under the smoother's
     covariances, frame by frame. Without it, the Laplace evidence: the log density at the optimum, with its
-    normaliser, and ½·log of 2π over the determinant of the Hessian. Couplings have no normaliser that is
-    known, so with them and without a truth it is the density of observations that were hidden from the
-    smoother, a part at a time. The uncertainty comes from how the tracks differ (jackknife and Student's t,
-    no less than the curvature says); where they are too few, one alone or by the evidence less than five,
-    from the curvature. Raise InputError if the model is no chain, nothing can be learned from the tracks, or
-    the evidence is asked for and a term of the model is not normalised.
+    normaliser, and ½·log of 2π over the determinant of the Hessian. Couplings have no known
+    normaliser, so with them and without a truth it is the held-out predictive log-likelihood of observations,
+    a part at a time. The uncertainty is that of the jackknife over tracks with Student's t, at least that of
+    the curvature; with too few tracks (one, or by the evidence fewer than five) it is the curvature's. Raise
+    InputError if the model is no chain, nothing can be learned from the tracks, or the evidence is asked for
+    and a term of the model is not normalised.
 
     Parameters
     ----------
     tracks : observations, in any form that `graphtrack.solve` takes
-    model : where to begin; what is 0 there stays 0
-    criterion : None: by the truth, where any track has one; else by the evidence, where it is known
-    hold_out : share of the tracks that only judge, in [0, 0.9]
-    seed : of the choice of tracks
+    model : starting point; parameters that are 0 stay 0
+    criterion : None: the truth, if any track has one; else the evidence, if it is known
+    hold_out : share of the tracks held out for validation, in [0, 0.9]
+    seed : seed of the choice of tracks
     max_frames : person-frames to learn from at most
     progress : called after each evaluation with the number so far
     """
@@ -227,7 +227,7 @@ def fit(
     free = tuple(one for one, good in zip(free, shown, strict=True) if good)
     absent = [one for one in every if one not in free]
     if not free:
-        raise InputError("tracks that say nothing about any parameter", "observations of several frames")
+        raise InputError("tracks that identify no parameter", "observations of several frames")
     start = np.array([one.to_scale(one.get(model)) for one in free])
     x, covariance, reach = search.run(free, start, start)
     vague = (np.sqrt(np.diag(covariance)) > 0.5 * PRIOR_STD) | (np.abs(x - start) > REACH - 1e-6)
@@ -290,9 +290,9 @@ class _Evaluations:
     def run(
         self, free: Sequence[Free], start: FloatArray, near: FloatArray
     ) -> tuple[FloatArray, FloatArray, float]:
-        """The best place, its covariance, and how many 1-σ hold it 95 times in 100.
+        """Return the optimum, its covariance, and the number of 1-σ of a 95 % interval.
 
-        A climb from ``near``, another from the optimum it found.
+        Optimise from ``near``, and again from the optimum.
         """
         x = climb(self.values_about(self.model, free), near, start)
         values = self.values_about(with_values(self.model, free, x), free)

@@ -1,9 +1,9 @@
 """`fit_forecast`: learn the parameters of forecasts from recordings.
 
-Four parts: standing, company and places by the mean errors of forecasts; the head's lead by the errors a
-second ahead; the spread by the density of where people were; the trust in a scene's own errors by what
-circles hold. Recordings with heads teach the lead alone, if there are others: they are of laboratories,
-where nobody goes anywhere. Scenes count equally. The search begins at `START`, never at learned values.
+Four parts: standing, companions and places by the mean errors of forecasts; the head's lead by the errors a
+second ahead; the spread by the density of true positions; the weight of a scene's own errors by the coverage
+of circles. Recordings with heads determine only the lead, if there are others: they are of laboratories,
+where people do not walk far. Scenes count equally. The search begins at `START`, never at learned values.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from graphtrack.tracks.track import Track, TrackSet
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A scene, and what came of its people."""
+    """Scene with the outcomes of its people."""
 
-    frames: tuple[SeenFrame, ...]  # who was seen when
-    # of each frame, where its n people were (n, G) at the times ahead, complex; NaN: not known
+    frames: tuple[SeenFrame, ...]  # observed people of each frame
+    # per frame, true positions (n, G) of its n people at the times ahead, complex; NaN: unknown
     actual: tuple[ComplexArray, ...]
-    straight: tuple[ComplexArray, ...]  # and where the velocity of the last step would have led them
+    straight: tuple[ComplexArray, ...]  # constant-velocity predictions from the last step
 
 
 def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
@@ -72,7 +72,7 @@ def _places_at(t: FloatArray, place: ComplexArray, at: FloatArray) -> ComplexArr
 def forecasts(
     of: Recording, parameters: ForecastParameters, history: float = 2.0 * EVERY
 ) -> Iterator[tuple[Forecaster, NDArray[np.int64], ComplexArray, ComplexArray]]:
-    """Every `EVERY` seconds a forecaster, who was seen for long enough, and what came of them."""
+    """Yield every `EVERY` seconds a forecaster, the people with enough history, and their outcomes."""
     forecaster, last = Forecaster(parameters), -np.inf
     for seen, actual, straight in zip(of.frames, of.actual, of.straight, strict=True):
         forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
@@ -107,7 +107,7 @@ PLACE_STEPS: Mapping[str, tuple[float, ...]] = {
     "place_velocity": (0.07, 0.1, 0.15, 0.22, 0.33),
     "place_prior": (0.3, 1.0, 3.0, 10.0),
 }
-"""Values to choose from: from the middle ones on, neighbours are tried until none helps."""
+"""Search grid: from the middle values, neighbours are tried until none improves."""
 HEAD_STEPS: Mapping[str, tuple[float, ...]] = {
     "head_share": (0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2),
     "head_seconds": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2),
@@ -129,8 +129,8 @@ START = ForecastParameters(
     tail_scale=2.5,
     scene_prior=36.0,
 )
-"""Where the search begins. `scene_prior` stays so where there is one scene alone: as many forecasts as it
-takes to know what a circle of 90 % holds to 5 % (a binomial's 0.9 · 0.1 / 0.05²)."""
+"""Initial values. `scene_prior` is kept with a single scene: the number of forecasts that determines the
+coverage of a 90 % circle to 5 % (a binomial's 0.9 · 0.1 / 0.05²)."""
 
 _MOST = 4000  # forecasts of a scene that the spread is learned from
 _HEAD_TIMES = np.array([0.4, 0.8, 1.0])
@@ -139,10 +139,10 @@ _ROUNDS = 3  # times that the lists are gone through, at most
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Forecasts of a scene and what came of them."""
+    """Forecasts of a scene and their outcomes."""
 
     expected: Expected  # of n forecasts at `LAGS`
-    # (n, G) complex, from the mean to where people were; NaN where they were not seen any more
+    # (n, G) complex, from the mean to the true position; NaN if no longer observed
     error: ComplexArray
     straight: ComplexArray  # (n, G) error of the last step's velocity
 
@@ -163,9 +163,9 @@ class ForecastFit:
 
 
 def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
-    """Forecasts of a recording every `EVERY` seconds, beside what came of them.
+    """Return forecasts of a recording every `EVERY` seconds, with their outcomes.
 
-    Raise InputError if nobody was seen for long enough after a forecast.
+    Raise InputError if no person was observed for long enough after a forecast.
     """
     random = np.random.default_rng(0)
     parts: list[tuple[Expected, ComplexArray, ComplexArray]] = []
@@ -174,7 +174,7 @@ def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
         parts.append((expected, actual - expected.mean, actual - straight))
     known = sum(int(np.isfinite(error).sum()) for _, error, _ in parts)
     if not known:
-        raise InputError("nobody who was seen after a forecast", f"tracks longer than {3 * EVERY:g} s")
+        raise InputError("no person observed after a forecast", f"tracks longer than {3 * EVERY:g} s")
     names = Expected.__dataclass_fields__
     joined = Expected(**{name: np.concatenate([getattr(one[0], name) for one in parts]) for name in names})
     error, straight = (np.concatenate([one[k] for one in parts]) for k in (1, 2))
@@ -183,9 +183,9 @@ def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
 
 
 def calibration_error(of: Recording, parameters: ForecastParameters) -> float:
-    """Mean difference, over times ahead, between what circles hold and what they should.
+    """Return the mean difference, over times ahead, of observed and nominal coverage.
 
-    Of people seen for as long as those whose outcomes correct the circles: see `Calibration`.
+    For people with enough history for the calibration: see `Calibration`.
     """
     parts = []
     for forecaster, people, actual, _ in forecasts(of, parameters, JUDGED + EVERY):
@@ -205,7 +205,7 @@ def _some(of: Outcomes, chosen: np.ndarray[Any, Any]) -> Outcomes:
 
 
 def density(found: Outcomes, parameters: ForecastParameters) -> float:
-    """Mean log density of where people were, in a scene like others."""
+    """Return the mean log density of true positions, without scene-specific calibration."""
     few = _some(found, np.arange(min(_MOST, len(found.error))))
     expected = few.expected
     along, across = spreads(parameters, expected, LAGS)
@@ -220,15 +220,15 @@ def fit_forecast(
     scenes: Mapping[str, TrackSet],
     progress: Callable[[str], None] = lambda what: None,
 ) -> ForecastFit:
-    """Learn how people go on.
+    """Learn motion for forecasts.
 
     Raise InputError if nothing can be learned from a scene.
 
     Parameters
     ----------
-    scenes : name → recording, each of people who share a place and its times; where heads are seen they need
-        not, if there are recordings without
-    progress : is told what is being learned
+    scenes : name → recording, each of people who share a place and its times; with observed heads
+        they need not, if there are recordings without
+    progress : called with a description of each step
     """
     if not scenes:
         raise InputError("no recordings", "at least one")
@@ -267,7 +267,7 @@ def _search(
     cost: Callable[[ForecastParameters], float],
     progress: Callable[[str], None],
 ) -> ForecastParameters:
-    """From the middle of the lists to whichever neighbour costs less, one parameter after the other."""
+    """Coordinate search from the middle of the lists, one parameter after the other."""
     cost = cache(cost)
     best = replace(start, **{name: values[len(values) // 2] for name, values in steps.items()})
     for _ in range(_ROUNDS):
@@ -312,9 +312,9 @@ def _fit_scene_prior(
     start: ForecastParameters,
     progress: Callable[[str], None],
 ) -> ForecastParameters:
-    """Learn how soon a scene's own errors are trusted, by its circles with the spread of the others."""
+    """Learn the prior weight of scene errors, by circles with the spread of the other scenes."""
     if len(found) < 2:
-        return start  # one scene says nothing of how scenes differ
+        return start  # one scene does not determine the variation between scenes
     others = {
         name: _fit_spread([one for other, one in found.items() if other != name], start) for name in found
     }
@@ -328,7 +328,7 @@ def _fit_scene_prior(
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """People who walk and whose head is seen."""
+    """Walking people with observed heads."""
 
     velocity: ComplexArray  # (n,)
     angle: FloatArray  # (n,) as `lead` takes it

@@ -50,7 +50,7 @@ def fit_facing(
 ) -> tuple[FacingWeights, FacingWeights]:
     """Learn the weights of companions and of others by the likelihood of bodies, with a ridge.
 
-    ``evidence``: of the same people, of whom more or less was known; ``used``: (n,) rows with a body
+    ``evidence``: of the same people, with more or less information; ``used``: (n,) rows with a body
     """
     from scipy.optimize import minimize
 
@@ -73,7 +73,7 @@ def fit_facing(
 
 
 def _features(people: People, evidence: PairEvidence, stride: float) -> FloatArray:
-    """(n, directions, 2·rings): how many companions, and others, are how far from the o-space there."""
+    """Return (n, directions, 2·rings) counts of companions, and others, by distance from the o-space."""
     together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds))
     units = np.eye(2 * len(RINGS)).reshape(-1, 2, len(RINGS))
     scene = people.position, evidence.left, evidence.right, together
@@ -113,24 +113,24 @@ def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupPa
     return replace(start, **values)
 
 
-_APART = 12.0  # seconds between the frames that are learned from: those between say the same again
+_APART = 12.0  # seconds between training frames: frames in between are correlated
 _CAUTION = np.arange(-2.0, 2.01, 0.5)
 _BLOCKS = 4
 _CLEAR = 0.5  # length of the expected direction of bodies from which facing is learned
 _SIGNS = np.array([1.0, -1.0, -1.0, -1.0, 1.0])
-"""Which way each feature can only speak: see `ConversationWeights`."""
+"""Sign of each feature's weight: see `ConversationWeights`."""
 
 _HIDDEN: dict[str, Callable[[Track], Track]] = {
     "heads": lambda track: track,
     "bodies": lambda track: replace(track, head=None),
     "places": lambda track: replace(track, head=None, body=None),
 }
-"""What is learned, each from people of whom no more is known than that."""
+"""Learned parts, each from people with only that information."""
 
 
 @dataclass(frozen=True)
 class GroupFit:
-    """Learned parameters, and their scores on what was learned from and on what was held out."""
+    """Learned parameters, and their scores on training and held-out data."""
 
     parameters: GroupParameters
     start: GroupParameters
@@ -152,10 +152,10 @@ def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25)
 
     Weights are of one sign each, pulled to 0 (ridge), and learned from a frame in `_APART` seconds. The
     caution has the best F1 (mean of T = 2/3 and T = 1) over parts of the time left out in turn. How people
-    walk together is learned where enough do. Raise InputError if nobody is labelled, or all are together, or
-    nobody is with anybody.
+    walk together is learned where enough do. Raise InputError if there are no labels, one group of all, or no
+    groups.
 
-    ``hold_out``: share of the recording's end that only judges
+    ``hold_out``: share of the recording's end held out for validation
     """
     people = people_of(tracks)
     label = labels.labels(*_rows(people))
@@ -206,7 +206,7 @@ def _pairs(people: People, label: IntArray, parameters: GroupParameters) -> _Pai
 
 
 def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: BoolArray) -> GroupParameters:
-    """With where bodies face learned, if any are known: by places alone, and by all there is."""
+    """Learn body directions, if any are known: from positions only, and from all information."""
     standing = used & (walks(people, parameters) < 0.5) & (np.linalg.norm(people.body, axis=1) > _CLEAR)
     if not standing.any():
         return parameters
@@ -233,9 +233,7 @@ def _weights(pairs: _Pairs, used: BoolArray) -> ConversationWeights:
     features, together = pairs.features[used], pairs.together[used]
     if not together.any() or together.all():
         raise InputError(
-            "pairs near each other who are all of one group, or none of whom are"
-            if len(together)
-            else "no pairs",
+            "only pairs of one group, or none, among pairs near each other" if len(together) else "no pairs",
             "labelled groups, and people near each other of different ones",
         )
     mean, scale = features.mean(axis=0), features.std(axis=0) + 1e-9
@@ -285,13 +283,13 @@ def _caution(
 
 
 _STEP = 0.5  # of the first simplex, in logarithms of parameters
-_WIDE = 2.0  # 1-σ of the logarithm of a parameter about where it started: a look's worth of belief
+_WIDE = 2.0  # 1-σ of the logarithm of a parameter about its start: a prior worth one labelled gaze
 _MOST = 300  # evaluations
 
 
 @dataclass(frozen=True)
 class AttentionFit:
-    """Learned parameters, and their scores on what was learned from and on what was held out."""
+    """Learned parameters, and their scores on training and held-out data."""
 
     parameters: AttentionParameters
     start: AttentionParameters
@@ -308,16 +306,16 @@ def fit_attention(
 ) -> AttentionFit:
     """Learn by the probability of the true targets, given the heads as they are known here.
 
-    So what is learned is calibrated for heads that are seen as well as these. The logarithms of the
+    The result is calibrated for heads of this accuracy. The logarithms of the
     parameters (log odds of ``nothing``) are found by the simplex of Nelder and Mead (1965), with a wide
-    Gaussian about the start, beside one term for each labelled look. Raise InputError if no look is labelled,
-    or all are at nobody, or people of the labels are not among the tracks.
+    Gaussian about the start, next to one term for each labelled gaze. Raise InputError without labelled gaze,
+    or if all labels are nobody, or people of the labels are not among the tracks.
 
     Parameters
     ----------
     tracks : estimates or observations, as `attention` will be given them
-    start : where to begin; by default the parameters' own
-    hold_out : share of the recording's end that only judges
+    start : starting point; by default the parameters' defaults
+    hold_out : share of the recording's end held out for validation
     """
     from scipy.optimize import minimize
 

@@ -43,7 +43,7 @@ _DIFFERENCE = 1e-3
 def climb(
     values: Blocks, start: FloatArray, prior: FloatArray, hessian: FloatArray | None = None
 ) -> FloatArray:
-    """The place (p,) of the maximum, from ``start``; the prior's mean is ``prior``.
+    """Return the maximum (p,), from ``start``; the prior's mean is ``prior``.
 
     Without the ``hessian`` (p, p) of the costs near the start it is a rough one: it ends where an iteration
     gains less than `ROUGH`, and takes one-sided slopes, which move the maximum by half a step. With it the
@@ -148,14 +148,14 @@ _CHANNELS = (("position", "pixel"), ("body", "body_likelihood"), ("head", "head_
 
 
 def hidden_frames(track: Track, channel: int, fold: int) -> NDArray[np.bool_]:
-    """Frames (n,) of which a fold hides a channel (0 position, 1 body, 2 head): stretches, by turns."""
+    """Return frames (n,) in which a fold holds out a channel (0 position, 1 body, 2 head), in intervals."""
     seconds = track.t - track.t[0]
     stretch = min(_STRETCH, 1.001 * float(seconds[-1]) / FOLDS)
     return (np.floor_divide(seconds, stretch).astype(int) + channel) % FOLDS == fold
 
 
 def told(track: Track, fold: int) -> Track:
-    """The track without what a fold hides."""
+    """Return the track without the observations that a fold holds out."""
     found = track
     for channel, names in enumerate(_CHANNELS):
         found = withhold(found, hidden_frames(track, channel, fold), names)
@@ -166,12 +166,12 @@ def told(track: Track, fold: int) -> Track:
 def foretold(
     packed: PackedTracks, model: Model, states: FloatArray, covariance: FloatArray, fold: int
 ) -> FloatArray:
-    """Log density (N,) of what was hidden in each frame.
+    """Return the log density (N,) of the held-out observations in each frame.
 
     Parameters
     ----------
     packed : the tracks with all that was observed, packed with the model
-    states, covariance : (N, 6) in the world and (N, 6, 6), from what the fold was told
+    states, covariance : (N, 6) in the world and (N, 6, 6), from the observations of the fold
     """
     hidden = [
         np.concatenate([hidden_frames(track, channel, fold) for track in packed.tracks])
@@ -204,7 +204,7 @@ def _foretold_angles(
     likelihood, total = model.parameters.likelihood, np.zeros(len(estimate))
     angle, classes = packed.channel(name), packed.channel(f"{name}_likelihood")
     if angle is not None:
-        # The records have no concentration where nothing was seen, and where classes stand for the angle.
+        # The records have no concentration without observations, and if classes replace the angle.
         noise = packed.records[f"{name}_kappa"]
         seen = hidden & (noise > 0.0)
         density = log_blurred(angle[seen] - estimate[seen], noise[seen], kappa[seen])

@@ -1,4 +1,4 @@
-"""`fit_scene`: how people come, go and are detected in a place, from detections or from labelled tracks."""
+"""`fit_scene`: birth, death and detection parameters of a scene, from detections or labelled tracks."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SET = ("speed_std", "longest_gap", "longest_filled", "look_ahead")
 
 @dataclass(frozen=True)
 class LearnedOfScene:
-    """One parameter: its unit, where it started, and its value; ``note`` says why it was not learned."""
+    """One parameter: its unit, where it started, and its value; ``note``: reason if not learned."""
 
     name: str
     unit: str
@@ -109,23 +109,23 @@ def fit_scene(
     From detections alone: people are found, the parameters under which they are most probable are learned
     from them, and so on (expectation and maximisation, the former by the most probable explanation). From
     labelled tracks: the same parameters, of the people who are given. Raise InputError if the input cannot be
-    read, nobody is found in it, or labels are asked for and not there.
+    read, no people are found, or requested labels are missing.
 
     Parameters
     ----------
     detections : one recording, in any form that `associate` takes. Where identities are given, rows with the
         identity −1 and tracks with the label "false" are false detections
     model : what the scene is learned for; its own scene is where learning begins. By default "full"
-    labelled : whether the identities that are there are used; None: if there are any
-    hold_out : share of the recording, at its end, that only judges, in [0, 0.9]
+    labelled : True to use the existing identities; None: if there are any
+    hold_out : share of the recording, at its end, held out for validation, in [0, 0.9]
     progress : called with sweeps done and sweeps in all
     **options : of reading, as in `associate`
 
     Returns
     -------
     SceneFit
-        Whose model has in its scene what the recording shows; what it does not, such as the noise of
-        detections that all say their own, is left out, to be learned where the model is used.
+        Its model has the identified parameters of the scene; the others, such as the noise of detections that
+        all declare their own, are left out, to be learned where the model is used.
     """
     model = Model.named(model)
     if not 0.0 <= hold_out <= 0.9:
@@ -146,7 +146,7 @@ def fit_scene(
         association = associate_detections(training, progress=progress, start=start, rounds=ROUNDS)
         explained, found = _Explained.of(training, association.identity), association.scene
     if explained.identity.max() < 0:
-        raise InputError("nobody in the detections that are learned from", "people", path=rows.path)
+        raise InputError("no people in the training detections", "people", path=rows.path)
     learned = tuple(_told(explained, labelled, start, found))
     shown: dict[str, Any] = {one.name: one.value for one in learned if not one.note}
     best = model.with_scene({**model.scene, **shown})
@@ -164,14 +164,14 @@ def fit_scene(
 
 @dataclass(frozen=True, eq=False)
 class _Explained:
-    """Detections and whose they are: (n,) from 0; −1: false."""
+    """Detections and their identities (n,) from 0; −1: false."""
 
     detections: Detections
     identity: NDArray[np.int64]
 
     @classmethod
     def of(cls, detections: Detections, identity: NDArray[np.int64]) -> _Explained:
-        """With the identities numbered anew, without any left out."""
+        """Return a copy with consecutive identities."""
         known = identity >= 0
         numbers = np.full(len(identity), -1)
         numbers[known] = np.unique(identity[known], return_inverse=True)[1]
@@ -179,7 +179,7 @@ class _Explained:
 
     @property
     def std(self) -> NDArray[np.float64]:
-        """(n,) metres that detections say themselves; NaN: they do not."""
+        """(n,) declared 1-σ of detections in metres; NaN: none."""
         return self.detections.channels.get("position_std", np.full(len(self.detections), np.nan))
 
     def chains(self, scene: SceneParameters) -> Chains:
@@ -216,7 +216,7 @@ def _recording(rows: Rows, labelled: bool) -> tuple[Detections, NDArray[np.int64
 
 
 def _split(recording: Detections, hold_out: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The detections that are learned from, and those at the end that judge, if there are a few frames."""
+    """Return the training detections, and those held out at the end, if there are enough frames."""
     step = recording.step
     first = round((1.0 - hold_out) * (int(step[-1]) + 1))
     before, after = np.flatnonzero(step < first), np.flatnonzero(step >= first)
@@ -241,11 +241,11 @@ def _climbed(explained: _Explained, start: SceneParameters) -> SceneParameters:
 def _told(
     explained: _Explained, labelled: bool, start: SceneParameters, found: SceneParameters
 ) -> Iterable[LearnedOfScene]:
-    """All parameters that can be learned, and why those were not that the recording does not show."""
+    """Return all learnable parameters, with the reasons for those that the recording does not identify."""
     chains = explained.chains(found)
     seen = np.isfinite(chains.facing).sum(axis=0)
     absent = {
-        "position_std": "all detections say their own" * bool(np.isfinite(explained.std).all()),
+        "position_std": "all detections declare their own" * bool(np.isfinite(explained.std).all()),
         "occlusion_seconds": "no gap in any track" * (not gaps_of(chains, explained.identity).any()),
     }
     if labelled and (explained.identity >= 0).all():

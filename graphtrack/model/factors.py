@@ -344,7 +344,7 @@ def factorise(
     residual: FloatArray,
     jacobian: FloatArray,
 ) -> None:
-    """Rows whose squares are a cost, with its gradient and its Gauss–Newton block.
+    """Rows of a least-squares form of a cost, with its gradient and its Gauss–Newton block.
 
     ``gradients`` (2, 6) and ``hessians`` (3, 6, 6; lower triangles of two frames, and the block between) are
     reset to zero; ``columns`` (n,) of the 12 degrees of freedom; ``residual``, ``jacobian`` (n + 1, …) are

@@ -131,14 +131,14 @@ def add_frame(
     problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
     turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
 ) -> Any:
-    """Add the terms that arrive with frame k of a track; returns their cost.
+    """Add the terms of frame k of a track; returns their cost.
 
-    ``links``: those between the frame and the one before; ``own``: those of the frame alone. ``turns`` (n, 4)
-    must have been noted of the frame before, and are noted of frame k.
+    ``links``: terms between the frame and the previous one; ``own``: terms of the frame alone. ``turns``
+    (n, 4) are read for the previous frame, and set for frame k.
     """
     place = problem.offsets[track] + k
     frame, state, shared = problem.records[place], states[k], problem.shared[0]
-    # Sums: kernels are compiled once more for each constant that they are given.
+    # Sums: kernels are compiled again for each constant argument.
     at_body, at_head = BODY + 0, HEAD + 0
     body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
     head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
@@ -153,7 +153,7 @@ def add_frame(
 _CUT = '''
 @compiled
 def cut(frame: Any) -> None:
-    """Take a frame's links to the one before out of its record."""
+    """Remove a frame's links to the previous one from its record."""
 '''
 
 _QUARTERS = '''
@@ -162,7 +162,7 @@ def set_quarter_turns(
     problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
     body: Any, head: Any,
 ) -> None:
-    """Find what frame k costs with body or head at the directions ``turns``, and a quarter, two and three on.
+    """Costs of frame k with body or head at the directions ``turns``, and at their quarter turns.
 
     ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
     filled in. ``gradient`` and ``hessian`` are memory.

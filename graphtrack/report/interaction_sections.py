@@ -123,7 +123,7 @@ def _looks_section(behaviour: Behaviour, attention: Sequence[Attention], tracks:
     )
     missing = sorted(set(attention[0].places) - {place.name for place in behaviour.places})
     notes = (
-        (Note(f"Where {', '.join(missing)} is was not said: looks there are in no map."),) if missing else ()
+        (Note(f"No position of {', '.join(missing)} was given: gaze there is in no map."),) if missing else ()
     )
     return Section("Looks", (*pictures, *notes, *_dwell(summary), _persons(summary), *_mutual(summary)))
 

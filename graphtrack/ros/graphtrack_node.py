@@ -1,8 +1,8 @@
-"""The node: subscribes to a topic that tells of people and publishes what is known of them.
+"""ROS 2 node: subscribes to a topic with people, and publishes their estimates.
 
     python -m graphtrack.ros.graphtrack_node --ros-args -p topic:=/people -p fixed_frame:=map
 
-Only here ROS itself (rclpy) is needed, and the packages of the messages.
+Only this module needs ROS itself (rclpy) and the message packages.
 """
 
 from __future__ import annotations
@@ -73,14 +73,14 @@ class GraphtrackNode(Node):
         self.create_subscription(_class_of(given["type"]), given["topic"], self.take, _DEPTH)
 
     def take_transforms(self, message: Any, *, static: bool) -> None:
-        """Take in what tf says."""
+        """Process a tf message."""
         try:
             self._live.take_transforms(message, static=static)
         except GraphtrackError as error:
             self.get_logger().warning(str(error))
 
     def take(self, message: Any) -> None:
-        """Take in a message, and publish what is then known."""
+        """Process a message, and publish the estimates."""
         try:
             told = self._live.take(message, self.get_clock().now().nanoseconds)
         except GraphtrackError as error:
@@ -90,7 +90,7 @@ class GraphtrackNode(Node):
             self.publish(told)
 
     def publish(self, told: Told) -> None:
-        """Publish what is known."""
+        """Publish the estimates."""
         header = header_of(make, told.stamp, told.frame_id)
         for kind, publisher in self._told_on.items():
             if kind == GROUP:

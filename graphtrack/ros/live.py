@@ -1,4 +1,4 @@
-"""Messages in as they come, what is known of everybody out: what the node does, without ROS."""
+"""Estimates of all people from incoming messages: the logic of the node, without ROS."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
 from graphtrack.smoothing import OnlineTracker
 
-_GONE = 5.0  # seconds without a sight of somebody with a name after which they are forgotten
+_GONE = 5.0  # seconds without observation after which a named person is dropped
 
-_KEPT = 30 * SECOND  # nanoseconds for which transforms are kept
+_KEPT = 30 * SECOND  # buffer length of transforms in nanoseconds
 
 _JUMP = SECOND
-"""By how much stamps may go back, as messages overtake each other; further back a new recording begins."""
+"""Largest step back of stamps, for reordered messages; a larger step starts a new recording."""
 
-_LOOKS = 0.5  # probability from which somebody is said to look at somebody
+_LOOKS = 0.5  # smallest probability of a reported gaze target
 
 _CHANNELS = {
     "position_std": "pos_std",
@@ -46,10 +46,10 @@ class Told:
     Attributes
     ----------
     stamp : nanoseconds, of the message
-    frame_id : the frame of reference of what is told
-    people : everybody who is there
-    groups : the names of those who are in a group, by its number
-    gazes : who looks at whom
+    frame_id : the frame of reference of the estimates
+    people : all present people
+    groups : names of the members of each group, by its number
+    gazes : observer and target of each gaze
     """
 
     stamp: int
@@ -60,16 +60,16 @@ class Told:
 
 
 class Live:
-    """Follows everybody of whom the messages of a topic tell.
+    """Tracker of all people in the messages of a topic.
 
-    People with names are followed by these; those without are told apart by `OnlineTracker`.
+    People with names keep them as identities; `OnlineTracker` assigns identities to the others.
 
     Parameters
     ----------
     kind : the type of the messages, one of `graphtrack.io.formats.ros_bag.OF_PEOPLE`
     model, lag : as in `OnlineSmoother`
-    fixed_frame : to which tf brings all places; None: that of the messages
-    behaviour : whether groups and looks are told
+    fixed_frame : frame into which tf transforms all positions; None: that of the messages
+    behaviour : True to report groups and gaze
     """
 
     def __init__(
@@ -97,26 +97,26 @@ class Live:
         self._groups, self._attention = OnlineGroups(), OnlineAttention()
 
     def take_transforms(self, message: Any, *, static: bool = False) -> None:
-        """Take in a message of ``/tf``, or of ``/tf_static``."""
+        """Process a message of ``/tf`` or ``/tf_static``."""
         self.transforms.add(message.transforms, static=static)
         if self._last is not None:
             self.transforms.forget(self._last - _KEPT)
 
     def take(self, message: Any, received: int | None = None) -> Told | None:
-        """Take in a message of the topic.
+        """Process a message of the topic.
 
         Parameters
         ----------
-        received : when it came (ns); the time of a message that nobody stamped
+        received : time of arrival (ns); the time of a message without a stamp
 
         Returns
         -------
-        Told, or None where it comes too late to say anything new
+        Told, or None if it arrives too late to change the estimates
 
         Raises
         ------
         InputError
-            For a message that cannot be used.
+            For an invalid message.
         """
         frame = frame_of(message, self._kind)
         if frame.stamp == 0 and received is not None:
@@ -144,7 +144,7 @@ class Live:
     def _estimates(
         self, t: float, names: list[str], seen: list[Observation]
     ) -> dict[int, tuple[str, Estimate, float]]:
-        """Number → name, estimate and how sure it is, of everybody who is there."""
+        """Return number → name, estimate and its probability, of all present people."""
         if not any(names) and not self._named:
             if self._tracker is None:
                 self._tracker = OnlineTracker(self._model, lag=self._lag)

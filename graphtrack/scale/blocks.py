@@ -1,8 +1,8 @@
-"""Data association of recordings larger than memory: block by block of time, each by itself.
+"""Data association of recordings larger than memory, in independent blocks of time.
 
 Blocks overlap. In the middle of an overlap the people of the later block take over; they are those of the
-earlier one with whom they have most detections in common. So blocks can be associated anywhere and in any
-order, and what comes out does not depend on it.
+earlier block that share most detections with them. So blocks can be associated anywhere and in any
+order, with the same result.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from graphtrack.tracks.track import TrackSet, to_columns
 IntArray = NDArray[np.int64]
 
 LEAST_OVERLAP = 3.0
-"""Overlap of two blocks, in longest gaps: in its middle both have seen a gap on either side, and more."""
+"""Overlap of two blocks, in longest gaps: its middle has more than a gap of context on either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Associated:
 
 @dataclass(frozen=True)
 class AssociationOutcome:
-    """What became of a data set of detections: people, rows that were written, detections, and blocks."""
+    """Result for a data set of detections: people, rows written, detections, and blocks."""
 
     people: int
     n_frames: int
@@ -90,7 +90,7 @@ def associate_dataset(
     read_options: ReadOptions | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> AssociationOutcome:
-    """Find out who is who in a Parquet data set of detections, and write it as one Parquet file.
+    """Associate a Parquet data set of detections, and write the tracks as one Parquet file.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def associate_block(
     rows = with_identities(native, known)
     tracks = with_every_frame(TrackSet.from_rows(rows), SceneParameters(**known).longest_filled)
     found = to_columns(tracks)
-    # Nobody has two detections in a frame.
+    # A person has at most one detection in a frame.
     keys, width = rows.track_id * (1 + rows.frame.max()) + rows.frame, 1 + rows.frame.max()
     order = np.argsort(keys)
     wanted = found["track_id"] * width + found["frame"]

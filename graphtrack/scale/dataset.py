@@ -64,7 +64,7 @@ class Dataset:
     columns : the columns that any file has, in the order of writing
     ignored : columns that are not of the native table
     names : column of the native table → its name in the files, where that is another well-known one
-    notes : of what was read as what
+    notes : on columns read under other names
     labels : what the numbers in the column ``label`` stand for; it grows as blocks are read
     """
 
@@ -155,7 +155,7 @@ def open_dataset(path: str | Path) -> Dataset:
     ------
     InputError
         If nothing is there, a file is not Parquet or has a column twice, no file has rows, or a well-known
-        name says another unit than seconds or metres.
+        name has another unit than seconds or metres.
     """
     path = Path(path)
     files: list[DataFile] = []
@@ -182,7 +182,7 @@ def open_dataset(path: str | Path) -> Dataset:
 
 
 def _well_known(names: list[str], path: Path) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Column of the native table → its name, where that is another well-known one; and what to say of it."""
+    """Return column of the native table → its other well-known name, and notes on it."""
     found, notes = with_synonyms(names, ReadOptions(), path)
     if not isinstance(found.columns, Mapping):
         return {}, notes

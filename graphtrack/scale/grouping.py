@@ -1,4 +1,4 @@
-"""From rows in any order to batches of whole tracks, in bounded memory.
+"""Grouping of rows in any order into batches of complete tracks, in bounded memory.
 
 One pass over the track ids counts the rows of each. Where the ids ascend throughout, batches are cut from the
 rows as they come. Otherwise rows go through a file on disk: runs of rows are sorted by track and written one
@@ -41,7 +41,7 @@ class Index:
     grouped: bool
 
     def cut(self, batch_frames: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First track id and number of rows of each batch: whole tracks until ``batch_frames`` is reached."""
+        """Return first track id and number of rows of each batch: complete tracks up to ``batch_frames``."""
         ends = np.cumsum(self.count)
         starts, start = [], 0
         while start < len(ends):
@@ -122,7 +122,7 @@ def _check_keys(dataset: Dataset, seen: dict[tuple[tuple[str, str], ...], NDArra
 
 
 def batches(dataset: Dataset, index: Index, batch_frames: int, scratch: Path) -> Iterator[FloatArray]:
-    """The rows of whole tracks as `Dataset.blocks` has them; tracks ascend from batch to batch.
+    """Yield rows of complete tracks in the form of `Dataset.blocks`; tracks ascend from batch to batch.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def _cut(dataset: Dataset, sizes: NDArray[np.int64]) -> Iterator[FloatArray]:
             have += len(parts[-1])
         rows = np.concatenate(parts)
         yield rows[:size]
-        # A copy, so that what follows does not keep the whole batch alive.
+        # A copy, so that later code does not keep the whole batch alive.
         parts, have = [rows[size:].copy()], have - size
 
 

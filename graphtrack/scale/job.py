@@ -1,4 +1,4 @@
-"""`smooth_dataset`: a data set in, one Parquet file out, with the memory of a few batches."""
+"""`smooth_dataset`: smooth a data set into one Parquet file, with the memory of a few batches."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Outcome:
 
 
 class _NothingSmoothed(Exception):
-    """Every track failed: the file that would be empty is not put in its place."""
+    """Every track failed; the empty output is discarded."""
 
 
 def smooth_dataset(
@@ -82,8 +82,8 @@ def smooth_dataset(
     Parameters
     ----------
     dataset : a Parquet file, or a folder of them that together are one native table
-    output : the Parquet file to write, outside of the data set. It is there whole or, on any failure, not at
-        all; nor is it written when no track could be smoothed. Temporary files lie beside it.
+    output : the Parquet file to write, outside of the data set. It is written atomically, and not
+        at all if no track could be smoothed. Temporary files are placed next to it.
     model, engine, options : as in `graphtrack.solve`
     jobs : as in `graphtrack.solve`; with ``cluster="local"`` processes with a batch each, by default one for
         each processor
@@ -192,7 +192,7 @@ def _write(
 
 
 def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
-    """The columns that the estimates of a data set can have, in the order of writing."""
+    """Return the possible columns of a data set's estimates, in the order of writing."""
     names = {"track_id", "frame", "t", "x", "y", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"}
     for name, has in (("body", model.has_body), ("head", model.has_head)):
         if has:
@@ -203,10 +203,10 @@ def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
 
 
 def _with_camera(dataset: Dataset, options: ReadOptions) -> tuple[ReadOptions, tuple[str, ...]]:
-    """The options with the camera that they name, so that workers need none of its files."""
+    """Return the options with their camera loaded, so that workers do not need its files."""
     if not {"u", "v"} <= set(dataset.columns):
         return options, ()
-    # Which side of the horizon is seen: the first pixels tell.
+    # The first pixels determine the visible side of the horizon.
     pixel = next(dataset.blocks(("u", "v")))[:, :2]
     camera, notes = known_camera(options, pixel)
     if camera is None and options.metres_per_pixel is not None:

@@ -1,6 +1,6 @@
-"""One batch: from the rows of some whole tracks to the columns of their estimates. It runs on any worker.
+"""One batch: from the rows of complete tracks to the columns of their estimates, on any worker.
 
-Batches on a Dask cluster: in order, a few at a time, again elsewhere when a worker is lost.
+Batches on a Dask cluster run in order, a few at a time, and are repeated elsewhere if a worker is lost.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Rows of whole tracks.
+    """Rows of complete tracks.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Shard:
 
 
 def smooth_batch(work: Work, batch: Batch) -> Shard:
-    """Check and smooth the tracks of a batch; one that fails does not keep the others from coming out."""
+    """Check and smooth the tracks of a batch; a failing track does not affect the others."""
     here = version("graphtrack")
     if here != work.version:
         raise InputError(f"graphtrack {here} on a worker", f"{work.version}, as where the job was started")
@@ -142,7 +142,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
 
 
 def _in_order(rows: FloatArray) -> tuple[FloatArray, int]:
-    """The rows by track and frame, and the number of tracks whose frames did not come in order."""
+    """Return the rows sorted by track and frame, and the number of tracks with frames out of order."""
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     back = (np.diff(rows[:, 0]) == 0) & (np.diff(rows[:, 1]) < 0)
     return rows[np.lexsort((rows[:, 1], rows[:, 0]))], len(np.unique(rows[1:, 0][back]))
@@ -152,13 +152,13 @@ B = TypeVar("B")
 R = TypeVar("R")
 
 AHEAD = 2
-"""Batches in the hands of the cluster for each of its threads: one that runs and one that waits."""
+"""Batches per thread of the cluster: one running and one waiting."""
 
 ALONE = 60.0
-"""Seconds after which a cluster without any worker is given up."""
+"""Seconds after which a cluster without workers is abandoned."""
 
 _LOOK = 2.0
-"""Seconds between two looks at whether there still are workers."""
+"""Interval in seconds of the check for workers."""
 
 
 def on_cluster(work: Callable[[B], R], given: Iterable[B], address: str, jobs: int | None) -> Iterator[R]:
@@ -231,7 +231,7 @@ def _client(address: str, jobs: int | None) -> Iterator[Any]:
     import distributed
 
     with ExitStack() as stack:
-        # A batch inside its task is what is wanted here, and lost workers are told by the result.
+        # The batch is meant to be inside its task, and lost workers are reported by the result.
         stack.enter_context(dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GiB"}))
         stack.enter_context(_silence("distributed"))
         if address == "local":
@@ -246,7 +246,7 @@ def _client(address: str, jobs: int | None) -> Iterator[Any]:
         else:
             where = address
         try:
-            # A client that cannot connect complains again when it is collected: knock first.
+            # A client that cannot connect warns again when it is collected: test the address first.
             if where is address:
                 asyncio.run(_knock(address))
             client = distributed.Client(where, set_as_default=False)
@@ -258,7 +258,7 @@ def _client(address: str, jobs: int | None) -> Iterator[Any]:
 
 
 async def _knock(address: str) -> None:
-    """Connect to a scheduler and hang up; raises OSError (of which TimeoutError is one) if none answers."""
+    """Connect to a scheduler and hang up; raises OSError (such as TimeoutError) if none answers."""
     import dask
     import distributed
 

@@ -114,7 +114,7 @@ def detect(
 
     False detections are uniform in the bounding box of all true positions of the recording, in every frame
     from the first to the last. An occlusion is placed at random within its person's track, except the first
-    and last frames. Raise InputError for amounts that are none, and if nobody is
+    and last frames. Raise InputError for invalid amounts, and if no person is
     anywhere.
 
     Parameters
@@ -141,7 +141,7 @@ def sampled(tracks: TrackSet, every: float) -> TrackSet:
     Values are interpolated linearly between two rows of a person, angles the shorter way round. Rows without
     a position are skipped. Only positions, orientations and their truth are sampled. People absent at all of
     the times are left out, with a note. Raise InputError for
-    a time that is not positive, and if nobody is there at any of them.
+    a time that is not positive, and if no person is present at any of them.
 
     ``every``: seconds from a frame to the next
     """
@@ -156,7 +156,7 @@ def sampled(tracks: TrackSet, every: float) -> TrackSet:
     grid = first + every * np.arange(int(np.floor(count + 1e-6)) + 1)
     found = [one for track in tracks if (one := _sampled_track(track, grid, every)) is not None]
     if not found:
-        raise InputError(f"nobody at any time every {every:g} s", "a shorter time between the frames")
+        raise InputError(f"no person at any time every {every:g} s", "a shorter time between the frames")
     note = f"sampled every {every:g} s: {counted(len(grid), 'frame')}"
     if len(found) < len(tracks):
         note += f", {counted(len(tracks) - len(found), 'track')} between them left out"

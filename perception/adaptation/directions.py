@@ -241,10 +241,7 @@ CLASSES = PoseClasses.circle(8)
 """Of bodies and heads."""
 
 _FOLDS = 5
-_CHOICES = (
-    (1.0, 0.0),
-    (3.0, 0.0),
-)  # shrinkage and total weight of rendered people, chosen on held-out people
+_CHOICES = ((1.0, 0.0), (3.0, 0.0))  # shrinkage, weight of rendered people; chosen on held-out people
 _CHOICES_WITH_RENDERED = ((10.0, 1.0), (10.0, 3.0))  # further choices with rendered people
 _NEVER = 100.0  # log density penalty of a direction without walkers
 _LEAST_PEOPLE = 2  # least number of people for an observed direction, or its mirror image

@@ -433,7 +433,7 @@ def _card(
     ):
         if without.any():
             views = ", ".join(f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[without].tolist())
-            fails += f"; nobody walked at {views} to the camera: {of_those}"
+            fails += f"; no walking people at {views} to the camera: {of_those}"
     return ModelCard(CameraModels.kind, said, fails, len(labels), parameters, figures)
 
 

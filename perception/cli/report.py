@@ -113,7 +113,7 @@ def _of_rate(frames: FrameSource, clock: Clock, fps: float | None) -> str:
     source = (
         "as given"
         if fps
-        else "as the video says"
+        else "from the video"
         if frames.fps
         else "assumed: neither the video nor --fps gives it"
     )
@@ -186,7 +186,7 @@ class _Run:
             except ViewUnknown as error:
                 height = self.person_height
                 return [
-                    f"no camera is known ({error.found}): positions are pixels times a scale, with the "
+                    f"no camera is known ({error.found}): positions are pixels times a scale at which the "
                     f"median box is {height:g} m high, without perspective; directions are approximate"
                 ]
             found.write(place)

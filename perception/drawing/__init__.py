@@ -1,1 +1,1 @@
-"""People, trackers and their cues, drawn into frames."""
+"""Drawing of people, trackers and their cues into frames."""

@@ -1,4 +1,4 @@
-"""Marks in pictures: text, boxes, arrows, fans of directions; a person's cues (Chen et al. 2011, Fig. 5)."""
+"""Drawing of text, boxes, arrows, sectors of directions, and a person's cues (Chen et al. 2011, Fig. 5)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from perception.pose.classes import PoseClasses
 Colour = tuple[int, int, int]
 """Blue, green, red."""
 Place = Callable[[FloatArray], FloatArray]
-"""From points (n, 2) of a plane, about a person, in lengths of an arrow, to pixels (n, 2)."""
+"""Maps points (n, 2) of a plane around a person, in arrow lengths, to pixels (n, 2)."""
 
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 DARK: Colour = (40, 40, 40)
@@ -28,23 +28,23 @@ LIGHT: Colour = (245, 245, 245)
 _LEAST_HEIGHT = 400
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 FRACTION = 4
-"""Bits behind the point of the pixels that OpenCV draws."""
+"""Fractional bits of OpenCV's pixel coordinates."""
 _DASH = 6
-_FARTHEST = 2.0**20  # pixels: farther away OpenCV's numbers do not reach
+_FARTHEST = 2.0**20  # pixels: largest coordinate in OpenCV
 _LIKELY = 0.95
 _STEP = np.deg2rad(3.0)
 _BETWEEN = np.deg2rad(0.7)
 _FAINTEST, _STRONGEST = 0.12, 0.6
-_REACH = 1.7  # lengths of an arrow that a sector reaches
+_REACH = 1.7  # radius of a sector in arrow lengths
 
 
 def enlargement(image: Image) -> int:
-    """Factor by which an image is enlarged before it is drawn on, so that marks can be told apart."""
+    """Return the factor by which an image is enlarged before drawing, for legible marks."""
     return max(1, -(-_LEAST_HEIGHT // image.shape[0]))
 
 
 def enlarged_image(image: Image) -> Image:
-    """A copy of an image to draw on, `enlargement` times as large."""
+    """Return a copy of an image to draw on, `enlargement` times as large."""
     factor = enlargement(image)
     if factor == 1:
         return image.copy()
@@ -52,19 +52,19 @@ def enlarged_image(image: Image) -> Image:
 
 
 def line_width(picture: Image) -> int:
-    """Pixels of a line that is seen in a picture of this size."""
+    """Return the line width in pixels for an image of this size."""
     return max(1, round(picture.shape[0] / 450))
 
 
 def person_colour(track_id: int) -> Colour:
-    """A colour for a person, always the same, and far from those of the ids next to it."""
+    """Return a constant colour for a person, distinct from those of neighbouring ids."""
     hue = (0.08 + track_id * _GOLDEN) % 1.0
     red, green, blue = colorsys.hsv_to_rgb(hue, 0.75, 1.0)
     return round(255 * blue), round(255 * green), round(255 * red)
 
 
 def points(pixel: ArrayLike) -> NDArray[Any]:
-    """Pixels (n, 2) as OpenCV draws them with ``shift=FRACTION``."""
+    """Convert pixels (n, 2) to OpenCV's fixed point with ``shift=FRACTION``."""
     inside = np.clip(np.asarray(pixel, float), -_FARTHEST, _FARTHEST)
     return np.asarray((inside * 2**FRACTION).round(), np.int32)
 
@@ -80,7 +80,7 @@ def box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
 
 
 def dashed_box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
-    """Draw a box (left, top, width, height) of dashes."""
+    """Draw a dashed box (left, top, width, height)."""
     corners = _corners(values)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         count = max(1, round(float(np.linalg.norm(end - start)) / (_DASH * width)))
@@ -91,14 +91,14 @@ def dashed_box(picture: Image, values: ArrayLike, colour: Colour, width: int) ->
 
 
 def text(picture: Image, words: str, corner: tuple[int, int], colour: Colour, size: float) -> None:
-    """Words with a dark edge, so that they are read on anything; the corner is their lower left."""
+    """Draw text with a dark edge, for contrast; the corner is its lower left."""
     width = max(1, round(2.2 * size))
     cv2.putText(picture, words, corner, FONT, size, DARK, width + 2, cv2.LINE_AA)
     cv2.putText(picture, words, corner, FONT, size, colour, width, cv2.LINE_AA)
 
 
 def arrow(picture: Image, place: Place, angle: float, colour: Colour, width: int) -> None:
-    """From the middle of a plane in a direction (radians) of it; not drawn where the plane is not seen."""
+    """Draw an arrow from the middle of a plane in a direction (radians), if the plane is visible."""
     ends = place(np.array([[0.0, 0.0], unit(angle)]))
     if not np.isfinite(ends).all():
         return
@@ -108,7 +108,7 @@ def arrow(picture: Image, place: Place, angle: float, colour: Colour, width: int
 
 
 def likely(distribution: FloatArray) -> NDArray[np.bool_]:
-    """The fewest classes (n,) that together hold 95 % of a distribution (n,)."""
+    """Return a mask of the fewest classes (n,) with together 95 % of a distribution (n,)."""
     order = np.argsort(-distribution, kind="stable")
     before = np.cumsum(distribution[order]) - distribution[order]
     chosen = np.zeros(len(distribution), bool)
@@ -117,13 +117,13 @@ def likely(distribution: FloatArray) -> NDArray[np.bool_]:
 
 
 def peak(distribution: FloatArray, classes: PoseClasses) -> float:
-    """Direction (radians) of the greatest class of a circle and its two neighbours, weighed."""
+    """Return the direction (radians) of the largest class and its two neighbours, weighted."""
     near = (int(distribution.argmax()) + np.array([-1, 0, 1])) % len(distribution)
     return float(direction(distribution[near] @ unit(classes.pan[near])))
 
 
 def fan(picture: Image, place: Place, distribution: FloatArray, classes: PoseClasses, colour: Colour) -> None:
-    """The `likely` classes of a direction as sectors of a circle, the likelier the stronger.
+    """Draw the `likely` classes of a direction as sectors, with opacity by likelihood.
 
     Parameters
     ----------
@@ -139,9 +139,9 @@ def fan(picture: Image, place: Place, distribution: FloatArray, classes: PoseCla
 
 
 def sector(picture: Image, place: Place, angle: float, half: float, colour: Colour) -> None:
-    """The part of a circle about a direction (radians), so wide to each side; the narrower the stronger.
+    """Draw a sector about a direction (radians), with a half width; narrower sectors are more opaque.
 
-    It reaches beyond an arrow in that direction, which would hide a narrow one.
+    It extends beyond an arrow in that direction, which would hide a narrow sector.
     """
     across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
     edge = place(np.vstack([[0.0, 0.0], _REACH * unit(angle + across)]))
@@ -152,7 +152,7 @@ def sector(picture: Image, place: Place, angle: float, half: float, colour: Colo
 
 
 def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> None:
-    """Fill a polygon (n, 2), the picture shining through; only the part that it covers is touched."""
+    """Fill a polygon (n, 2) transparently."""
     h, w = picture.shape[:2]
     left, top = np.clip(np.floor(edge.min(axis=0)) - 1, 0, (w, h)).astype(int)
     right, bottom = np.clip(np.ceil(edge.max(axis=0)) + 2, 0, (w, h)).astype(int)
@@ -171,7 +171,7 @@ def planes(
     radii: tuple[float, float],
     shown: Place,
 ) -> tuple[Place, Place]:
-    """The ground at a person's feet, and the same moved to the middle of the head.
+    """Return the ground plane at a person's feet, and its copy moved to the middle of the head.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def planes(
     position : (2,) metres, of the feet
     head : (2,) pixels of the image
     radii : metres on the ground of an arrow's length, at the feet and at the head
-    shown : from pixels of the image to those of the picture
+    shown : maps pixels of the image to pixels of the drawing
     """
     feet = camera.ground_to_image(position)
 
@@ -193,7 +193,7 @@ def planes(
 
 
 def identity(picture: Image, track_id: int, box: FloatArray, colour: Colour, width: int) -> None:
-    """A person's id above their box (4,), both in pixels of the picture."""
+    """Draw a person's id above their box (4,), in pixels of the drawing."""
     left, top = box[:2].round().astype(int).tolist()
     text(picture, str(track_id), (max(left, 2), max(top - 4, 14)), colour, 0.3 + 0.25 * width)
 
@@ -203,7 +203,7 @@ _BODY: Colour = (60, 60, 235)
 _HEAD: Colour = (40, 220, 245)
 _BOX: Colour = (235, 160, 60)
 _TRUE: Colour = (120, 220, 90)
-_GROWN = 0.15  # of the box's height, above and below, that is shown besides
+_GROWN = 0.15  # margin above and below, in heights of the box
 _ASPECT = 0.75
 
 
@@ -229,7 +229,7 @@ class Cues:
 
 
 def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320) -> Image:
-    """The part of a frame about a person, with circles of 50 cm at the feet (body) and at the head.
+    """Draw the part of a frame around a person, with circles of 50 cm at the feet (body) and at the head.
 
     As in Chen et al. 2011, Fig. 5: the detection is dashed, the head's box solid; thin lines are the
     likeliest classes of the frame alone, thick arrows the estimates. Green ticks on the circles are the

@@ -1,4 +1,4 @@
-"""People drawn into their frames: as observed, as estimated, and as a tracker follows one."""
+"""Drawing of observed, estimated and tracked people into their frames."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class DrawnPerson:
 
     Attributes
     ----------
-    track_id : whose colour it has
+    track_id : determines the colour
     box, head_box : (4,) left, top, width, height in pixels
     position : (2,) metres
     body, head : (8,) and (12,) likelihoods in the world; they sum to 1
@@ -44,7 +44,7 @@ class DrawnPerson:
 
 
 def people_by_frame(observed: SeenTracks, frames: Mapping[int, SeenFrame]) -> dict[int, list[DrawnPerson]]:
-    """Return the people to draw in each frame, of tracks and the frames that they were made of."""
+    """Return the people to draw in each frame, from tracks and their observations."""
     row_of = {
         (track.track_id, frame): (track, row)
         for track in observed.tracks
@@ -70,11 +70,10 @@ def people_by_frame(observed: SeenTracks, frames: Mapping[int, SeenFrame]) -> di
 
 
 def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera: GroundCamera) -> Image:
-    """A frame with people's boxes and ids in colours of their own, and where bodies and heads point.
+    """Draw a frame with people's boxes and ids in individual colours, and body and head directions.
 
-    At the feet a fan lies on the ground: the directions that hold 95 % of the body's likelihood, the likelier
-    the stronger, and an arrow at the likeliest. At the head is the head's, light, as it would lie on the
-    ground below.
+    Sectors on the ground at the feet show the directions with 95 % of the body's likelihood, with opacity by
+    likelihood, and an arrow the likeliest one. Lighter sectors at the head show the same for the head.
 
     Parameters
     ----------
@@ -83,8 +82,8 @@ def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera
     """
     picture, factor = marks.enlarged_image(image), marks.enlargement(image)
     width = marks.line_width(picture)
-    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # near is in front
-    for person in people:  # fans first, so that they hide no box
+    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # nearer people in front
+    for person in people:  # sectors first, so that they hide no box
         on_ground, at_head = _planes(person, camera, factor)
         marks.fan(picture, on_ground, person.body, _BODY, marks.person_colour(person.track_id))
         marks.fan(picture, at_head, person.head, _HEAD, marks.LIGHT)
@@ -106,8 +105,8 @@ def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Pla
 
 
 _TRACKED_RADII = 0.8, 0.6  # metres on the ground, of the arrows of body and head
-_HEAD_BELOW = 0.08  # height of the head's middle below the top of a box, in its heights
-_INTERVAL = 1.96  # standard deviations to each side, of the sectors that hold 95 %
+_HEAD_BELOW = 0.08  # depth of the head's middle below the top of a box, in its heights
+_INTERVAL = 1.96  # half width of 95 % sectors, in standard deviations
 _WIDEST = np.pi
 
 
@@ -117,12 +116,12 @@ class ShownPerson:
 
     Attributes
     ----------
-    track_id : whose colour it has
+    track_id : determines the colour
     box : (4,) left, top, width, height in pixels
-    seen : whether somebody was seen there; else the box is where it should be
+    seen : whether the person was observed; else the box is predicted
     position : (2,) metres
     body, body_std, head, head_std : radians; NaN where not known
-    path : (n, 2) pixels, on the ground, of the last seconds
+    path : (n, 2) pixels on the ground, of the last seconds
     """
 
     track_id: int
@@ -137,20 +136,20 @@ class ShownPerson:
 
 
 def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera: GroundCamera) -> Image:
-    """A frame with people's boxes, identities and paths, in colours that each person keeps.
+    """Draw a frame with people's boxes, identities and paths, in constant colours.
 
-    At the feet a sector lies on the ground, in which the body points with 95 % probability, and an arrow at
-    the estimate; at the head the same of the head, light. Who was not seen has a dashed box, where the
-    estimate is.
+    A sector on the ground at the feet shows the body direction with 95 % probability, and an arrow the
+    estimate; lighter marks at the head show the same for the head. Unobserved people have dashed boxes at the
+    estimate.
 
     Parameters
     ----------
-    words : in the corner
+    words : text in the corner
     camera : over the ground
     """
     picture, factor = marks.enlarged_image(image), marks.enlargement(image)
     width = marks.line_width(picture)
-    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # near is in front
+    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # nearer people in front
     for person in people:
         path = person.path[np.isfinite(person.path).all(axis=1)] * factor
         if len(path) > 1:
@@ -193,7 +192,7 @@ _ROW = 24
 
 
 def draw(image: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClasses | None = None) -> Image:
-    """A frame with everything in an estimate, and a panel on its right; always of one size for one video.
+    """Draw a frame with an estimate, and a panel on its right; the size is constant for a video.
 
     Parameters
     ----------
@@ -212,13 +211,13 @@ def draw(image: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClas
 
 
 def mean_pan(estimate: BoxEstimate, pan_classes: PoseClasses) -> float:
-    """Circular mean (radians, image frame) of the tracker's distribution of the pan."""
+    """Return the circular mean (radians, image frame) of the tracker's distribution of the pan."""
     assert estimate.pan is not None
     return float(pan_classes.mean_of(estimate.pan))
 
 
 def _particles(shown: Image, estimate: BoxEstimate, factor: int) -> None:
-    """Middles of the particles; the heavier one, the larger."""
+    """Draw the middles of the particles, with size by weight."""
     centres = estimate.particles[:, :2] + estimate.particles[:, 2:] / 2.0
     share = estimate.weights / max(float(estimate.weights.max()), 1e-300)
     for (u, v), weight in zip((centres * factor).round().astype(int).tolist(), share.tolist(), strict=True):
@@ -250,7 +249,7 @@ def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseCl
     cv2.putText(panel, f"frame {number}", (10, 22), FONT, 0.5, _TEXT, 1, cv2.LINE_AA)
     row = 34
     bars = {"confidence": estimate.confidence, **estimate.cues}
-    # Cues are shares; what goes beyond 1, such as reliabilities, is drawn against the greatest.
+    # Cues are in 0…1; larger values, such as reliabilities, are drawn relative to the largest.
     greatest = max(1.0, *(value for value in bars.values() if np.isfinite(value)))
     for name, value in bars.items():
         if row + _ROW > len(panel):
@@ -265,10 +264,10 @@ def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseCl
 
 
 def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
-    """A bar that is full at ``full``."""
+    """Draw a bar with its full length at ``full``."""
     whole = _PANEL_WIDTH - 20
     share = float(np.clip(value / full, 0.0, 1.0)) if np.isfinite(value) else 0.0
-    # OpenCV's letters are ASCII; a long name is written smaller, so that its end is seen.
+    # OpenCV's font is ASCII; long names are written smaller to fit.
     text = f"{name} {value:.2f}".replace("·", " x ").encode("ascii", "replace").decode()
     length = cv2.getTextSize(text, FONT, 0.4, 1)[0][0]
     cv2.putText(panel, text, (10, row + 12), FONT, 0.4 * min(1.0, whole / length), _TEXT, 1, cv2.LINE_AA)
@@ -277,7 +276,7 @@ def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
 
 
 def _clock(panel: Image, middle: tuple[int, int], estimate: BoxEstimate, pan_classes: PoseClasses) -> None:
-    """The distribution of the pan around a circle, 0 below and +90° right, and a hand at its mean."""
+    """Draw the distribution of the pan around a circle, 0 below and +90° right, and a hand at its mean."""
     assert estimate.pan is not None
     centre, radius = np.array(middle), 48.0
     cv2.circle(panel, middle, round(radius), _TRACK, 1, cv2.LINE_AA)
@@ -295,7 +294,7 @@ def _clock(panel: Image, middle: tuple[int, int], estimate: BoxEstimate, pan_cla
 
 
 def _level(panel: Image, middle: tuple[int, int], tilt: float) -> None:
-    """The tilt, seen from the side: level to the right, the hand above it where the head looks up."""
+    """Draw the tilt from the side: level to the right, with the hand above it for a raised head."""
     radius = 48
     cv2.ellipse(panel, middle, (radius, radius), 0, -90, 90, _TRACK, 1, cv2.LINE_AA)
     cv2.line(panel, middle, (middle[0] + radius, middle[1]), _TRACK, 1, cv2.LINE_AA)

@@ -1,7 +1,7 @@
-"""Cameras adapted to themselves: CAVIAR's lobby on other sequences, and Town Centre by every method.
+"""Evaluation of models fitted to a camera: CAVIAR's lobby across sequences, Town Centre by every method.
 
-Nobody is judged by models that saw them. People lean in the lobby's picture; `perception.ground.upright`
-turns them upright.
+All people are held out of the models that evaluate them. People lean in the lobby's images;
+`perception.ground.upright` rotates them upright.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class LobbySequence:
     ----------
     name : of the sequence
     recording : frames and labelled boxes
-    gaze : by frame and person the labelled one, radians in the image frame
+    gaze : labelled gaze by frame and person, radians in the image frame
     """
 
     name: str
@@ -60,7 +60,7 @@ class LobbySequence:
 
 
 def sequences_of(folder: Path) -> list[LobbySequence]:
-    """The lobby's sequences of a CAVIAR folder, as far as their frames are there.
+    """Return the lobby's sequences of a CAVIAR folder with available frames.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def _sequence(path: Path, folder: Path) -> LobbySequence:
 
 
 def _ignore(*values: object) -> None:
-    """Report neither progress nor boxes that hold nothing."""
+    """Suppress reports of progress and of empty boxes."""
 
 
 def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
@@ -99,7 +99,7 @@ def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int]
 
 
 def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
-    """Errors in each sequence by what the others taught."""
+    """Compute errors in each sequence by models fitted to the others."""
     package = PackageModels.load()
     rows = []
     for one in sequences:
@@ -161,7 +161,7 @@ def _sequence_errors(
 def _smoothed(
     seen: list[SeenPerson], models: CameraModels, clock: float | Clock
 ) -> dict[tuple[int, int], float]:
-    """The body as the graph has it, which knows how people move besides, radians in the image frame."""
+    """Return the body angle smoothed by the graph with motion, radians in the image frame."""
     camera = lobby_camera()
     tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, clock).tracks
     found: dict[tuple[int, int], float] = {}
@@ -176,7 +176,7 @@ def _smoothed(
 
 
 def _error(said: dict[tuple[int, int], float], truth: dict[tuple[int, int], float]) -> float | None:
-    """Mean of what is said where the truth is known, degrees."""
+    """Return the mean error where the truth is known, degrees."""
     shared = sorted(said.keys() & truth.keys())
     if not shared:
         return None
@@ -185,21 +185,21 @@ def _error(said: dict[tuple[int, int], float], truth: dict[tuple[int, int], floa
 
 
 PARTS = 2
-"""Into which people are divided."""
+"""Number of folds of people."""
 RATE = 2.5
 """Frames a second of the recording."""
 _MATCH = 1.0
-"""Metres on the ground within which an estimate is of a true person."""
+"""Metres on the ground within which an estimate matches a true person."""
 _WALKING = 0.5
 """Metres a second."""
 _BAND = 1.96
 
 
 def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[TrackSet, GroundCamera, float]:
-    """Town Centre's first minute as a camera sees it that learned from other people.
+    """Observe Town Centre's first minute with models fitted to other people.
 
-    The people who surely walk are divided; each part is looked at by models that learned from the rest. Also
-    the mean of the graph's ``class_outlier_probability`` by these.
+    Walking people are divided into folds; each is observed with models fitted to the rest. Also returns the
+    mean of the graph's ``class_outlier_probability`` of these models.
     """
     camera = read_calibration(folder / "calibration.ci")
     frames = FrameSource.open(folder / "frames_001_150" / "img1")
@@ -234,7 +234,7 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
 
 
 def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
-    """Position, body and head of those who walk, and identities, by every method of `perception report`."""
+    """Evaluate position, body and head of walking people, and identities, by every method of the report."""
     tracks, camera, share = observed_by_others(folder, seed, progress)
     truth = read_identified(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
     reference = _travel(truth)
@@ -258,11 +258,11 @@ def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence
 
 
 Reference = dict[int, FloatArray]
-"""By frame: true positions, directions of travel and speeds (n, 4)."""
+"""Return by frame: true positions, directions of travel and speeds (n, 4)."""
 
 
 def _travel(truth: TrackSet) -> Reference:
-    """True positions, directions of travel and speeds of those who are seen in four frames or more."""
+    """Return true positions, directions of travel and speeds of people labelled in at least four frames."""
     long = truth.with_tracks(replace(track, body=None, head=None) for track in truth if len(track) >= 4)
     found: dict[int, list[list[float]]] = {}
     for track in smooth(long, "position"):

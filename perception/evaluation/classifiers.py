@@ -1,8 +1,8 @@
 """Measures of pose classifiers on rendered people.
 
-Reliability and confusion; the last layer learned again on a part of the heads (Baxter et al. 2014, §III-C,
-Fig. 3); recognition of nine pans (Ba & Odobez 2003, Tables 1 to 3); keypoints; and Chen et al.'s (2011) forms
-as printed beside ours.
+Reliability and confusion; the last layer retrained on a part of the heads (Baxter et al. 2014, §III-C,
+Fig. 3); recognition of nine pans (Ba & Odobez 2003, Tables 1 to 3); keypoints; and Chen et al.'s (2011)
+published forms compared with ours.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 def class_rates(confusion: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """Return the true and false positive rates (k,) of each class; NaN for classes unseen."""
+    """Return the true and false positive rates (k,) of each class; NaN for unobserved classes."""
     of_class, said, hits = confusion.sum(axis=1), confusion.sum(axis=0), np.diag(confusion)
     with np.errstate(invalid="ignore", divide="ignore"):
         false = (said - hits) / (of_class.sum() - of_class)
@@ -62,7 +62,7 @@ def class_rates(confusion: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
 
 
 def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, np.ndarray]) -> Figure:
-    """Accuracy against confidence of classifiers by name, and the confusion matrix of each.
+    """Draw accuracy against confidence of classifiers by name, and the confusion matrix of each.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, n
         )
     curves.set(xlim=(0, 1), ylim=(0, 1), xlabel="likelihood of the most likely class", ylabel="share right")
     curves.set_title("Reliability (area of a dot: images)", fontsize=10)
-    # Below the axes: inside, it would cover curves of classifiers that are too modest.
+    # Below the axes, where the legend covers no underconfident curve.
     curves.legend(
         fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.16), borderaxespad=0.0, frameon=False
     )
@@ -119,13 +119,13 @@ def draw_confusion(
 
 @dataclass(frozen=True, eq=False)
 class SplitScores:
-    """Scores of the last layer on heads that it was not learned from, over all repetitions.
+    """Scores of the last layer on held-out heads, over all repetitions.
 
     Attributes
     ----------
     confusion : (k, k) heads by true (row) and most likely (column) class
     mean_error : degrees, of the centre of the most likely class
-    rates : (repetitions,) share of the most likely classes that are right
+    rates : (repetitions,) share of correct most likely classes
     """
 
     confusion: NDArray[np.int64]
@@ -143,17 +143,17 @@ def split_scores(
     repetitions: int = 5,
     groups: ArrayLike | None = None,
 ) -> SplitScores:
-    """Learn the last layer on a share of the heads and their reflections, and judge it on the rest.
+    """Retrain the last layer on a share of the heads and their reflections, and evaluate it on the rest.
 
     Parameters
     ----------
-    model : whose other layers stay
+    model : its other layers stay
     images : of heads, cut out
     pan : (n,) radians in the image frame
-    share : that is learned from; 0.8 for 80:20
+    share : training share; 0.8 for 80:20
     rng : source of the splits
     repetitions : splits
-    groups : (n,) who each head is, so that nobody is in both parts; else heads are split one by one
+    groups : (n,) person of each head, to keep people in one part; None: heads are split individually
     """
     classes, pan = model.classes, np.asarray(pan, float)
     labels = classes.index(pan)
@@ -177,7 +177,7 @@ def split_scores(
 def hidden_both_ways(
     model: DeepBelief, images: Sequence[Image]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """The last hidden layer (n, d) of heads, and of their reflections."""
+    """Return the last hidden layer (n, d) of heads, and of their reflections."""
     mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in images]
     return model.hidden(model.features(images)), model.hidden(model.features(mirrored))
 
@@ -185,7 +185,7 @@ def hidden_both_ways(
 def softmax_layer(
     inputs: NDArray[np.floating], labels: NDArray[np.int64], n_classes: int, *, penalty: float = 1e-3
 ) -> tuple[FloatArray, FloatArray]:
-    """Weights (d, n_classes) and biases (n_classes,) of multinomial logistic regression.
+    """Fit weights (d, n_classes) and biases (n_classes,) of multinomial logistic regression.
 
     ``penalty`` is that of the squared weights, for standardised inputs.
     """
@@ -195,7 +195,7 @@ def softmax_layer(
     x = (np.asarray(inputs, float) - mean) / spread
     found = LogisticRegression(C=1.0 / (penalty * len(labels)), max_iter=300, tol=1e-5).fit(x, labels)
     slopes, constants = found.coef_, found.intercept_
-    if len(found.classes_) == 2:  # of which scikit-learn has the difference alone
+    if len(found.classes_) == 2:  # scikit-learn returns only the difference
         slopes, constants = (np.concatenate([-part, part]) / 2.0 for part in (slopes, constants))
     weight, bias = np.zeros((x.shape[1], n_classes)), np.full(n_classes, -np.inf)
     weight[:, found.classes_] = slopes.T / spread[:, None]
@@ -204,7 +204,7 @@ def softmax_layer(
 
 
 ALIGNED = HeadVariation(size=(64, 64), offset=0.0, scale=0.0, roll=0.0, elevation=(0.0, 0.0), shoulders=0.05)
-"""Heads as in a studio: tight boxes at the camera's height, tilt set by the caller."""
+"""Variation of studio heads: tight boxes at the camera's height, tilt set by the caller."""
 
 
 def recognition_table(
@@ -215,17 +215,17 @@ def recognition_table(
     repetitions: int = 1,
     as_published: bool = False,
 ) -> tuple[list[dict[str, Cell]], FloatArray]:
-    """Ba & Odobez's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits), rendered.
+    """Compute Ba & Odobez's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits).
 
     With ``as_published`` the exemplars are those of `Exemplars.as_published`.
 
-    Half of the people train, the other half test; each is seen once at the nine pans −90° … 90°.
+    Half of the rendered people train, the other half test, each once at the nine pans −90° … 90°.
 
     Returns
     -------
     The rows, with mean and 1-σ of the rate over the repetitions, and the confusion matrix (9, 9) in percent
-    (Ba & Odobez's Table 2) of two exemplars (or the
-    last number asked for) with the saturated density, over all repetitions.
+    (Ba & Odobez's Table 2) of two exemplars (or the last given number) with the saturated density, over all
+    repetitions.
     """
     classes = PoseClasses.half_circle()
     persons = [random_appearance(rng) for _ in range(people)]
@@ -281,7 +281,7 @@ def recognition_tables(rng: np.random.Generator) -> Iterator[Table]:
 def _one_of_each(
     persons: list[Appearance], classes: PoseClasses, rng: np.random.Generator
 ) -> tuple[HeadSet, NDArray[np.int64]]:
-    """Every person at every pan, person by person."""
+    """Render every person at every pan, person by person."""
     labels = np.tile(np.arange(len(classes)), len(persons))
     looks = [person for person in persons for _ in range(len(classes))]
     count = len(labels)
@@ -302,7 +302,7 @@ _NETWORKS = {
 
 
 def keypoint_table(model: KeypointPose, count: int, rng: np.random.Generator) -> Table:
-    """Errors in degrees and calibration errors: sizes of people, and kinds of networks.
+    """Compute errors in degrees and calibration errors, by sizes of people and kinds of networks.
 
     Parameters
     ----------
@@ -334,9 +334,9 @@ def published_tables(train: int, count: int, rng: np.random.Generator, *, seed: 
 
     Parameters
     ----------
-    train : rendered images that each learns from
-    count : other images that they are judged on
-    rng : source of those
+    train : number of rendered training images
+    count : number of test images
+    rng : source of the test images
     seed : of the training
     """
     people = make_pedestrians(count, rng)
@@ -381,7 +381,7 @@ def localisation_table(count: int, train: int, rng: np.random.Generator) -> Tabl
 
 
 def pose_tables(count: int, rng: np.random.Generator) -> tuple[list[Table], Figure]:
-    """Errors and calibration of all classifiers on ``count`` rendered images each, and their reliability.
+    """Compute errors, calibration and reliability of all classifiers on ``count`` rendered images each.
 
     Also the confusion and the rates of the network (Baxter et al. 2014, Fig. 3).
     """

@@ -1,4 +1,4 @@
-"""Reliability of the detections of people in Town Centre, by their score."""
+"""Reliability of detections of people in Town Centre, by score."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from perception.images.frames import FrameSource
 RATE = 2.5
 """Frames a second of the recording."""
 _STEP = 10
-"""Rows of the truth are for each frame of the video, of which every tenth is there."""
+"""Video frames per available image; the ground truth has a row for every video frame."""
 _MATCH = 1.0
-"""Metres on the ground within which a detection is right."""
+"""Metres on the ground within which a detection is correct."""
 _BINS = 10
 
 
 def reliability_table(folder: Path, seed: int, progress: Progress) -> Table:
-    """Share of detections that are right, each half of the minute taught by the other one.
+    """Compute the precision of detections, with each half of the minute adapted to the other.
 
-    The truth has nobody whom the border of the image cuts off, so that detections that are wholly in the
-    image stand apart.
+    The ground truth omits people cut off by the image's border, so detections entirely inside the image are
+    also reported separately.
     """
     frames = FrameSource.open(folder / "frames_001_150" / "img1")
     camera, numbers = read_calibration(folder / "calibration.ci"), frames.numbers()
@@ -65,7 +65,7 @@ def reliability_table(folder: Path, seed: int, progress: Progress) -> Table:
 
 
 def calibration_error(said: FloatArray, right: FloatArray) -> float:
-    """The expected one: of probabilities (n,) that something is so (n,), 0 or 1, in bins of a tenth."""
+    """Return the expected calibration error of probabilities (n,) of events (n,), in bins of a tenth."""
     place = np.minimum((said * _BINS).astype(int), _BINS - 1)
     off = np.bincount(place, said - right, _BINS)
     return float(np.abs(off).sum() / max(len(said), 1))
@@ -93,7 +93,7 @@ def _judged(
     camera: GroundCamera,
     truth: FloatArray | None,
 ) -> FloatArray:
-    """Of each detection of a frame: what is said; and whether it is right, inside the image, and written."""
+    """Return per detection its score, and whether it is correct, inside the image, and written."""
     found = joined(candidates.scored(probability.of(candidates)))
     right = np.zeros(len(found))
     if truth is not None:
@@ -108,7 +108,7 @@ def _judged(
 
 
 def _truth(path: Path, camera: GroundCamera, frames: int) -> dict[int, FloatArray]:
-    """Places (n, 2) of the hand-labelled people of the first frames, by the number of the image."""
+    """Return positions (n, 2) of the hand-labelled people of the first frames, by image number."""
     rows = np.loadtxt(path, delimiter=",")
     rows = rows[(rows[:, 0] < _STEP * frames) & (rows[:, 0] % _STEP == 0)]
     left, top, width, height = 2.0 * rows[:, 2:6].T  # of images of half the size

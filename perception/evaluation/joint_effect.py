@@ -31,20 +31,20 @@ from perception.observe.tables import to_tracks
 from perception.synthetic.clips import Clip, walking_clip
 
 LAG = 2.0
-"""Seconds that the online graphs keep open, as `graphtrack track` does."""
+"""Smoothing window of the online graphs in seconds, as in `graphtrack track`."""
 
 LEAST_FRAMES = 5
-"""Of a person who is judged."""
+"""Least number of frames of an evaluated person."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedPerson:
-    """A person of a clip as observed, in the three ways in which methods take it, and the truth.
+    """Observations of a person in a clip, in the three forms that methods take, and the ground truth.
 
     Attributes
     ----------
-    causal : likelihoods in the world, heads chosen from the past alone
-    whole : the same with heads chosen along the whole track
+    causal : likelihoods in the world, heads chosen from past frames only
+    whole : the same with heads chosen offline
     image : as ``causal``, but the likelihoods are in the image
     truth : of the same frames
     camera : over the ground
@@ -61,19 +61,19 @@ class ObservedPerson:
 
 
 Estimate = Callable[[ObservedPerson, Model, int], Track]
-"""A person, a model and a seed → estimates at the person's frames."""
+"""Maps a person, a model and a seed to estimates at the person's frames."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to estimate.
+    """Method of estimation.
 
     Attributes
     ----------
     group : "online" or "offline"
-    estimate : does it
-    presets : that it is run with
-    seeds : how often, where chance has a part in it
+    estimate : runs it
+    presets : presets to run
+    seeds : number of runs of a random method
     """
 
     group: str
@@ -87,24 +87,24 @@ def _particle(person: ObservedPerson, model: Model, seed: int) -> Track:
 
 
 def _in_image(person: ObservedPerson, model: Model, seed: int) -> Track:
-    """Eq. 12 in pixels, eq. 13–14 with the closest class in the image, at each particle's position."""
+    """Run eq. 12 in pixels, eq. 13–14 with the closest class in the image, at each particle's position."""
     options = ParticleOptions(pose="closest", image_pose=True)
     return particle_filter(person.image, model, camera=person.camera, options=options, seed=seed).track
 
 
 def _online(engine: Literal["chain", "isam2"]) -> Estimate:
-    """The graph online, with heads chosen from the past alone."""
+    """Return an online method of the graph, with causal heads."""
     return lambda person, model, seed: track_online(
         person.causal, model, engine=engine, lag=LAG, camera=person.camera
     )
 
 
 def _offline(track: Literal["causal", "whole"]) -> Estimate:
-    """The smoother, with heads chosen from the past alone or along the whole track."""
+    """Return a method of the smoother, with causal or offline heads."""
     return lambda person, model, seed: smooth_track(getattr(person, track), model, person.camera).track
 
 
-_SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter does not know the modes of ``full``
+_SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter lacks the coupling modes of ``full``
 
 METHODS: Mapping[str, Method] = {
     "particle": Method("online", _particle, _SEPARATE_AND_JOINT, seeds=3),
@@ -114,11 +114,11 @@ METHODS: Mapping[str, Method] = {
     "smoother": Method("offline", _offline("causal")),
     "smoother, heads of the whole track": Method("offline", _offline("whole")),
 }
-"""Online methods and the first smoother have the same observations; the last one's heads know the future."""
+"""Online methods and the first smoother share observations; the last smoother has offline heads."""
 
 
 def seen_in_clip(clip: Clip, models: Models) -> list[SeenPerson]:
-    """Return the models' answers for everybody in a clip."""
+    """Return the models' outputs for all people in a clip."""
     seen: list[SeenPerson] = []
     for k, image in enumerate(clip.images):
         boxes = [item for item in clip.boxes if item.frame == k]
@@ -127,13 +127,13 @@ def seen_in_clip(clip: Clip, models: Models) -> list[SeenPerson]:
 
 
 def observed(clip: Clip, models: Models, *, causal: bool = False) -> TrackSet:
-    """The observations of a clip, as `perception observe` writes them."""
+    """Return the observations of a clip, as `perception observe` writes them."""
     seen = seen_in_clip(clip, models)
     return to_tracks(by_frame(seen), models.head_pose.classes, clip.camera, clip.fps, causal=causal).tracks
 
 
 def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
-    """The people of a clip who are seen in `LEAST_FRAMES` frames or more."""
+    """Return the people of a clip observed in at least `LEAST_FRAMES` frames."""
     seen, classes = seen_in_clip(clip, models), models.head_pose.classes
     if not seen:
         return []
@@ -164,7 +164,7 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
 def joint_scores(
     data: str, people: Iterable[ObservedPerson], progress: Callable[[int], object] = lambda count: None
 ) -> Scores:
-    """Mean errors in degrees of each person by each method of `METHODS`, and of the single frames."""
+    """Return mean errors in degrees of each person by each of `METHODS`, and of single frames."""
     found: dict[tuple[str, str, str], list[float]] = {}
     count = 0
     for person in people:
@@ -183,7 +183,7 @@ def joint_scores(
 
 
 def _errors(person: ObservedPerson, method: Method, model: Model) -> FloatArray:
-    """Mean errors (2,) in degrees of body and head, over the frames and the seeds."""
+    """Return mean errors (2,) in degrees of body and head, over frames and seeds."""
     of_seeds = []
     for seed in range(method.seeds):
         estimate = method.estimate(person, model, seed)
@@ -197,12 +197,12 @@ def _errors(person: ObservedPerson, method: Method, model: Model) -> FloatArray:
 
 
 def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, Cell]]:
-    """Mean errors in degrees of body and head over the people of clips, with their standard errors.
+    """Return mean errors in degrees of body and head over the people of clips, with standard errors.
 
     Returns
     -------
-    A row for the most likely class of each frame, with heads chosen from the past alone and along the whole
-    track; then one for each method of `METHODS` with each of its presets.
+    Rows for the most likely class of each frame, with causal and offline heads, then for each of `METHODS`
+    with each of its presets.
     """
     found = joint_scores("clips", [person for clip in clips for person in people_of(clip, models)])
     rows: list[dict[str, Cell]] = []
@@ -222,7 +222,7 @@ def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, Cell]]
 
 
 def joint_table(clips: int, head_pose: str, rng: np.random.Generator) -> Table:
-    """Chen et al.'s Table 2 on rendered clips, with heads by a classifier of the package."""
+    """Compute Chen et al.'s Table 2 on rendered clips, with heads by a classifier of the package."""
     models = Models(load_head_localiser(), load_classifier("body_pose"), load_classifier(head_pose))
     rows = joint_effect((walking_clip(rng) for _ in range(clips)), models)
     for name, values in PAPER.items():

@@ -1,1 +1,1 @@
-"""The papers' experiments on pixels, for `graphtrack reproduce`."""
+"""Experiments of the papers on pixels, for `graphtrack reproduce`."""

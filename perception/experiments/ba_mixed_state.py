@@ -1,4 +1,4 @@
-"""Ba & Odobez 2003: still heads, and tracking with the pose against tracking, then pose (Fig. 4)."""
+"""Ba & Odobez 2003: static heads, and joint against sequential tracking and pose (Fig. 4)."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _FACING = "−90° to 90°"
 _HIDDEN = 25
 """Frames."""
 _SOME = 0.3
-"""Clutter behind heads that are hidden: with much of it guided trackers, too, cling to what is like the head.
-The guide was tuned on other sequences with this amount."""
+"""Clutter behind occluded heads, for which the guide was tuned on other sequences; with more clutter guided
+trackers also lock on to background similar to the head."""
 _NODDING = 0.35
-"""Radians, 1-σ of the tilt of heads that nod; that of the others is 0.12."""
+"""Radians, 1-σ of the tilt of nodding heads; 0.12 for the others."""
 _BADLY = 0.5
-"""e(t) from which a box is badly placed."""
+"""Least e(t) of a badly placed box."""
 
 Done = Sequence[tuple[HeadJob, ClipRuns]]
 
@@ -54,7 +54,7 @@ def _effort(settings: Settings) -> tuple[int, int, int]:
 
 
 def _jobs(settings: Settings) -> dict[str, list[HeadJob]]:
-    """Sequences by what heads do: face the camera, as in the paper, all the same and nod, or turn around."""
+    """Return sequences by motion: heads facing the camera, as in the paper, with nods, or turning around."""
     seeds, sequences, frames = _effort(settings)
     facing = [
         HeadJob((settings.seed, k, i), HeadClipParameters(frames), tuple(METHODS))
@@ -63,7 +63,7 @@ def _jobs(settings: Settings) -> dict[str, list[HeadJob]]:
     ]
     nods = HeadClipParameters(frames, tilt=_NODDING)
     nodding = [HeadJob((settings.seed, k, 50), nods) for k in range(seeds)]
-    # The paper's own filter knows no heads that face away.
+    # The paper's filter has no poses that face away.
     others = tuple(name for name in METHODS if name not in (AS_PRINTED, OUR_EXEMPLARS))
     turns = HeadClipParameters(frames, all_around=True)
     around = [HeadJob((settings.seed, k, 4), turns, others) for k in range(seeds)]
@@ -75,18 +75,18 @@ def _occlusions(settings: Settings) -> list[HeadJob]:
     if settings.quick:
         clip = HeadClipParameters(80, occlusion=(25, _HIDDEN), clutter=_SOME)
         return [HeadJob((settings.seed, 0, 100), clip)]
-    # Two sequences a seed with some clutter, and one with much.
+    # Per seed two sequences with some clutter, and one with much.
     clips = [HeadClipParameters(110, occlusion=(35, _HIDDEN), clutter=c) for c in (_SOME, _SOME, 1.0)]
     return [HeadJob((settings.seed, k, 100 + i), clip) for k in range(seeds) for i, clip in enumerate(clips)]
 
 
 def work(settings: Settings) -> int:
-    """Sequences, and the identification of still heads."""
+    """Return the number of steps: sequences, and the identification of static heads."""
     return sum(map(len, _jobs(settings).values())) + len(_occlusions(settings)) + 1
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
+    """Run the experiment."""
     named, confused = still_heads(settings)
     progress(1)
     groups = _jobs(settings)
@@ -113,7 +113,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "e(t) is the mean share that the two boxes do not have in common; lost: no overlap in some frame.",
         "All methods have the same frames, first box (the true one), 200 particles and motion, and the same "
         "exemplars but for the tracker as in the paper, which has plain ones; in "
-        "the rows −90° to 90° all know that the head faces the camera, as Ba & Odobez's model does. "
+        "the rows −90° to 90° all assume that the head faces the camera, as Ba & Odobez's model does. "
         "The memory of "
         "colours is the same for the colour tracker and for mixed-state.",
         "Pan: error of the mean of the distribution, and of its mode (eq. 10, Ba & Odobez's "
@@ -125,7 +125,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "Graph on top: the tracker's boxes and pans, smoothed offline by the preset full; errors of the "
         "centre are in widths of the head.",
         f"Hidden: a wall hides the head for {_HIDDEN} frames while the person walks on; survived: the box "
-        "overlaps the head's in 90 % of the frames from the tenth after it is seen again.",
+        "overlaps the head's in 90 % of the frames from the tenth after it reappears.",
         "Ba & Odobez (2003) give its tracking errors as a curve only (Fig. 3), for one sequence.",
     )
     placed, on_top, survived = (table.records() for table in tables[3:6])
@@ -142,8 +142,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def _by_place(facing: Done) -> Table:
-    """Ba & Odobez 2003, Fig. 4 as numbers: how wrong the pan is where the box is placed well, and where it
-    is not."""
+    """Tabulate Ba & Odobez 2003, Fig. 4: pan errors with well and badly placed boxes."""
     records: list[dict[str, Cell]] = []
     for name in METHODS:
         error = np.concatenate([result[1][name].error for _, result in facing])
@@ -229,7 +228,7 @@ def _rows(pans: str, done: Done) -> list[dict[str, Cell]]:
 
 
 def _over_seeds(runs: Sequence[tuple[int, Run]], attribute: str, form: str = ".1f") -> str:
-    """Mean ± deviation over seeds; errors in radians become degrees."""
+    """Format mean ± deviation over seeds, with radians converted to degrees."""
     factor = 1.0 if attribute == "error" else float(np.degrees(1.0))
     by_seed: dict[int, list[float]] = {}
     for seed, run in runs:

@@ -1,8 +1,6 @@
-"""Heads of CAVIAR's lobby cut out of its frames at the labelled points, as Baxter et al. (2014) do
-(§IV-C).
+"""Crops of heads of CAVIAR's lobby at the labelled points (Baxter et al. 2014, §IV-C).
 
-Baxter et al. 2014, Fig. 3 and 5(b): the network's confusion by split, and prediction with the heads that
-it says.
+Baxter et al. 2014, Fig. 3 and 5(b): the network's confusion by split, and prediction with its heads.
 """
 
 from __future__ import annotations
@@ -47,21 +45,21 @@ if TYPE_CHECKING:
 
 
 LEAST_FRAMES = 20
-"""Frames with pixels and a labelled head, of a person who is taken."""
+"""Least number of frames with pixels and a labelled head, for a person to be used."""
 
 _HEAD_HEIGHT, _HEAD_SIZE = 1.6, 0.27
-"""Metres above the floor, as the lobby's camera was found with, and across with the margin of training."""
+"""Height of a head in metres, as in the calibration of the lobby, and its width with the training margin."""
 _SIDE = 32
 
 
 @dataclass(frozen=True, eq=False)
 class PersonWithHeads:
-    """A person's frames of which the pixels are there.
+    """A person's frames with available pixels.
 
     Attributes
     ----------
     name : sequence and number
-    track : as labelled, these frames alone
+    track : labels of these frames
     images : of the heads, upright
     pan : (n,) labelled, radians in the frame of those images
     size : (n,) pixels of the heads in the frames
@@ -76,7 +74,7 @@ class PersonWithHeads:
 
 @cache
 def people_with_heads(folder: Path) -> list[PersonWithHeads]:
-    """People with `LEAST_FRAMES` labelled heads among the frames of ``folder``, a CAVIAR folder.
+    """Return people with `LEAST_FRAMES` labelled heads among the frames of ``folder``, a CAVIAR folder.
 
     It has ``xml/NAME.xml``, and frames in ``frames/NAME`` named by their numbers.
     """
@@ -128,20 +126,20 @@ def _people_of(path: Path, frames: Path) -> list[PersonWithHeads]:
 
 
 def head_size(head: FloatArray, camera: GroundCamera) -> float:
-    """Pixels across a head whose middle is at a pixel (2,).
+    """Return the width in pixels of a head with its middle at a pixel (2,).
 
-    What is at a height is seen larger than the ground behind it, by the ratio of the distances; the ground,
-    unlike a head, is also foreshortened, but not across the ray.
+    A head appears larger than the ground behind it by the ratio of the distances; the foreshortening of the
+    ground does not affect the width across the ray.
     """
     steps = 0.5 * np.array([[1.0, 0.0], [0.0, 1.0]])
-    # By differences of raw pixels: `GroundCamera.ground_jacobian` is of those without the lens's distortion.
+    # By finite differences of raw pixels, since `GroundCamera.ground_jacobian` omits the distortion.
     slope = camera.image_to_ground(head + steps) - camera.image_to_ground(head - steps)
     metres = float(np.linalg.svd(slope, compute_uv=False).min())
     return _HEAD_SIZE / (metres * (LOBBY_HEIGHT - _HEAD_HEIGHT) / LOBBY_HEIGHT)
 
 
 def upright_head(image: Image, head: FloatArray, foot: FloatArray, camera: GroundCamera) -> Image:
-    """A head (32, 32, 3), turned so that its person stands upright: the lobby is seen from above."""
+    """Return a head (32, 32, 3), rotated so that the person is upright, since the view is from above."""
     up = head - foot
     turn = np.degrees(np.arctan2(up[0], -up[1]))
     zoom = _SIDE / head_size(head, camera)
@@ -164,7 +162,7 @@ PAPER_GAIN = 1.158
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Scores of some heads by a way to split them."""
+    """Scores of heads for one split."""
 
     data: str
     split: str
@@ -173,7 +171,7 @@ class Split:
 
 
 def network_heads(model: DeepBelief, person: PersonWithHeads) -> Track:
-    """The person with the network's likeliest pans in place of the labelled gaze."""
+    """Return the person with the network's likeliest pans instead of the labelled gaze."""
     pan = model.classes.most_likely_pan(model.log_likelihoods(person.images))
     head = lobby_camera().world_angle(pan, person.track.position)
     return replace(person.track, head=head)
@@ -182,7 +180,7 @@ def network_heads(model: DeepBelief, person: PersonWithHeads) -> Track:
 def splits(
     model: DeepBelief, people: Sequence[PersonWithHeads], settings: Settings, progress: Progress
 ) -> list[Split]:
-    """Both splits on rendered heads, and on CAVIAR's; the latter also person by person."""
+    """Evaluate both splits on rendered heads, and on CAVIAR's, the latter also by person."""
     count, repetitions = (300, 2) if settings.quick else (2000, 5)
     rendered = make_heads(count, settings.rng(1), FOUND_AS_WALKING)
     found = []
@@ -206,7 +204,7 @@ def splits(
 
 
 def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settings) -> Table:
-    """MSE and CLL gains over Baxter et al.'s Kalman filter with labelled heads and with the network's."""
+    """Compute MSE and CLL gains over Baxter et al.'s Kalman filter, with labelled and the network's heads."""
     records: list[dict[str, Cell]] = []
     seen = {"labelled": [person.track for person in people]}
     seen["network"] = [network_heads(model, person) for person in people]
@@ -241,7 +239,7 @@ def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settin
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment; without CAVIAR's frames the splits of rendered heads alone."""
+    """Run the experiment; without CAVIAR's frames only the splits of rendered heads."""
     model = load_classifier("deep_belief")
     assert isinstance(model, DeepBelief)
     people = _people(settings)
@@ -250,21 +248,21 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "Baxter et al. (2014) train the last layer on 80 % of Benfold's heads and 50 % of CAVIAR's, "
         "and shows the confusion "
         "as a picture, without numbers in its text. Here the package's network, learned from rendered heads, "
-        "keeps its hidden layers, and its last layer is learned anew on each part; TPR and FPR are means "
-        "over the classes that occur. Reflections are learned too.",
+        "keeps its hidden layers, and its last layer is retrained on each part; TPR and FPR are means "
+        "over the classes that occur. Reflections are included in training.",
     ]
     tables = [_split_table(found)]
     street = _street(settings)
     if street is None:
-        notes.append("Town Centre's pictures are not there (--data): no prediction on them.")
+        notes.append("Town Centre's images were not found (--data): no prediction on them.")
     else:
         tables += occlusion_tables(street, model, settings.rng(5), quick=settings.quick)
         notes.append(
             "Town Centre: pictures of its first minute, 2.5 a second, heads cut out at the top of the "
-            "labelled boxes. Positions are withheld for two seconds up to the end of what is seen; heads are "
-            "seen in the window or not. Parameters are fitted on other people than those judged, and a last "
-            "layer is taught by the direction of travel of a third part. Benfold's head labels are not among "
-            "the recordings."
+            "labelled boxes. Positions of the last two seconds are withheld; heads are "
+            "observed there or not. Parameters are fitted on other people than tested, and a last "
+            "layer is trained on the direction of travel of a third part. Benfold's head labels are not "
+            "among the recordings."
         )
     progress(1)
     if people:
@@ -276,18 +274,18 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             "been; the other split keeps people apart.",
             "Fig. 5(b): stretches of a second, predicted with Baxter et al.'s filters and "
             "parameters, heads at the "
-            "labelled points. Who is not detected shows no head. baxter-caviar says what such gains are made "
+            "labelled points. Undetected people have no head. baxter-caviar reports what such gains are made "
             "of.",
         ]
         tables += [_people_table(people, model), gains(people, model, settings)]
     else:
-        notes.append("CAVIAR's frames are not there (--data): no Fig. 5(b).")
+        notes.append("CAVIAR's frames were not found (--data): no Fig. 5(b).")
     progress(1)
     return Reproduction("baxter-network", tuple(tables), _figure(found, people), tuple(notes))
 
 
 def _street(settings: Settings) -> Path | None:
-    """The folder of Town Centre, where its pictures, boxes and calibration are."""
+    """Return the folder of Town Centre, if its images, boxes and calibration are available."""
     path = settings.recording("towncentre", "boxes.csv")
     folder = None if path is None else path.parent
     there = folder and (folder / "calibration.ci").is_file() and (folder / "frames_001_150" / "img1").is_dir()
@@ -353,7 +351,7 @@ def _figure(found: Sequence[Split], people: Sequence[PersonWithHeads]) -> Figure
 
 
 def work(settings: Settings) -> int:
-    """Splits, and the rest."""
+    """Return the number of steps: splits, and the rest."""
     return len(SHARES) + (2 if len(_people(settings)) > 1 else 0) + 2
 
 

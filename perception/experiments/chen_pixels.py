@@ -1,6 +1,6 @@
 """Chen et al. 2011, Table 2 from pixels: online methods on rendered clips, drawn as in its Figs. 6, 7 and 9.
 
-Also people of motion capture, whose poses are rendered and classified.
+Also rendered and classified poses of motion capture.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ ROWS = (
     *(("particle", "joint-body"), ("particle", "joint")),
     *(("graph, chain", "joint"), ("graph, isam2", "joint")),
 )
-"""Method and preset of the sheet's rows: Chen et al.'s separate and joint filtering, and the graph online."""
+"""Method and preset of the sheet's rows: Chen et al.'s separate and joint filtering, and the online graph."""
 
 _SPEED, _HEAD = "#666666", "#111111"
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
@@ -70,9 +70,9 @@ class Sheet:
 
     Attributes
     ----------
-    clip : its frames
-    people : all who are judged in it
-    columns : frames that are shown
+    clip : frames
+    people : evaluated people
+    columns : shown frames
     """
 
     clip: Clip
@@ -81,12 +81,12 @@ class Sheet:
 
     @property
     def shown(self) -> ObservedPerson:
-        """The person drawn on the frames: the first of those who are seen longest."""
+        """Person drawn on the frames: the first with the longest track."""
         return max(self.people, key=lambda person: len(person.causal))
 
     @property
     def rows(self) -> list[int]:
-        """Rows of the shown person's track, evenly spread over it, without the first."""
+        """Evenly spaced rows of the shown person's track, without the first."""
         n = len(self.shown.causal)
         first = min(3, n - 1)
         count = min(self.columns, n - first)
@@ -94,7 +94,7 @@ class Sheet:
 
 
 def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
-    """A row of frames for each of `ROWS`, and one from above with the joint filter's estimates of all."""
+    """Draw a row of frames for each of `ROWS`, and a view from above of the joint filter's estimates."""
     person, rows = sheet.shown, sheet.rows
     grid = figure.subplots(len(ROWS) + 1, len(rows), squeeze=False)
     for line, (method, preset) in enumerate(ROWS):
@@ -131,7 +131,7 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
 
 
 def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
-    """The picture of a frame, and the errors of body and head in words."""
+    """Return the image of a frame, and a text with the errors of body and head."""
     observed, truth = person.causal, person.truth
     assert observed.body_likelihood is not None and observed.head_likelihood is not None
     assert estimate.body is not None and estimate.head is not None
@@ -156,8 +156,7 @@ def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tup
 
 
 def _from_above(axes: Axes, found: list[Track], t: float) -> None:
-    """As Chen et al. 2011, Fig. 7: two circles and three arrows each, from outer to inner speed, body and
-    head."""
+    """Draw two circles with three arrows each: speed, body and head (Chen et al. 2011, Fig. 7)."""
     every = np.concatenate([track.position for track in found])
     (left, low), (right, high) = every.min(axis=0) - 2.0, every.max(axis=0) + 2.0
     half = max(right - left, high - low) / 2.0
@@ -207,7 +206,7 @@ LEVELS = ("down", "level", "up")
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """Answers of classifiers for pictures of known poses, all in the image.
+    """Outputs of classifiers for images of known poses, in the image frame.
 
     Attributes
     ----------
@@ -225,7 +224,7 @@ class Answers:
 
 
 def captured_people(settings: Settings) -> dict[str, TrackSet]:
-    """People by source, with noise on their positions; ten frames a second."""
+    """Return people by source, with noisy positions, at ten frames a second."""
     count = 2 if settings.quick else 12
     mocap = settings.recording(*MOCAP)
     if mocap is None:
@@ -247,10 +246,10 @@ def captured_people(settings: Settings) -> dict[str, TrackSet]:
 def classified(
     track: Track, body: FeatureClassifier, head: FeatureClassifier, rng: np.random.Generator
 ) -> tuple[Track, Answers]:
-    """A person before a distant camera, with the classifiers' likelihoods turned to the world.
+    """Return a person in front of a distant camera, with class likelihoods converted to the world.
 
-    In each frame somebody else stands for them, in the same pose, so that errors are independent; heads are
-    boxed as the localiser boxes them, and tilted as those of people who walk.
+    Each frame shows another rendered person in the same pose, so that errors are independent; boxes of heads
+    have the localiser's errors, and tilts are those of walking people.
     """
     assert track.true_body is not None and track.true_head is not None
     ray = rng.uniform(-np.pi, np.pi)
@@ -283,7 +282,7 @@ def classified(
 
 
 def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: float) -> FloatArray:
-    """Likelihoods (n, wanted) in the world of those (n, n_pan) in the image; rows sum to 1."""
+    """Convert likelihoods (n, n_pan) in the image to (n, wanted) in the world; rows sum to 1."""
     at = np.broadcast_to(PoseClasses.circle(wanted).pan - ray, (len(log_likelihood), wanted))
     found = interpolated(np.exp(log_likelihood), classes, at)
     return np.asarray(found / found.sum(axis=1, keepdims=True), float)
@@ -296,7 +295,7 @@ def known_poses(
     rng: np.random.Generator,
     progress: Callable[[int], object],
 ) -> tuple[list[Scores], list[Answers]]:
-    """Errors of every method of `chen-classes`, by source, and the answers that they were made of."""
+    """Compute errors of every method of `chen-classes`, by source, and return the classifiers' outputs."""
     found, answers = [], []
     for name, tracks in everyone.items():
         seen = []
@@ -310,7 +309,7 @@ def known_poses(
 
 
 def confusions(answers: list[Answers], head: PoseClasses) -> tuple[Table, Table, Table]:
-    """Answers by true class, in per cent of the true class: of the body, the head's pan and its tilt."""
+    """Tabulate confusions of body, pan and tilt, in per cent of the true class."""
 
     def joined(name: str) -> NDArray[np.int64]:
         return np.concatenate([getattr(one, name) for one in answers])
@@ -352,7 +351,7 @@ def _effort(settings: Settings) -> tuple[int, int, tuple[str, ...]]:
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
+    """Run the experiment."""
     count, frames, heads = _effort(settings)
     clips: list[Clip] = []
     for k in range(count):
@@ -376,21 +375,21 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     rng = settings.rng(99)
     notes = (
         "Rendered people who walk as the model joint has it, three a clip, boxes off as a detector's are, "
-        "heads found by the localiser; each column has another classifier of heads, the bodies are the same.",
+        "heads by the localiser; each column has another classifier of heads, the bodies are the same.",
         "Mean absolute error per person, mean over people, of five or more with its 95 % bootstrap interval; "
         "of the particle filter the mean of 3 seeds. Every method has the package's parameters and the same "
-        "observations, with heads chosen from the past alone, but for the last smoother, whose heads are "
-        f"chosen along the whole track. Online estimates use the past alone; the graphs keep {LAG:g} s open.",
+        "observations, with causal heads, except for the last smoother, with heads "
+        f"chosen offline. Online estimates use past frames only, with a window of {LAG:g} s in the graphs.",
         "joint-body is what Chen et al. (2011) call separate (κ₂ = 0 in eq. 10); in separate the "
         "body does not follow the "
         "motion either. eq. 12–14: the closest class in the image, at each particle's own position.",
-        "The frames show who of the first clip is seen longest, as Chen et al. 2011, Fig. 5: "
+        "The frames show the longest track of the first clip, as Chen et al. 2011, Fig. 5: "
         "circles of 50 cm at feet "
         "(red: body) and head (yellow); thin lines: the likeliest class of the frame alone; arrows: "
         "estimates; green ticks: the truth. From above, as Fig. 7, enlarged circles: speed (grey, outside), "
         "body (colour), head (black).",
         "Known poses: motion capture at 10 frames a second, each frame another rendered person in that pose, "
-        "answered for by body_pose (8 classes) and templates (12 pans × 3 tilts, summed out), in heads boxed "
+        "classified by body_pose (8 classes) and templates (12 pans × 3 tilts, summed out), in heads boxed "
         "as the localiser does; errors are independent from frame to frame.",
     )
     whole, effect, table_2 = detail(found, GROUPS, rng), _effect(found, rng), beside(found, GROUPS, BESIDE)
@@ -403,7 +402,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Table:
-    """Paired differences: joint less separate, and what causal heads cost."""
+    """Return paired differences: joint minus separate, and offline minus causal heads."""
     records: list[dict[str, Cell]] = []
     for one in found:
         pairs = [(name, "joint − joint-body", ("joint", name), ("joint-body", name)) for name in METHODS]
@@ -450,14 +449,14 @@ def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> 
 
 
 def work(settings: Settings) -> int:
-    """Clips that are rendered, clips that are looked at, estimates, and sources of known poses."""
+    """Return the number of steps: clips rendered and observed, estimates, and sources of known poses."""
     clips, _, heads = _effort(settings)
     return clips + len(heads) * (clips + 1) + len(captured_people(settings))
 
 
 EXPERIMENT = Experiment(
     "chen-pixels",
-    "Chen et al. 2011, Table 2 and Fig. 6–9, from pixels, online beside online",
+    "Chen et al. 2011, Table 2 and Fig. 6–9, from pixels, online methods",
     work,
     run,
     "1 clip of 8 frames with at most 3 people",

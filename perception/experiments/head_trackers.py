@@ -1,6 +1,6 @@
 """Head trackers on rendered sequences and on Oxford Town Centre, scored as in Ba & Odobez 2003, §4.2.
 
-Also the identification of the pan of still heads (Tables 1 to 3).
+Also the identification of the pan of static heads (Tables 1 to 3).
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal,
 
 @dataclass(frozen=True)
 class GraphOnTop:
-    """Mean errors over frames: the tracker's own, and the graph's.
+    """Mean errors over frames, of the tracker and of the graph.
 
     Attributes
     ----------
     tracker_centre, graph_centre : of the middle of the box, in widths of the true box
-    tracker_pan, graph_pan : radians; NaN for a tracker that knows no pan
+    tracker_pan, graph_pan : radians; NaN for a tracker without pan
     """
 
     tracker_centre: float
@@ -68,7 +68,7 @@ def graph_on_top(
     ----------
     estimates : of all n frames
     true_boxes, true_pan : (n, 4) pixels, and (n,) radians in the image frame
-    boxes : to the ground and back
+    boxes : mapping between boxes and ground
     model : of the graph; by default the package's
     """
     followed = [Followed(k, estimate, True) for k, estimate in enumerate(estimates)]
@@ -99,11 +99,11 @@ def survives(
     after: int = 10,
     share: float = 0.9,
 ) -> bool:
-    """Return whether a tracker is on its target again after an occlusion.
+    """Return True if a tracker recovers its target after an occlusion.
 
-    That is: its boxes (n, 4) overlap the true ones (n, 4) in at least ``share`` of the frames from ``after``
-    frames after the target's reappearance on. It reappears when half of it is seen (``visible`` (n,), 0…1)
-    after it was last hidden altogether.
+    Its boxes (n, 4) must overlap the true boxes (n, 4) in at least ``share`` of the frames, from ``after``
+    frames after the reappearance. The target reappears when half of it is visible (``visible`` (n,), 0…1)
+    after the last full occlusion.
     """
     hidden = np.flatnonzero(visible == 0.0)
     last = int(hidden[-1]) if len(hidden) else -1
@@ -132,12 +132,12 @@ METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
     ),
     JOINT: lambda exemplars, seed: MixedStateTracker(exemplars=exemplars, seed=seed),
 }
-"""Same frames, first box, number of particles and motion of boxes for all. The memory of colours is that of
+"""All use the same frames, first box, number of particles and dynamics. The memory of colours is that of
 the mixed-state tracker; as in the paper: `MixedStateParameters.of_the_paper`, with plain exemplars or with
-those of the others."""
+the exemplars of the others."""
 
 PAN_LIMIT = float(np.pi / 2.0)
-"""Ba & Odobez (2003) know heads that face the camera by 90° at most; in its experiment all methods do."""
+"""Largest pan in Ba & Odobez (2003), 90°; all methods use it in their experiment."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class HeadJob:
     Attributes
     ----------
     seed : of the sequence and of the trackers
-    clip : parameters of the sequence; where not ``all_around``, methods know that the head faces the camera
+    clip : parameters of the sequence; without ``all_around``, methods assume that the head faces the camera
     methods : which of `METHODS`
     """
 
@@ -179,7 +179,7 @@ class Run:
     pan_error : (n,) radians
     mode_error : (n,) radians, of the most likely pan (eq. 10)
     tilt_error : (n,) radians
-    on_top : what smoothing in the graph makes of it
+    on_top : errors after smoothing in the graph
     """
 
     boxes: FloatArray
@@ -192,12 +192,12 @@ class Run:
 
     @property
     def lost(self) -> bool:
-        """Return whether the box did not touch the head's in some frame."""
+        """Return True if the box does not overlap the head's in some frame."""
         return bool((self.error >= 1.0).any())
 
 
 def run_job(job: HeadJob) -> tuple[HeadClip, dict[str, Run]]:
-    """Render a sequence, follow the head with every method, and smooth that in the graph."""
+    """Render a sequence, track the head with every method, and smooth the estimates in the graph."""
     clip = job.render()
     runs = {}
     for name in job.methods:
@@ -207,7 +207,7 @@ def run_job(job: HeadJob) -> tuple[HeadClip, dict[str, Run]]:
 
 
 def run_occlusion(job: HeadJob) -> dict[tuple[str, bool], bool]:
-    """Survival of each method, without and with the graph's guidance, after the head was hidden."""
+    """Return the survival of an occlusion by each method, without and with the graph's guidance."""
     clip = job.render()
     survived = {}
     for name in job.methods:
@@ -219,7 +219,7 @@ def run_occlusion(job: HeadJob) -> dict[tuple[str, bool], bool]:
 
 
 def followed(tracker: Tracker, clip: HeadClip, *, guided: bool = False) -> list[BoxEstimate]:
-    """All estimates, begun with the true box of the first frame."""
+    """Return all estimates, initialised with the true box of the first frame."""
     left, top, width, height = (float(value) for value in clip.boxes[0])
 
     def guide(first: Box) -> GraphGuide:
@@ -261,21 +261,21 @@ def tracking_error(boxes: ArrayLike, truth: ArrayLike) -> FloatArray:
 
 
 _FEWEST, _MOST = 12, 25
-"""Pictures in a row that somebody must be in, and that are looked at."""
+"""Least number of consecutive images of a person, and number of evaluated images."""
 _TOLD = 0.5
-"""1-σ, in sizes of the head, of the place that trackers are told."""
+"""1-σ, in sizes of the head, of the given position."""
 
 
 @dataclass(frozen=True, eq=False)
 class WalkingHead:
-    """A head in n pictures one after the other.
+    """A head in n consecutive images.
 
     Attributes
     ----------
     person : number
     frame : (n,) of the pictures
     boxes : (n, 4) of the head, pixels, by the person's labelled box
-    pan : (n,) radians, where the person goes in the image frame
+    pan : (n,) radians, direction of travel in the image frame
     """
 
     person: int
@@ -285,7 +285,7 @@ class WalkingHead:
 
 
 def slower(dynamics: BoxDynamics, steps: int) -> BoxDynamics:
-    """The same motion of the centre over so many frames at once."""
+    """Return the same dynamics of the centre over several frames."""
     a = dynamics.persistence
     gone = (1.0 - a ** np.arange(1, steps + 1)) / (1.0 - a)
     return replace(
@@ -298,23 +298,23 @@ def slower(dynamics: BoxDynamics, steps: int) -> BoxDynamics:
 
 
 def heads_of(folder: Path, most: int) -> tuple[FrameSource, list[WalkingHead]]:
-    """Return the pictures of a Town Centre folder and the heads of the ``most`` people who walk longest.
+    """Return the pictures of a Town Centre folder and the heads of the ``most`` longest walkers.
 
     Raises
     ------
     InputError
-        If something of it is not there, or nobody walks.
+        If a file is missing, or there are no walking people.
     """
     frames, camera, runs = labelled_runs(folder, _FEWEST)
     found = [head for run in runs for head in _head(*run, camera)]
     if not found:
         expected = f"people in {_FEWEST} pictures in a row"
-        raise InputError("nobody who walks", expected, path=folder / "boxes.csv")
+        raise InputError("no walking people", expected, path=folder / "boxes.csv")
     return frames, sorted(found, key=lambda one: -len(one.frame))[:most]
 
 
 def _head(person: int, frame: NDArray[np.int64], box: FloatArray, camera: GroundCamera) -> list[WalkingHead]:
-    """The head of somebody who walks; none of others."""
+    """Return the head of a walking person; None for others."""
     left, top, width, height = box[:_MOST].T
     position = camera.image_to_ground(np.column_stack([left + width / 2.0, top + height]))
     step = np.gradient(position, axis=0)
@@ -325,7 +325,7 @@ def _head(person: int, frame: NDArray[np.int64], box: FloatArray, camera: Ground
 
 
 def _methods(seed: int) -> Mapping[str, tuple[Tracker, bool]]:
-    """By name: a tracker, and whether it is told about where the head is."""
+    """Return by name: a tracker, and whether it receives the head's position."""
     exemplars = load_head_exemplars()
     mixed, colour = MixedStateParameters(), ColourParameters()
     slow = replace(mixed, dynamics=slower(mixed.dynamics, STEP))
@@ -341,7 +341,7 @@ def _methods(seed: int) -> Mapping[str, tuple[Tracker, bool]]:
 
 
 def heads_table(folder: Path, people: int, seed: int, progress: Progress) -> Table:
-    """Follow heads with each tracker, begun with the first labelled box."""
+    """Track heads with each tracker, initialised with the first labelled box."""
     frames, heads = heads_of(folder, people)
     rows: list[dict[str, Cell]] = []
     every: dict[str, list[dict[str, float]]] = {}
@@ -376,7 +376,7 @@ def _row(figures: list[dict[str, float]]) -> dict[str, Cell]:
 def _followed(
     tracker: Tracker, pictures: Sequence[Frame], head: WalkingHead, *, told: bool
 ) -> dict[str, float]:
-    """Figures of a tracker; one that is told has a proposal about the true place in every picture."""
+    """Return figures of a tracker, optionally with a proposal at the true position in every image."""
     said: list[BoxEstimate] = []
     known = []
     at = {frame: k for k, frame in enumerate(head.frame.tolist())}
@@ -424,8 +424,7 @@ CONFUSION = np.array(
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0],
     ]
 )
-"""Ba & Odobez 2003, Table 2, as printed: per cent of the heads of each pan (rows) that are taken for each
-pan (columns)."""
+"""Ba & Odobez 2003, Table 2: per cent of the heads of each pan (rows) classified as each pan (columns)."""
 
 _PAPER: dict[tuple[int, Density, int], str] = {
     (68, "gaussian", 1): "90",
@@ -435,14 +434,14 @@ _PAPER: dict[tuple[int, Density, int], str] = {
     (140, "gaussian", 3): "67.2 ± 2.4",
     (140, "saturated", 4): "70.5 ± 2.3",
 }
-"""Ba & Odobez 2003, Tables 1 and 3: identification in per cent, by people (half of them learned from) and
+"""Ba & Odobez 2003, Tables 1 and 3: identification in per cent, by people (half of them for training) and
 exemplars."""
 
 _EXEMPLARS = {68: (1, 2), 140: (1, 2, 3, 4)}
 
 
 def still_heads(settings: Settings) -> tuple[Table, Table]:
-    """Tables 1 and 3 in one, and Table 2."""
+    """Return Tables 1 and 3 in one, and Table 2."""
     splits = 2 if settings.quick else 10
     records: list[dict[str, Cell]] = []
     confusion = np.zeros((len(PANS), len(PANS)))
@@ -472,7 +471,7 @@ def _record(people: int, row: Mapping[str, Any], printed: Mapping[str, Any]) -> 
 
 
 def _confusions(ours: FloatArray) -> Table:
-    """A row for each true pan, of the paper and of ours."""
+    """Return a row for each true pan, of the paper and of ours."""
     records: list[dict[str, Cell]] = [
         {
             "true pan (°)": pan,

@@ -38,7 +38,7 @@ def run_all(
 
     Parameters
     ----------
-    processes : how many at once; by default a process for each processor. With 1, none is started.
+    processes : number of parallel processes; by default one per processor. With 1, none is started.
     """
     count = min(os.cpu_count() or 1 if processes is None else processes, len(jobs))
     results = []
@@ -56,7 +56,7 @@ def run_all(
 
 
 def _alone() -> None:
-    """Use one thread in this process: more would wait for each other."""
+    """Use one thread in this process, to avoid oversubscription."""
     from threadpoolctl import threadpool_limits
 
     cv2.setNumThreads(1)
@@ -71,7 +71,7 @@ METHODS: Mapping[str, SigmaPiParameters] = {
     PRINTED: SigmaPiParameters.of_the_paper(),
     MOTION: SigmaPiParameters(cues=("motion",)),
 }
-"""The tracker; with a fixed reliability of motion (Yan et al. 2011, §2.2); as printed in full; and with the
+"""The tracker; with a fixed reliability of motion (Yan et al. 2011, §2.2); fully as published; and with the
 motion cue only, the paper's comparison. No box is given."""
 
 FROM_BOXES: Mapping[str, SigmaPiParameters] = {
@@ -79,7 +79,7 @@ FROM_BOXES: Mapping[str, SigmaPiParameters] = {
     LOCAL: SigmaPiParameters(views=False),
     MOTION: METHODS[MOTION],
 }
-"""Methods that are given the first box: the tracker; without the view in that box; and motion only."""
+"""Methods with the first box: the tracker; without views; and motion only."""
 
 _SEEN = 0.5
 """Share of a rendered person that must be visible for the frame to count."""
@@ -93,9 +93,9 @@ class Tally:
     ----------
     estimates : of every frame
     frames : in which the person is labelled
-    missing : of them, those in which the tracker does not find anybody
-    mismatch : of them, those in which it finds somebody whose centre is outside the person's box
-    empty, alarms : frames without anybody, and those of them in which the tracker finds somebody
+    missing : of them, those without a found person
+    mismatch : of them, those with an estimated centre outside the person's box
+    empty, alarms : frames without people, and those of them with a found person
     """
 
     estimates: list[BoxEstimate] = field(default_factory=list)
@@ -106,7 +106,7 @@ class Tally:
     alarms: int = 0
 
     def add(self, estimate: BoxEstimate, label: Box | None, *, counts: bool = True) -> None:
-        """Add a frame; one that does not count, such as of a person half hidden, is only kept."""
+        """Add a frame; excluded frames, such as of a half hidden person, only add the estimate."""
         self.estimates.append(estimate)
         if not counts:
             return
@@ -151,7 +151,7 @@ class Recording:
         Raises
         ------
         InputError
-            If one cannot be decoded.
+            If a frame cannot be decoded.
         """
         for number in self.numbers:
             path = self.folder / f"{number:04d}.jpg"
@@ -162,7 +162,7 @@ class Recording:
 
 
 def recordings(folder: Path, names: Iterable[str], fewest: int) -> list[Recording]:
-    """Find the people of CAVIAR's recordings who are labelled in ``fewest`` consecutive frames or more.
+    """Return the people of CAVIAR's recordings labelled in ``fewest`` consecutive frames or more.
 
     Parameters
     ----------
@@ -192,8 +192,8 @@ class PersonJob:
 
     Attributes
     ----------
-    sequence : a kind of rendered sequence, or a person of a recording, begun with the first labelled box
-    seed : of everything that is drawn
+    sequence : a kind of rendered sequence, or a person of a recording with the first labelled box
+    seed : of all random numbers
     frames : at most; all of a recording for None
     """
 
@@ -203,7 +203,7 @@ class PersonJob:
 
     @property
     def name(self) -> str:
-        """Of the sequence."""
+        """Name of the sequence."""
         if isinstance(self.sequence, str):
             return self.sequence
         one = self.sequence

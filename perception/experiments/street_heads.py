@@ -1,7 +1,7 @@
 """Prediction through an occlusion with the network's heads on Oxford Town Centre's frames (Baxter et al.
 2014, Table I and Fig. 5b, on a street of the group whose recording they use).
 
-Only the labels of the frames at hand are read: those of the recording's first minute.
+Only the labels of the available frames are read, those of the recording's first minute.
 """
 
 from __future__ import annotations
@@ -40,38 +40,38 @@ from perception.images.pixels import Image, crop, enlarged
 from perception.pose.deep_belief import DeepBelief
 
 STEP, SCALE = 10, 2.0
-"""Frames of the recording from one picture to the next, and size of the pictures, in that of the labels."""
+"""Frames of the recording per image, and size of the images relative to the labels."""
 
 FEWEST = 15
-"""Pictures in a row that somebody must be in: six seconds."""
+"""Least number of consecutive images of a person: six seconds."""
 
 BEFORE, HIDDEN, APART = 6, 5, 4
-"""Pictures before a window, in it (two seconds), and from one window's beginning to the next."""
+"""Images before a window, in it (two seconds), and between the starts of windows."""
 
 WALKING = 0.5
-"""Metres a second: the head of somebody faster is taken to point where they go."""
+"""Metres a second: the head of a faster person is assumed to point in the direction of travel."""
 
 PARTS = 3
-"""Into which people are divided by turns: to teach the last layer, to fit parameters, to judge."""
+"""Number of parts of people, in rotation: to train the last layer, to fit parameters, to test."""
 
 _HEAD_TOP, _MARGIN = 0.005, 1.06
-"""Of a head's box: its top in heights of the person's below that one's, and the margin of training."""
+"""Top of a head's box below the person's, in heights of the person, and the training margin."""
 
 HEADS = ("network", "network, last layer of this street")
 CONSTANT = "constant velocity"
-"""The Kalman filter, fitted, that the others are compared with."""
+"""Fitted Kalman filter, the baseline."""
 
 
 @dataclass(frozen=True, eq=False)
 class StreetPerson:
-    """Somebody in n pictures one after the other.
+    """A person in n consecutive images.
 
     Attributes
     ----------
     track : labelled positions in metres, at the pictures' times
     images : of the heads, cut out at the top of the labelled boxes
     size : (n,) pixels of the heads
-    travel : (n,) direction of travel, radians in the image frame, of those who walk; else NaN
+    travel : (n,) direction of travel, radians in the image frame, while walking; else NaN
     """
 
     track: Track
@@ -81,9 +81,9 @@ class StreetPerson:
 
 
 def street_people(folder: Path) -> tuple[list[StreetPerson], GroundCamera]:
-    """People in `FEWEST` pictures in a row of a Town Centre folder, and its camera.
+    """Return people in `FEWEST` consecutive images of a Town Centre folder, and its camera.
 
-    Labels of frames without a picture are not used.
+    Labels of frames without an image are not used.
     """
     frames, camera, runs = labelled_runs(folder, FEWEST)
     pictures = {
@@ -101,13 +101,13 @@ def labelled_runs(
 
     Returns
     -------
-    The pictures, the camera, and for everybody who is in ``fewest`` pictures in a row: number, pictures (n,)
-    of the longest such run, and labelled boxes (n, 4) in their pixels.
+    The images, the camera, and for every person in ``fewest`` consecutive images: number, images (n,) of the
+    longest such run, and labelled boxes (n, 4) in their pixels.
 
     Raises
     ------
     InputError
-        If something of it is not there.
+        If a file is missing.
     """
     pictures, truth, calibration = (
         folder / name for name in ("frames_001_150/img1", "boxes.csv", "calibration.ci")
@@ -131,7 +131,7 @@ def labelled_runs(
 
 
 def head_boxes(box: FloatArray) -> FloatArray:
-    """Boxes (n, 4) of heads, at the top of the labelled boxes (n, 4) of people who stand upright."""
+    """Return boxes (n, 4) of heads, at the top of the labelled boxes (n, 4) of upright people."""
     left, top, width, height = box.T
     size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * height[:, None]
     return np.column_stack([left + width / 2.0 - size[:, 0] / 2.0, top + _HEAD_TOP * height, size])
@@ -159,14 +159,14 @@ def _person(
 
 
 def packaged_pans(model: DeepBelief, people: Sequence[StreetPerson]) -> list[FloatArray]:
-    """Likeliest pans (n,) of each person, in the image frame."""
+    """Return the likeliest pans (n,) of each person, in the image frame."""
     return [model.classes.most_likely_pan(model.log_likelihoods(person.images)) for person in people]
 
 
 def taught_pans(
     model: DeepBelief, people: Sequence[StreetPerson], teachers: Sequence[StreetPerson]
 ) -> list[FloatArray]:
-    """The same with a last layer that learned from the direction of travel of others, and reflections."""
+    """Return pans by a last layer trained on other people's directions of travel, and reflections."""
     classes = model.classes
     inputs: list[NDArray[np.floating]] = []
     labels: list[NDArray[np.int64]] = []
@@ -182,12 +182,12 @@ def taught_pans(
 
 
 def windows(track: Track, pan: FloatArray, camera: GroundCamera) -> list[tuple[Track, BoolArray]]:
-    """Copies of a track with positions withheld in a window each, up to its end, so that only the past helps.
+    """Return copies of a track that end with a window of withheld positions each.
 
     Parameters
     ----------
-    pan : (n,) of the head in the image frame. In a window it is turned to the world by the line of sight to
-        the last position before it, for later ones are not seen.
+    pan : (n,) of the head in the image frame. In a window it is converted to the world by the line of sight
+        to the last position before it, since later positions are withheld.
     """
     found = []
     for begin in range(BEFORE, len(track) - HIDDEN + 1, APART):
@@ -199,7 +199,7 @@ def windows(track: Track, pan: FloatArray, camera: GroundCamera) -> list[tuple[T
 
 
 def _fitted(pairs: Sequence[tuple[Track, BoolArray]], kappa: float, evaluations: int) -> dict[str, Predictor]:
-    """The methods by name, with the parameters that make their own error least in these windows."""
+    """Return the methods by name, with the parameters of least error in these windows."""
 
     def best(make: Callable[..., Predictor], *start: float) -> Predictor:
         def error(*values: float) -> float:
@@ -226,7 +226,7 @@ def _fitted(pairs: Sequence[tuple[Track, BoolArray]], kappa: float, evaluations:
 def occlusion_tables(
     folder: Path, model: DeepBelief, rng: np.random.Generator, *, quick: bool
 ) -> list[Table]:
-    """Errors of the network's heads, and of prediction with them in withheld windows of two seconds.
+    """Compute errors of the network's heads, and of prediction with them in withheld windows of two seconds.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def occlusion_tables(
 
 
 def concentration(error: FloatArray) -> float:
-    """κ of angular errors (n,) with NaN, by the mean resultant length R: R(2 − R²)/(1 − R²)."""
+    """Return κ of angular errors (n,) with NaN, by the mean resultant length R: R(2 − R²)/(1 − R²)."""
     length = float(np.abs(np.nanmean(np.exp(1j * error))))
     return length * (2.0 - length**2) / max(1.0 - length**2, 1e-6)
 

@@ -56,11 +56,11 @@ ALL_PERSONS = "all persons"
 _FEWEST = 100
 
 Runs = Mapping[str, Sequence[Mapping[str, Tally]]]
-"""Sequence → for each seed, method → what came out."""
+"""Results by sequence, seed and method."""
 
 
 def _effort(settings: Settings) -> tuple[int, int]:
-    """Seeds and frames of a rendered sequence."""
+    """Return the number of seeds, and of frames of a rendered sequence."""
     return (1, 120) if settings.quick else (10, 400)
 
 
@@ -71,7 +71,7 @@ def _people(settings: Settings) -> list[Recording]:
 
 
 def _jobs(settings: Settings) -> tuple[list[PersonJob], list[PersonJob]]:
-    """Rendered sequences and real ones, each with every seed."""
+    """Return jobs for rendered and real sequences, each with every seed."""
     seeds, frames = _effort(settings)
     drawn = [
         PersonJob(kind, (settings.seed, i, k), frames)
@@ -84,12 +84,12 @@ def _jobs(settings: Settings) -> tuple[list[PersonJob], list[PersonJob]]:
 
 
 def work(settings: Settings) -> int:
-    """Sequences and seeds."""
+    """Return the number of jobs."""
     return sum(len(jobs) for jobs in _jobs(settings))
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
+    """Run the experiment."""
     seeds, frames = _effort(settings)
     rooms, people = _jobs(settings)
     jobs = [*rooms, *people]
@@ -100,9 +100,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         (drawn if isinstance(job.sequence, str) else real).setdefault(job.name, []).append(found)
     notes = [
         "Success: the person is found and the estimated centre lies in the labelled box. Missing: the person "
-        "is there and not found. Mismatch: found, but the centre is outside the box.",
+        "is present and not found. Mismatch: found, but the centre is outside the box.",
         f"Ours are {counted(seeds, 'rendered sequence')} of {frames} frames of each kind, with another room "
-        "and other people for every seed; nobody tells the tracker where the person is.",
+        "and other people for every seed; the tracker starts without a box.",
         "Motion not adaptive: the reliability of the linear term of motion stays at 1, as Yan et "
         "al. (2011) have it (§2.2).",
         "As in the paper: `--as-in-the-paper`, eq. 4 at the last positions, the mean of all particles, 5 % "
@@ -136,12 +136,12 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def success(runs: Sequence[Mapping[str, Tally]], method: str) -> np.ndarray:
-    """Success (seeds,) of a method in per cent."""
+    """Return the success (seeds,) of a method in per cent."""
     return np.array([100.0 * found[method].success for found in runs])
 
 
 def method_table(runs: Runs, title: str) -> Table:
-    """Frames and success of each method in each sequence, over the seeds."""
+    """Tabulate frames and success of each method in each sequence, over the seeds."""
     records: list[dict[str, Cell]] = []
     for name, found in runs.items():
         for method in found[0]:
@@ -166,10 +166,10 @@ def method_table(runs: Runs, title: str) -> Table:
 
 
 def difference_table(runs: Runs, rng: np.random.Generator) -> Table:
-    """Success of the tracker less that of the others on the same sequences, with 95 % intervals.
+    """Tabulate paired differences of success on the same sequences, with 95 % intervals.
 
-    Of each kind, and of the persons of all kinds together; the robot, which Yan et al. (2011) have no figures
-    of, is not among those.
+    Rows are for each kind, and for all kinds with persons; the robot, for which Yan et al. (2011) have no
+    figures, is excluded from the latter.
     """
     persons = [one for kind, found in runs.items() if kind in PAPER for one in found]
     records: list[dict[str, Cell]] = []

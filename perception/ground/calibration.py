@@ -177,7 +177,7 @@ def found_view(
     people = int(who.max(initial=-1)) + 1
     if people < _LEAST_PEOPLE or len(kept) < _LEAST_BOXES:
         raise ViewUnknown(
-            f"{len(kept)} whole boxes of {people} people: the view does not tell the ground",
+            f"{len(kept)} whole boxes of {people} people: too few to calibrate the view",
             f"at least {_LEAST_BOXES} of {_LEAST_PEOPLE}, or a calibration",
         )
     feet = np.array([foot_point(item.box) for item in boxes])[kept] - np.array(size) / 2.0
@@ -186,7 +186,7 @@ def found_view(
     if high < _LEAST_GROWTH * low:
         raise ViewUnknown(
             f"people all at one depth, in boxes of {low:.0f} to {high:.0f} pixels: "
-            "the view does not tell the ground",
+            "the ground plane is not observable",
             "people near and far, or a calibration",
         )
     fit = fitted(HeightData(feet, height, who, people, float(max(size))))
@@ -256,12 +256,12 @@ def _check_told(fit: Fit, distance_std: float) -> None:
     if abs(fit.vector[1]) > _STEEPEST:
         raise ViewUnknown(
             f"a view from above ({np.degrees(fit.vector[1]):.0f}° down): "
-            "the heights of boxes do not tell the ground",
+            "the ground plane is not observable from the heights of boxes",
             "a camera that looks down by less than 60°, or a calibration",
         )
     if _share(fit, distance_std) > 1.0:
         raise ViewUnknown(
-            f"boxes that do not tell the ground: focal length ± {100 * focal:.0f} %, tilt ± "
+            f"boxes that do not determine the ground plane: focal length ± {100 * focal:.0f} %, tilt ± "
             f"{np.degrees(tilt):.0f}°, distances ± {100 * distance_std:.0f} %",
             "more people, nearer and farther ones, or a calibration",
         )
@@ -279,5 +279,5 @@ def _notes(fit: Fit, distance_std: float, person_height: float) -> tuple[str, ..
         "the lens is taken to be without distortion, its axis to pass through the middle of the image",
     ]
     if _share(fit, distance_std) > _WIDE:
-        notes.append("this view tells little: more people, nearer and farther ones, would tell more")
+        notes.append("this view is uncertain: people at more distances would improve it")
     return tuple(notes)

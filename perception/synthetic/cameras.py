@@ -18,12 +18,12 @@ from perception.synthetic.raycast import Light
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera without skew over the ground z = 0.
+    """Camera without skew over the ground z = 0.
 
     Attributes
     ----------
     position : (3,) metres
-    yaw : world direction (radians) in which it looks, seen from above
+    yaw : world direction (radians) of the optical axis, from above
     pitch : radians above the horizontal; −π/2 looks straight down, the image's top towards ``yaw``
     focal : pixels (for a fisheye, pixels a radian)
     size : width and height in pixels
@@ -41,7 +41,7 @@ class Camera:
     def above(
         cls, distance: float, elevation: float, focal: float, size: tuple[int, int], height: float = 0.0
     ) -> Camera:
-        """A camera on the +x side that looks at a point above the origin from an elevation (radians)."""
+        """Return a camera on the +x side, aimed at a point above the origin from an elevation (radians)."""
         x, z = distance * np.cos(elevation), height + distance * np.sin(elevation)
         return cls((x, 0.0, z), np.pi, -elevation, focal, size)
 
@@ -54,11 +54,11 @@ class Camera:
         return np.stack([right, np.cross(axis, right), axis])
 
     def rays(self, oversampling: int = 1) -> FloatArray:
-        """Unit directions (h·s, w·s, 3) in the world through the pixels' centres, s rays a pixel and axis."""
+        """Return unit directions (h·s, w·s, 3) in the world, with s rays per pixel and axis."""
         return _camera_rays(self.size, self.focal, self.lens, oversampling) @ self.rotation
 
     def project(self, point: ArrayLike) -> FloatArray:
-        """Pixels (..., 2) of world points (..., 3); NaN behind the camera."""
+        """Project world points (..., 3) to pixels (..., 2); NaN behind the camera."""
         seen = (np.asarray(point, dtype=float) - np.asarray(self.position)) @ self.rotation.T
         x, y, z = seen[..., 0], seen[..., 1], seen[..., 2]
         if self.lens == "fisheye":
@@ -83,13 +83,13 @@ class Camera:
         return np.array([[self.focal, 0.0, w / 2.0], [0.0, self.focal, h / 2.0], [0.0, 0.0, 1.0]])
 
     def ground_camera(self) -> GroundCamera:
-        """The same camera as the tracker knows it, with its optical centre."""
+        """Return the camera as a `GroundCamera`, with its optical centre."""
         return GroundCamera.from_calibration(self.rotation, self.translation, self.intrinsics, lens=self.lens)
 
 
 @lru_cache(maxsize=64)
 def _camera_rays(size: tuple[int, int], focal: float, lens: str, oversampling: int) -> FloatArray:
-    """Rays in the camera's frame; cached, since the cameras of many crops differ by their place only."""
+    """Rays in the camera's frame; cached, since cameras of many crops differ only in position."""
     w, h = size
     u = (np.arange(w * oversampling) + 0.5) / oversampling - w / 2.0
     v = (np.arange(h * oversampling) + 0.5) / oversampling - h / 2.0
@@ -127,7 +127,7 @@ class Sensor:
 
 
 def random_sensor(rng: np.random.Generator, blur: float = 0.4) -> Sensor:
-    """A surveillance camera of any make; ``blur`` is the 1-σ of its blur (pixels)."""
+    """Draw a sensor of a surveillance camera; ``blur`` is the 1-σ of its blur (pixels)."""
     return Sensor(
         gain=float(rng.uniform(0.55, 1.25)),
         gamma=float(rng.uniform(0.5, 0.85)),
@@ -138,7 +138,7 @@ def random_sensor(rng: np.random.Generator, blur: float = 0.4) -> Sensor:
 
 
 def random_light(rng: np.random.Generator) -> Light:
-    """A light from above at any bearing, slightly coloured."""
+    """Draw a slightly coloured light from above at a random bearing."""
     bearing, height = rng.uniform(-np.pi, np.pi), rng.uniform(0.35, 1.4)
     tint = rng.normal(1.0, 0.05, 3)
     key, ambient = rng.uniform(0.2, 0.75), rng.uniform(0.35, 0.7)
@@ -146,7 +146,7 @@ def random_light(rng: np.random.Generator) -> Light:
 
 
 def develop(light: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator) -> Image:
-    """The 8-bit image (h, w, 3), blue green red, of the light (h, w, 3) that arrives."""
+    """Return the 8-bit image (h, w, 3), blue green red, of incident light (h, w, 3)."""
     exposed = np.clip(np.asarray(light, np.float32) * sensor.gain, 0.0, 1.0) ** sensor.gamma * 255.0
     if sensor.blur > 0.15:
         exposed = cv2.GaussianBlur(exposed, (0, 0), sensor.blur, borderType=cv2.BORDER_REPLICATE)
@@ -160,9 +160,9 @@ def develop(light: NDArray[np.floating], sensor: Sensor, rng: np.random.Generato
 
 
 def random_clutter(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """A shop or a street behind a person (height, width, 3) as light in 0…1: sharp, busy and contrasty.
+    """Draw a shop or a street (height, width, 3) as light in 0…1: sharp, with clutter and contrast.
 
-    Many small things, rows of alike ones, and a texture over all of it.
+    Many small objects, rows of similar objects, and an overall texture.
     """
     picture = random_background(height, width, rng)
     grain = rng.normal(0.0, 1.0, (height // 4 + 2, width // 4 + 2)).astype(np.float32)
@@ -182,9 +182,9 @@ def random_clutter(height: int, width: int, rng: np.random.Generator) -> NDArray
 
 
 def random_background(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Clutter (height, width, 3) as light in 0…1: a gradient with boxes, bars and blobs on it."""
+    """Draw clutter (height, width, 3) as light in 0…1: a gradient with boxes, bars and blobs."""
     full = (width, height)
-    height, width = max(8, height // 2), max(8, width // 2)  # it is blurred anyway
+    height, width = max(8, height // 2), max(8, width // 2)  # half resolution, since it is blurred
     base, slope = rng.uniform(0.05, 0.8, 3), rng.uniform(-0.25, 0.25, 2)
     x, y = np.linspace(-1.0, 1.0, width), np.linspace(-1.0, 1.0, height)
     ramp = slope[0] * x[None, :] + slope[1] * y[:, None]

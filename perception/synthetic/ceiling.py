@@ -1,6 +1,6 @@
 """Rendered rooms under a fisheye camera: the kinds of sequence of Yan, Weber & Wermter (2011), Table 1.
 
-Someone comes in, walks and sits, furniture is moved, somebody else comes; boxes are exact.
+A person enters, walks and sits, furniture is moved, and a distracter enters; boxes are exact.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from perception.synthetic.scene import Furniture, Label, Person, Scene, StillSce
 ROOM = np.array([3.3, 2.4])
 """Half of the room's length and width in metres; the door is in the middle of the side towards +x."""
 INSIDE = ROOM - np.array([1.15, 1.05])
-"""People walk within these halves, clear of what stands along the walls."""
+"""Half extents of the walking area, clear of furniture along the walls."""
 _OUTSIDE = np.array([ROOM[0] + 1.6, 0.0])
 _STEPS_A_METRE = 0.7
 _TURNING = 4.0
-"""1/s: how fast bodies turn to where they go."""
+"""1/s: rate at which bodies turn to the direction of travel."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class CeilingKind:
     Attributes
     ----------
     speed : of walking, metres a second
-    pauses : seconds of a halt at a place, least and most
+    pauses : least and largest seconds of a halt
     sits : spans in which the person sits on a chair
     moves : spans in which a piece of furniture is moved
-    distracter : span in which somebody else is in the room
-    target : "person", or "robot": a mobile robot is to be tracked
+    distracter : span in which another person is in the room
+    target : "person", or "robot" for a mobile robot
     """
 
     speed: float = 1.0
@@ -53,11 +53,11 @@ class CeilingKind:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Somebody's way through the room, n frames.
+    """Path of a person through the room, n frames.
 
     Attributes
     ----------
-    there : (n,) whether they are in the room or on the way in or out
+    there : (n,) whether the person is in the room or at the door
     position : (n, 2) metres
     body : (n,) radians
     phase : (n,) radians of the step
@@ -91,12 +91,12 @@ def walk(
     last: int,
     chair: FloatArray,
 ) -> Walk:
-    """Through the door in frame ``first``, to and fro, with halts and seats; out again by ``last``.
+    """Draw a path through the door in frame ``first``, with halts and seats, and out by ``last``.
 
     Parameters
     ----------
     frames, fps : length of the sequence, and frames a second
-    last : frame by which they are out again; not at all where it is ``frames``
+    last : frame by which the person has left; ``frames``: never
     chair : (2,) metres
     """
     there = np.zeros(frames, bool)
@@ -147,7 +147,7 @@ def _goal(place: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def _moving(there: np.ndarray, position: FloatArray, sitting: FloatArray, fps: float) -> Walk:
-    """Bodies that turn to where they go, and steps that fit the way."""
+    """Return a walk with bodies turned to the direction of travel, and consistent steps."""
     step = np.diff(position, axis=0, prepend=position[:1])
     length = np.linalg.norm(step, axis=1)
     body = np.empty(len(position))
@@ -181,17 +181,17 @@ KINDS: Mapping[str, CeilingKind] = MappingProxyType(
         ),
     }
 )
-"""Name of the kind, as in Yan et al.'s Table 1 → what happens."""
+"""Kinds of sequences by name, as in Yan et al.'s Table 1."""
 
 ALL_KINDS: Mapping[str, CeilingKind] = MappingProxyType(
     {**KINDS, "robot moving": CeilingKind(0.6, (0.5, 2.0), target="robot")}
 )
-"""Those, and a mobile robot, which Yan et al. (2011) mean to track as well (§4) and gives no figures of."""
+"""`KINDS`, and a mobile robot, which Yan et al. (2011) mention (§4) without figures."""
 
 
 @dataclass(frozen=True, eq=False)
 class CeilingFrame:
-    """An image (h, w, 3) uint8, and the labels of the person and of the distracter; None where not there."""
+    """An image (h, w, 3) uint8, and the labels of the person and of the distracter; None if absent."""
 
     image: Image
     target: Label | None
@@ -200,18 +200,18 @@ class CeilingFrame:
 
 @dataclass(frozen=True, eq=False)
 class CeilingSequence:
-    """A sequence that is rendered while it is read; reading it again gives the same frames.
+    """Sequence that is rendered on iteration; each iteration gives the same frames.
 
     Attributes
     ----------
-    scene : the room with what never moves
-    looks : of the person or robot, and of the distracter
-    walks : of the person, and of the distracter where there is one
-    moved : furniture that is moved, with its places (n, 2) in metres
+    scene : the room and static furniture
+    looks : appearance of the person or robot, and of the distracter
+    walks : of the person, and of the distracter if there is one
+    moved : moved furniture, with positions (n, 2) in metres
     sensor : of the camera
     seed : of the noise
     fps : frames a second
-    oversampling : rays a pixel and axis
+    oversampling : rays per pixel and axis
     """
 
     scene: Scene
@@ -231,7 +231,7 @@ class CeilingSequence:
         room = None
         for k in range(len(self)):
             furniture, pushed = self._furniture(k)
-            # What has come to rest is part of the room, which is then cast anew once.
+            # Furniture at rest is part of the room, which is then cast again once.
             if room is None or room[0] != furniture:
                 scene = replace(self.scene, furniture=(*self.scene.furniture, *furniture))
                 room = furniture, StillScene(scene, oversampling=self.oversampling)
@@ -243,7 +243,7 @@ class CeilingSequence:
             yield CeilingFrame(frame.image, labels.get(0), labels.get(1))
 
     def _furniture(self, k: int) -> tuple[list[Furniture], list[Furniture]]:
-        """Moved furniture that rests in frame k, and that on its way."""
+        """Return the moved furniture at rest in frame k, and the furniture in motion."""
         resting: list[Furniture] = []
         pushed: list[Furniture] = []
         for item, places in self.moved:
@@ -262,12 +262,12 @@ def ceiling_sequence(
     empty: int = 15,
     oversampling: int = 2,
 ) -> CeilingSequence:
-    """Draw a room, its people and what they do.
+    """Draw a room, its people and their actions.
 
     Parameters
     ----------
     frames, fps : length of the sequence, and frames a second
-    empty : frames before the person comes in
+    empty : frames before the person enters
     """
     furniture = _furniture(rng)
     place = rng.uniform(-1.0, 1.0, 2) * INSIDE
@@ -310,7 +310,7 @@ def _colour(rng: np.random.Generator, low: float = 0.08, high: float = 0.75) -> 
 
 
 def _walls(rng: np.random.Generator) -> list[Furniture]:
-    """Four walls with a door, and the corridor's wall behind it."""
+    """Return four walls with a door, and the corridor's wall behind it."""
     x, y = ROOM
     colour = _colour(rng, 0.55, 0.75)
     side = y - _DOOR
@@ -324,7 +324,7 @@ def _walls(rng: np.random.Generator) -> list[Furniture]:
 
 
 def _furniture(rng: np.random.Generator) -> list[Furniture]:
-    """A sofa, shelves, tables and columns along the walls, and a rug."""
+    """Draw a sofa, shelves, tables and columns along the walls, and a rug."""
     x, y = ROOM
     rug = Furniture(
         tuple(rng.uniform(-0.6, 0.6, 2)),
@@ -341,7 +341,7 @@ def _furniture(rng: np.random.Generator) -> list[Furniture]:
                 round_ = bool(rng.random() < 0.2)
                 size = (size[1], size[1], size[2]) if round_ else size
                 found.append(Furniture(place, size, 0.0, _colour(rng), round_))
-                if rng.random() < 0.6:  # something that stands on it
+                if rng.random() < 0.6:  # an object on it
                     small = (rng.uniform(0.1, 0.3), rng.uniform(0.1, 0.3), size[2] + rng.uniform(0.05, 0.3))
                     found.append(Furniture(place, small, rng.uniform(0.0, np.pi), _colour(rng)))
     size = (rng.uniform(0.4, 0.6), rng.uniform(1.0, 1.8), rng.uniform(0.5, 1.8))
@@ -350,14 +350,14 @@ def _furniture(rng: np.random.Generator) -> list[Furniture]:
 
 
 def _table(rng: np.random.Generator, k: int) -> Furniture:
-    """A table to be moved, at first in a corner on the left."""
+    """Draw a table to be moved, initially in a corner on the left."""
     place = (-INSIDE[0] - 0.35, (1.0 if k % 2 else -1.0) * (INSIDE[1] - 0.1))
     size = tuple(np.array(_TABLE) * rng.uniform(0.75, 1.1, 3))
     return Furniture(place, size, rng.uniform(-0.4, 0.4), _colour(rng))
 
 
 def _pushed(item: Furniture, span: tuple[float, float], frames: int, rng: np.random.Generator) -> FloatArray:
-    """Places (frames, 2) of a piece of furniture that is pushed 1 to 2 m."""
+    """Draw positions (frames, 2) of a piece of furniture that is pushed 1 to 2 m."""
     start = np.array(item.position)
     end = start + rng.uniform(1.0, 2.0) * unit(rng.uniform(-0.35, 0.35))
     share = np.clip((np.arange(frames) / frames - span[0]) / (span[1] - span[0]), 0.0, 1.0)

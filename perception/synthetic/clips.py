@@ -1,4 +1,4 @@
-"""Short rendered videos: people who walk and look around, and a street with people pasted into its frames."""
+"""Short rendered videos: walking people with head turns, and a street with people pasted into its frames."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from perception.synthetic.scene import Furniture, Person, Scene, StillScene
 _SIZE = (640, 480)
 _FOCAL = 760.0
 _AREA = 2.5
-"""Metres about the middle of the scene, within which the middles of the paths are."""
+"""Metres: range of the middles of paths about the middle of the scene."""
 _STEPS_A_METRE = 0.7
 """Of each leg."""
 _SMALLEST = 40.0
-"""Pixels: people of less height, or at the border, have no box."""
+"""Pixels: smaller people, or people at the border, have no box."""
 _VISIBLE = 0.5
 _BOX_OFFSET, _BOX_SCALE, _BOX_MARGIN = 0.03, 0.05, 1.06
 
@@ -41,9 +41,9 @@ class Clip:
     Attributes
     ----------
     images : of frames 0, 1, 2 …
-    boxes : of people, off as a detector's are
+    boxes : of people, with errors of a detector
     truth : positions (metres) and angles (radians) of every person in every frame, as a `TrackSet`
-    camera : over the ground
+    camera : view of the ground
     fps : frames a second
     """
 
@@ -56,12 +56,12 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class Walks:
-    """People who walk before a camera, to be rendered.
+    """Walking people in front of a camera, to be rendered.
 
     Attributes
     ----------
-    scene : the place and its camera
-    looks : of each person
+    scene : the scene and its camera
+    looks : appearance of each person
     sensor : of the camera
     truth : positions (metres) and angles (radians) of every person in every frame
     fps : frames a second
@@ -77,12 +77,12 @@ class Walks:
         return len(self.truth.tracks[0])
 
     def people(self, k: int) -> list[Person]:
-        """People in frame k, in the order of the tracks."""
+        """Return the people in frame k, in the order of the tracks."""
         postures = [_posture(track, k) for track in self.truth]
         return [Person(*both) for both in zip(self.looks, postures, strict=True)]
 
     def frames(self, rng: np.random.Generator) -> Iterator[tuple[Image, list[PersonBox]]]:
-        """Images of frames 0, 1, 2 …, rendered one after the other, with people's boxes."""
+        """Render the images of frames 0, 1, 2 …, with people's boxes."""
         place = StillScene(self.scene)
         for k in range(len(self)):
             frame = place.render(self.people(k), self.sensor, rng)
@@ -96,7 +96,7 @@ class Walks:
 
 
 def walking_clip(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fps: float = 5.0) -> Clip:
-    """Render people who walk as the model "joint" has it, on a tiled floor with some furniture."""
+    """Render people who walk by the model "joint", on a tiled floor with some furniture."""
     walks = draw_walks(rng, people=people, steps=steps, fps=fps)
     shown = list(walks.frames(rng))
     boxes = [box for _, of_frame in shown for box in of_frame]
@@ -104,7 +104,7 @@ def walking_clip(rng: np.random.Generator, *, people: int = 3, steps: int = 30, 
 
 
 def draw_walks(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fps: float = 5.0) -> Walks:
-    """Draw people who walk as the model "joint" has it, on a tiled floor with some furniture.
+    """Draw people who walk by the model "joint", on a tiled floor with some furniture.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def draw_walks(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fp
 
 
 def _moved(track: Track, rng: np.random.Generator) -> Track:
-    """The truth of a track, with the middle of its path at a place in view."""
+    """Return a track's ground truth, with the middle of its path moved into view."""
     assert track.true_position is not None
     path = track.true_position
     path = path - (path.min(axis=0) + path.max(axis=0)) / 2.0 + rng.uniform(-_AREA, _AREA, 2)
@@ -170,19 +170,19 @@ SIZE = (320, 240)
 CAMERA = Camera((0.0, -14.0, 6.0), np.pi / 2, -0.4, 330.0, SIZE)
 FPS = 2.5
 _NEAR = 620.0
-"""Focal length at which people are as high as the pictures of them."""
+"""Focal length at which people have the height of their crops."""
 _TALL = 64
 _STEPS = 7
 _MARGIN = 1.5
 _SEEN = PedestrianVariation(
     size=(60, 70), offset=0.0, scale=0.0, margin=_MARGIN, elevation=(0.9, 1.1), occluded=0.0, floor=1.0
 )
-"""From high above, where the models of the package fail."""
+"""Elevation of a high camera, for which the package's models fail."""
 
 
 @dataclass(frozen=True, eq=False)
 class PastedStreet:
-    """Frames, boxes off as a detector's, and where each person goes in the image frame, (n,) radians."""
+    """Frames, boxes with errors of a detector, and directions of travel in the image frame, (n,) radians."""
 
     frames: list[Frame]
     boxes: list[PersonBox]
@@ -198,9 +198,9 @@ def pasted_street(
     speed: float = 1.2,
     upright: bool = False,
 ) -> PastedStreet:
-    """One person after the other walks straight through the middle, in directions all around.
+    """Paste people who walk straight through the middle in turn, in all directions.
 
-    With ``upright`` the camera is nearer, and people are as large as it shows them, and seen as it sees them.
+    With ``upright`` the camera is nearer, and people have the size and elevation of its view.
     """
     view = replace(CAMERA, focal=_NEAR) if upright else CAMERA
     camera = view.ground_camera()
@@ -229,7 +229,7 @@ def pasted_street(
 
 
 def _paste(image: Image, picture: Image, box: FloatArray) -> None:
-    """Draw a picture, which has a margin, where its person is in the box."""
+    """Draw a crop with a margin, with its person in the box."""
     height = round(_MARGIN * box[3])
     width = round(height * picture.shape[1] / picture.shape[0])
     left, top = round(box[0] + (box[2] - width) / 2), round(box[1] + (box[3] - height) / 2)

@@ -33,7 +33,7 @@ _TITLE_HEIGHT = 18
 def contact_sheet(
     images: Sequence[Image], columns: int, *, cell: tuple[int, int] = (64, 64), titles: Sequence[str] = ()
 ) -> Image:
-    """Crops row by row, enlarged without smoothing so that every pixel shows.
+    """Arrange crops in rows, enlarged without smoothing.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ TARGETS = {"person": "person moving 1", "robot": "robot moving"}
 _BATCH = 20
 _UNTIL_THERE = 30
 _ALL_WAYS = HeadVariation(tilt_deviation=None)
-"""Heads that look up and down often enough that every class of pan and tilt has some."""
+"""Heads with enough tilts for every class of pan and tilt."""
 
 
 def write_street(
@@ -79,14 +79,14 @@ def write_street(
     fps: float = 5.0,
     images: bool = False,
 ) -> list[PersonBox]:
-    """People who walk before a camera: frames, boxes that are off as a detector's, keypoints, camera, truth.
+    """Write walking people: frames, boxes with a detector's errors, keypoints, camera and ground truth.
 
-    As all of `KINDS` it makes the folder, whole or not at all, and returns the boxes, if there are any.
+    Like all of `KINDS` it creates the folder atomically, and returns the boxes, if there are any.
 
     Parameters
     ----------
-    advance : is told how many more frames or crops are done
-    images : whether the frames are images in a folder, named by their numbers, in place of a video
+    advance : receives the number of newly completed frames or crops
+    images : whether the frames are images in a folder, named by their numbers, instead of a video
     """
     walks = draw_walks(rng, people=people, steps=frames, fps=fps)
     camera = walks.scene.camera
@@ -100,7 +100,7 @@ def write_street(
 
 
 def _write_keypoints(path: Path, walks: Walks, boxes: Iterable[PersonBox], rng: np.random.Generator) -> None:
-    """Write a pose network's answers for the people in boxes, as COCO results."""
+    """Write the simulated output of a pose network for the people in boxes, as COCO results."""
     place = {track.track_id: number for number, track in enumerate(walks.truth)}
     entries = []
     for item in boxes:
@@ -121,22 +121,22 @@ def write_ceiling(
     images: bool = False,
     target: str = "person",
 ) -> list[PersonBox]:
-    """Somebody who comes into a room under a fisheye camera: frames, exact boxes, camera and truth.
+    """Write a person entering a room under a fisheye camera: frames, exact boxes, camera, ground truth.
 
     Parameters
     ----------
-    target : "person", or "robot": a mobile robot in their place
+    target : "person", or "robot" for a mobile robot
 
     Raises
     ------
     InputError
-        For less frames than until they come in, or another target.
+        For too few frames until the entrance, or another target.
     """
     if target not in TARGETS:
         raise InputError(f"--target {target}", f"one of {', '.join(TARGETS)}")
     if frames < _UNTIL_THERE:
         raise InputError(
-            f"{frames} frames", f"at least {_UNTIL_THERE}, since somebody comes in after a while"
+            f"{frames} frames", f"at least {_UNTIL_THERE}, since the person enters after a while"
         )
     sequence = ceiling_sequence(CEILING_KINDS[TARGETS[target]], rng, frames=frames, fps=fps)
     with atomic_path(folder, directory=True) as made:
@@ -155,7 +155,7 @@ def write_head(
     fps: float = 25.0,
     images: bool = False,
 ) -> list[PersonBox]:
-    """A head that moves and turns before some clutter: frames, exact boxes of the head, and its angles."""
+    """Write a moving and turning head in front of clutter: frames, exact boxes of the head, and angles."""
     clip = head_clip(rng, HeadClipParameters(frames=frames, fps=fps, clutter=0.3), advance=advance)
     of_frame = [
         PersonBox(k, 1, (float(left), float(top), float(width), float(height)))
@@ -172,7 +172,7 @@ def write_head(
 def write_heads(
     folder: Path, rng: np.random.Generator, advance: Advance, *, count: int = 400
 ) -> list[PersonBox]:
-    """Crops of heads with the labels that `perception train` takes for head pose."""
+    """Write crops of heads with the labels of `perception train` for head pose."""
 
     def drawn(size: int) -> tuple[list[Image], dict[str, Any]]:
         heads = make_heads(size, rng, _ALL_WAYS)
@@ -184,7 +184,7 @@ def write_heads(
 def write_people(
     folder: Path, rng: np.random.Generator, advance: Advance, *, count: int = 400
 ) -> list[PersonBox]:
-    """Crops of people with the labels that `perception train` takes for body pose and heads in them."""
+    """Write crops of people with the labels of `perception train` for body pose and head boxes."""
 
     def drawn(size: int) -> tuple[list[Image], dict[str, Any]]:
         people = make_pedestrians(size, rng)
@@ -213,7 +213,7 @@ def _write_frames(
     images: bool,
     advance: Advance = lambda count: None,
 ) -> list[PersonBox]:
-    """Write frames and boxes while they are made; all boxes."""
+    """Write frames and boxes during rendering; return all boxes."""
     boxes: list[PersonBox] = []
     with pictures(folder / (IMAGES if images else VIDEO), fps) as write_picture:
         for k, (image, of_frame) in enumerate(shown):
@@ -237,7 +237,7 @@ def _labelled(sequence: CeilingSequence) -> Iterator[tuple[Image, list[PersonBox
 
 
 def _walk_of(sequence: CeilingSequence) -> TrackSet:
-    """The truth of the person in a room."""
+    """Return the ground truth of the person in a room."""
     walk = sequence.walks[0]
     frame = np.flatnonzero(walk.there)
     position, body = walk.position[frame], walk.body[frame]

@@ -1,4 +1,4 @@
-"""Rendered sequences of one head that walks and looks around before things of its own colours."""
+"""Rendered sequences of one walking and turning head in front of objects of similar colours."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from perception.synthetic.raycast import Light
 from perception.synthetic.scene import Person, Scene, cast_scene
 
 _PATCHES = 22
-"""Things of skin and hair colour at clutter 1, before an image of 320 × 240."""
+"""Number of objects of skin and hair colour at clutter 1, for an image of 320 × 240."""
 
 
 _FOCAL = 800.0
@@ -28,7 +28,7 @@ _HEAD_WIDTH = 0.155
 _HEAD_ORIGIN = 1.585 / 1.72
 """Height of the head's origin over the person's."""
 _RAYS = 2
-"""A pixel and axis."""
+"""Rays per pixel and axis."""
 _ATTEMPTS = 30
 _CORE, _EXTRA = 1, 2
 
@@ -42,13 +42,13 @@ class HeadClipParameters:
     frames : number of them
     size : width and height of the images in pixels
     fps : frames a second
-    head_width : least and greatest width of the head as seen from the front (pixels)
+    head_width : least and largest frontal width of the head (pixels)
     speed : range of the mean speed across the image (pixels a frame)
     all_around : whether the head turns through all pans, or from −90° to 90° only
     tilt : 1-σ of the tilt (radians)
-    clutter : amount of things of the person's own skin and hair colours behind: 0 none and a quiet
+    clutter : amount of background objects in the person's skin and hair colours: 0 none and a plain
         background, 1 many and a busy one
-    occlusion : first frame and number of frames in which a wall hides the head altogether
+    occlusion : first frame and number of frames in which a wall hides the head entirely
     jitter : 1-σ of the camera's shaking (pixels)
     """
 
@@ -84,8 +84,8 @@ class HeadClip:
     boxes : (n, 4) left, top, width, height in pixels of skull, cap of hair and face, hidden or not, as in
         `scene.Label.head_box`
     pan : (n,) radians in the image frame: 0 faces the camera, +π/2 the image's right
-    tilt : (n,) radians, positive looks up
-    visible : (n,) share of the head's pixels that nothing hides
+    tilt : (n,) radians, positive is up
+    visible : (n,) visible share of the head's pixels
     fps : frames a second
     """
 
@@ -114,7 +114,7 @@ class _HeadPath:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """A rendered person in a part of the image: first row and column, light, cover, head (all in rays)."""
+    """Rendered person in a part of the image: first row and column, light, cover, head (all in rays)."""
 
     corner: tuple[int, int]
     colour: NDArray[np.float32]
@@ -131,17 +131,17 @@ def head_clip(
     look: Appearance | None = None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> HeadClip:
-    """Render one person, of whom head and shoulders are in the image; another at each call.
+    """Render head and shoulders of one person; the person differs between calls.
 
     Parameters
     ----------
-    look : of the person, to set it instead of drawing it
-    advance : is told how many more frames are cast
+    look : appearance of the person; None: drawn at random
+    advance : receives the number of newly cast frames
 
     Raises
     ------
     InputError
-        If the occlusion asked for fits into no walk (the head would have to leave the image for it).
+        If no walk fits the occlusion, as the head would have to leave the image.
     """
     p = parameters
     look = random_appearance(rng) if look is None else look
@@ -179,14 +179,14 @@ def head_clip(
 
 
 def _smooth(n: int, frames: float, rng: np.random.Generator) -> FloatArray:
-    """Noise (n,) of variance 1 that changes within about so many frames."""
+    """Draw noise (n,) of variance 1 with a correlation time in frames."""
     reach = int(4 * frames) + 1
     noise = gaussian_filter1d(rng.standard_normal(n + 2 * reach), frames)[reach:-reach]
     return np.asarray(noise * np.sqrt(2.0 * np.sqrt(np.pi) * frames), float)
 
 
 def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _HeadPath:
-    """Across the image and back again, nearer and farther, while the head turns smoothly."""
+    """Draw a walk across the image and back, at varying distance, with smooth head turns."""
     n, (w, h) = p.frames, p.size
     low, high = p.head_width
     margin = 1.2 * high
@@ -200,7 +200,7 @@ def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _HeadPath:
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     width = middle + half * np.sin(2.0 * np.pi * np.arange(n) / rng.uniform(70, 160) + rng.uniform(0, 6.3))
     phase = np.asarray(2.0 * np.pi * np.arange(n) / rng.uniform(24.0, 32.0), float)
-    # Nearer heads are lower, as the camera is a little above; and the head goes up and down with each step.
+    # Nearer heads are lower, since the camera is slightly above; and the head bobs with each step.
     down = h * rng.uniform(0.36, 0.46) + 0.5 * (width - middle) - 0.1 * width * np.abs(np.sin(phase))
     turn = _smooth(n, 18.0, rng)
     if p.all_around:
@@ -215,14 +215,14 @@ def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _HeadPath:
 
 
 def _passes(walk: _HeadPath, occlusion: tuple[int, int]) -> bool:
-    """Return whether the head goes one way all through the occlusion and a little before and after."""
+    """Return True if the head moves in one direction during and around the occlusion."""
     first, length = occlusion
     step = np.diff(walk.pixel[max(first - 4, 0) : first + length + 4, 0])
     return bool((step > 0.6).all() or (step < -0.6).all())
 
 
 def _camera(p: HeadClipParameters, look: Appearance, walk: _HeadPath, rng: np.random.Generator) -> Camera:
-    """Above the head, and pitched so that the head is as high in the image as the walk says on average."""
+    """Return a camera above the head, pitched to the mean height of the walk in the image."""
     above = rng.uniform(0.0, 0.25)
     distance = float(walk.distance.mean())
     pitch = -np.arctan(above / distance) - (p.size[1] / 2.0 - walk.pixel[:, 1].mean()) / _FOCAL
@@ -232,13 +232,13 @@ def _camera(p: HeadClipParameters, look: Appearance, walk: _HeadPath, rng: np.ra
 def _person(
     k: int, walk: _HeadPath, look: Appearance, camera: Camera, rays: FloatArray, light: Light
 ) -> _Shown:
-    """The person of frame k; rays are followed only where the person can be."""
+    """Render the person of frame k; rays are cast only around the person."""
     w, h = camera.size
     u, v = walk.pixel[k]
     distance = walk.distance[k]
     along = np.array([np.cos(camera.pitch), np.sin(camera.pitch)])
     down = (v - h / 2.0) / _FOCAL
-    # The head's origin, at this distance along the optical axis, is seen at pixel (u, v).
+    # The head's origin, at this distance along the optical axis, is at pixel (u, v).
     x = distance * (along[0] + along[1] * down)
     z = camera.position[2] + distance * (along[1] - along[0] * down)
     y = -distance * (u - w / 2.0) / _FOCAL
@@ -251,7 +251,7 @@ def _person(
         float(walk.phase[k]),
         0.5,
     )
-    # The person walks on the ground of a scene, in which the camera bobs up and down instead.
+    # Instead of the person, the camera moves up and down.
     down_by = look.height * _HEAD_ORIGIN - float(z)
     lowered = replace(camera, position=(*camera.position[:2], camera.position[2] + down_by))
     width = _FOCAL * _HEAD_WIDTH / distance
@@ -276,7 +276,7 @@ def _person(
 
 
 def _wall(shown: list[_Shown], occlusion: tuple[int, int]) -> tuple[float, float] | None:
-    """First and last column (pixels) of a wall that hides the head in exactly those frames, if it can be."""
+    """Return first and last column (pixels) of a wall that hides the head in those frames, or None."""
     first, length = occlusion
     hidden = np.zeros(len(shown), bool)
     hidden[first : first + length] = True
@@ -287,7 +287,7 @@ def _wall(shown: list[_Shown], occlusion: tuple[int, int]) -> tuple[float, float
 
 
 def _cover(wall: tuple[float, float], width: int) -> FloatArray:
-    """Share (w,) of each column of pixels that the wall covers."""
+    """Return the share (w,) of each column covered by the wall."""
     column = np.arange(width)
     return np.clip(np.minimum(column + 1, wall[1]) - np.maximum(column, wall[0]), 0.0, 1.0)
 
@@ -301,7 +301,7 @@ def _visible(shown: _Shown, wall: tuple[float, float] | None) -> float:
 
 
 def _composed(background: NDArray[np.float32], shown: _Shown) -> NDArray[np.float32]:
-    """A person before the background, as light."""
+    """Compose a person and the background, as light."""
     picture = background.copy()
     top, left = shown.corner
     height, width = (size // _RAYS for size in shown.covered.shape)
@@ -321,13 +321,13 @@ def room(
     light: Light,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Light (h, w, 3) of a room, with things that have the colours of the person's skin and hair.
+    """Draw light (h, w, 3) of a room with objects in the colours of the person's skin and hair.
 
     Parameters
     ----------
     size : width and height in pixels
-    clutter : amount of such things; 0: none, and an even background
-    head_width : pixels, by which they are scaled
+    clutter : amount of such objects; 0: none, and a uniform background
+    head_width : pixels, scale of the objects
     """
     w, h = size
     if clutter == 0.0:
@@ -348,7 +348,7 @@ def room(
 
 
 def _lit(colour: tuple[float, float, float], light: Light, rng: np.random.Generator) -> list[float]:
-    """The light that a surface of this albedo sends, turned anyhow to the lamp."""
+    """Draw the light of a surface of this albedo at a random angle to the lamp."""
     strength = np.array(light.ambient) + rng.uniform(0.1, 1.0) * np.array(light.key)
     return np.clip(np.array(colour) * strength, 0.0, 1.0).tolist()
 
@@ -361,7 +361,7 @@ def _thing(
     shade: list[float],
     rng: np.random.Generator,
 ) -> None:
-    """A box, a blob or a hand with its fingers."""
+    """Draw a box, a blob or a hand with its fingers."""
     u, v = (round(value) for value in place)
     half = np.maximum(size / 2.0, 2.0).astype(int)
     angle = rng.uniform(0.0, 180.0)
@@ -384,7 +384,7 @@ def _face_like(
     hair: list[float],
     rng: np.random.Generator,
 ) -> None:
-    """An ellipse of skin with a cap of hair, as a poster or a ball has it."""
+    """Draw an ellipse of skin with a cap of hair, like a face on a poster."""
     u, v = (round(value) for value in place)
     axes = (round(width / 2.0), round(0.65 * width))
     tilt = rng.normal(0.0, 15.0)
@@ -394,7 +394,7 @@ def _face_like(
 
 
 def wall(size: tuple[int, int], light: Light, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Light (h, w, 3) of a wall: bluish or greenish, with planks."""
+    """Draw light (h, w, 3) of a wall: bluish or greenish, with planks."""
     w, h = size
     colour = rng.uniform(0.15, 0.7) * np.array([1.0, rng.uniform(0.6, 1.0), rng.uniform(0.25, 0.55)])
     if rng.random() < 0.5:

@@ -26,9 +26,9 @@ from perception.synthetic.solids import Solids, rotation_roll, rotation_up, rota
 
 _DISTANCE = 6.0
 _MARGIN = 0.22
-"""Metres from the head's origin to the edge of the rendered picture: hats and jitter fit in."""
+"""Metres from the head's origin to the edge of the rendered image, with room for hats and jitter."""
 _SPARE = 20_000
-"""Poses among which those of rare classes are looked for: their rarest have some hundred of them."""
+"""Number of candidate poses for rare classes; the rarest class has about a hundred of them."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class HeadVariation:
     ----------
     size : least and largest height of the crop in pixels
     pan, tilt, roll : range of pan and tilt (radians), 1-σ of roll (radians)
-    tilt_deviation : 1-σ of the tilt (radians) before it is clipped to its range; None: all tilts alike
-    elevation : range of the camera's height above the head, seen from the head (radians)
+    tilt_deviation : 1-σ of the tilt (radians) before it is clipped to its range; None: uniform tilts
+    elevation : range of the camera's elevation above the head (radians)
     shoulders : 1-σ of the body's angle to the head (radians)
     offset, scale : 1-σ of the crop's place and of the logarithm of its size, relative to the head's box
     blur : 1-σ of the camera's blur in pixels
@@ -60,13 +60,13 @@ class HeadVariation:
 
 @dataclass(frozen=True, eq=False)
 class HeadSet:
-    """n crops of heads and their labels.
+    """Crops of n heads and their labels.
 
     Attributes
     ----------
     images : n arrays (h, w, 3) uint8, blue green red
     pan : (n,) radians in the image frame: 0 faces the camera, +π/2 the right of the image
-    tilt : (n,) radians, positive looks up
+    tilt : (n,) radians, positive is up
     skin : n masks (h, w): whether most of the pixel is skin
     """
 
@@ -79,7 +79,7 @@ class HeadSet:
         return len(self.images)
 
     def __add__(self, other: HeadSet) -> HeadSet:
-        """Both sets together."""
+        """Concatenate both sets."""
         pan, tilt = np.concatenate([self.pan, other.pan]), np.concatenate([self.tilt, other.tilt])
         return HeadSet(self.images + other.images, pan, tilt, self.skin + other.skin)
 
@@ -94,10 +94,10 @@ def _draw_tilts(count: int, rng: np.random.Generator, variation: HeadVariation) 
 def draw_poses(
     count: int, rng: np.random.Generator, variation: HeadVariation, classes: PoseClasses, least: int = 2
 ) -> tuple[FloatArray, FloatArray]:
-    """Pans and tilts (count,) in radians as `make_heads` draws them, with at least so many of every class.
+    """Draw pans and tilts (count,) in radians as `make_heads`, with a least number in every class.
 
-    Where a draw has fewer, heads of the classes that have most of them give way to others. A draw that has
-    enough is left as it is, and so is one too small to have them.
+    In a draw with fewer, heads of the most frequent classes are replaced. A draw with enough of them is
+    unchanged, and so is a draw that is too small.
     """
     pan, tilt = rng.uniform(*variation.pan, count), _draw_tilts(count, rng, variation)
     labels = classes.index(pan, tilt)
@@ -125,13 +125,13 @@ def make_heads(
     people: list[Appearance] | None = None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> HeadSet:
-    """Draw ``count`` heads; every one is another person under another light, before another camera.
+    """Draw ``count`` heads; each is another person under another light, in front of another camera.
 
     Parameters
     ----------
-    pan, tilt : (count,) radians, to set them instead of drawing them
-    people : the person of each head, to set them instead of drawing them
-    advance : is told of each head that is done
+    pan, tilt : (count,) radians; None: drawn at random
+    people : the person of each head; None: drawn at random
+    advance : called after each head
     """
     pan = rng.uniform(*variation.pan, count) if pan is None else np.asarray(pan, float)
     tilt = _draw_tilts(count, rng, variation) if tilt is None else np.asarray(tilt, float)
@@ -146,7 +146,7 @@ def make_heads(
 def render_head(
     pan: float, tilt: float, look: Appearance, rng: np.random.Generator, variation: HeadVariation
 ) -> tuple[Image, NDArray[np.bool_]]:
-    """One crop (h, w, 3) and its skin mask (h, w); see `make_heads`."""
+    """Render one crop (h, w, 3) and its skin mask (h, w); see `make_heads`."""
     size = int(rng.integers(variation.size[0], variation.size[1] + 1))
     turn = rotation_z(pan) @ rotation_up(tilt) @ rotation_roll(rng.normal(0.0, variation.roll))
     head = head_solids(look).moved(np.eye(3), (0.03, 0.0, 0.1)).moved(turn, (-0.03, 0.0, -0.1))
@@ -165,7 +165,7 @@ def render_head(
 
 
 def _cast(head: Solids, body: Solids, size: int, elevation: float, light: Light) -> Cast:
-    """The head in its groups and the body in another; a crop ``size`` high gets 1.6 rays a pixel and axis."""
+    """Render the head in its groups and the body in another, with 1.6 rays per pixel and axis of the crop."""
     side = round(1.6 * size * 2.0 * _MARGIN / 0.26)
     camera = Camera.above(_DISTANCE, elevation, side * _DISTANCE / (2.0 * _MARGIN), (side, side))
     solids = Solids.together(head, body.in_group(EXTRA + 1))
@@ -175,7 +175,7 @@ def _cast(head: Solids, body: Solids, size: int, elevation: float, light: Light)
 def _crop(
     picture: NDArray[np.float32], centre: FloatArray, extent: tuple[float, float], height: int
 ) -> NDArray[np.float32]:
-    """Cut a box out of a picture and shrink it to ``height`` rows, by the area that pixels cover."""
+    """Cut a box out of an image and reduce it to ``height`` rows, by area averaging."""
     w, h = extent
     left, top = (round(c - s / 2.0) for c, s in zip(centre, extent, strict=True))
     right, bottom = left + max(2, round(w)), top + max(2, round(h))

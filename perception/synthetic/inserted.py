@@ -1,4 +1,4 @@
-"""Rendered people put into pictures of a real camera, as large and from as high as it sees people there."""
+"""Rendered people inserted into images of a real camera, with the size and elevation of its view."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.scene import Person, Scene, cast_scene
 
 _TALL = 1.78
-"""Metres of a box's height across the line of sight."""
+"""Height of a box in metres, perpendicular to the line of sight."""
 _MIDDLE = 0.9
-"""Metres above the ground of a person's middle."""
+"""Height of a person's middle above the ground, metres."""
 _LEAST_COSINE = 0.35
 """Of the elevation; from above, people are not short but wide."""
 _RAYS = 120
 """Along a person, that they are rendered with at least, up to three a pixel."""
 _EXPOSED = 0.45
-"""Light that becomes as bright as the picture is on average."""
+"""Light that is mapped to the mean brightness of the image."""
 _BRIGHTNESS = (30.0, 200.0)
-"""Grey levels that the light is taken from a picture within."""
+"""Range of grey levels from which the light of an image is estimated."""
 _EDGE = 4.0
 """Steepness of the edge between a blurred person and the sharp picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A place where a camera sees people stand.
+    """Position of standing people in the view of a camera.
 
     Attributes
     ----------
-    image : (h, w, 3) uint8 of the place, people in it upright
-    box : left, top, width and height in pixels of a person there
+    image : (h, w, 3) uint8 of the position, with people upright
+    box : left, top, width and height in pixels of a person at this position
     elevation : radians of the camera above them
     distance : metres from it
     """
@@ -49,7 +49,7 @@ class Place:
 
 
 _HEAD_TURN, _STANDING = 0.2, 0.1
-"""Radians, 1-σ of the head's angle to the body; share of people who stand."""
+"""Radians, 1-σ of the head's angle to the body; share of standing people."""
 _OFFSET, _SCALE = (0.03, 0.04), 0.06
 """1-σ of the person's place in the box, across and down in heights of the box, and of the logarithm of the
 person's size relative to the box."""
@@ -60,11 +60,11 @@ _BLUR, _NOISE = 0.6, 4.0
 
 
 def with_person(place: Place, body: float, rng: np.random.Generator) -> tuple[Image, FloatArray]:
-    """The picture of a place with somebody in it, and the middle (2,) of their head in its pixels.
+    """Render a person into the image of a position; return it and the middle (2,) of the head in pixels.
 
     Parameters
     ----------
-    body : radians in the image frame, where they go: 0 is towards the camera
+    body : radians in the image frame, direction of travel: 0 is towards the camera
     """
     left, top, width, height = place.box
     light, cover, head, foot = _rendered(place, body, height * np.exp(rng.normal(0.0, _SCALE)), rng)
@@ -88,7 +88,7 @@ def with_person(place: Place, body: float, rng: np.random.Generator) -> tuple[Im
 def _rendered(
     place: Place, body: float, length: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray, FloatArray]:
-    """Light (h, w, 3) of a person alone, what they cover (h, w), their head's middle and their place (2,)."""
+    """Render the light (h, w, 3) of a person, the cover (h, w), and head's middle and position (2,)."""
     size = round(1.6 * length), round(1.7 * length)
     focal = length * place.distance / (_TALL * max(np.cos(place.elevation), _LEAST_COSINE))
     camera = Camera.above(place.distance, place.elevation, focal, size, _MIDDLE)
@@ -111,7 +111,7 @@ def _rendered(
 
 
 def _brightness(place: Place) -> float:
-    """Median grey level about the box."""
+    """Return the median grey level around the box."""
     left, top, width, height = place.box
     rows, columns = place.image.shape[:2]
     low = np.clip(np.round([left - width, top]), 0, [columns - 1, rows - 1]).astype(int)
@@ -120,7 +120,7 @@ def _brightness(place: Place) -> float:
 
 
 def _blurred(picture: NDArray[np.floating], cover: NDArray[np.float32], blur: float) -> NDArray[np.floating]:
-    """A picture (h, w, 3) blurred where a person covers it."""
+    """Blur an image (h, w, 3) where a person covers it."""
     if blur < 0.2:
         return picture
     soft = cv2.dilate(cv2.GaussianBlur(np.ascontiguousarray(cover), (0, 0), blur), np.ones((3, 3)))

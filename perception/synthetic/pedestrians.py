@@ -1,4 +1,4 @@
-"""Crops of whole people, as a detector would box them, with exact labels."""
+"""Crops of whole people, in boxes with errors of a detector, with exact labels."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class PedestrianVariation:
     head_turn : 1-σ of the head's angle to the body (radians)
     tilt : 1-σ of the head's tilt (radians)
     elevation : range of the camera's height above the person (radians)
-    standing : share of people who stand
-    occluded : share of people behind something that hides the feet
-    floor : share of pictures with a floor; in the others clutter is all around
+    standing : share of standing people
+    occluded : share of people with hidden feet
+    floor : share of images with a floor; the others have clutter everywhere
     offset, scale : 1-σ of the box's place and of the logarithm of its size, relative to the true box
     margin : width and height of the box relative to the person's extent
     blur : 1-σ of the camera's blur in pixels
-    cluttered : share of pictures with a busy background in place of a quiet one
+    cluttered : share of images with a cluttered background
     """
 
     size: tuple[int, int] = (70, 140)
@@ -59,7 +59,7 @@ class PedestrianVariation:
 
 @dataclass(frozen=True, eq=False)
 class PedestrianSet:
-    """n crops of people and their labels.
+    """Crops of n people and their labels.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class PedestrianSet:
         return len(self.images)
 
     def __add__(self, other: PedestrianSet) -> PedestrianSet:
-        """Both sets together."""
+        """Concatenate both sets."""
         names = ("body", "head", "tilt", "head_box")
         joined = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in names)
         return PedestrianSet(self.images + other.images, *joined)
@@ -93,12 +93,12 @@ def make_pedestrians(
     body: FloatArray | None = None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> PedestrianSet:
-    """Draw ``count`` people; every one is another person under another light, before another camera.
+    """Draw ``count`` people; each is another person under another light, in front of another camera.
 
     Parameters
     ----------
-    body : (count,) radians, to set the body's angle instead of drawing it
-    advance : is told of each person who is done
+    body : (count,) radians, angle of the body; None: drawn at random
+    advance : called after each person
     """
     body = rng.uniform(-np.pi, np.pi, count) if body is None else np.asarray(body, float)
     head = body + rng.normal(0.0, variation.head_turn, count)
@@ -153,7 +153,7 @@ def _pedestrian(
     box = jittered_box(np.array(label.body_box), v.offset, v.scale, v.margin, rng)
     left, top = np.round(box[:2]).astype(int)
     width, height = np.maximum(np.round(box[2:]).astype(int), 8)
-    pad = size  # wherever the box goes
+    pad = size  # for any box
     padded = cv2.copyMakeBorder(frame.image, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     crop = padded[pad + top : pad + top + height, pad + left : pad + left + width]
     head_box = np.array(label.head_box) - (left, top, 0.0, 0.0)
@@ -163,7 +163,7 @@ def _pedestrian(
 def jittered_box(
     box: FloatArray, offset: float, scale: float, margin: float, rng: np.random.Generator
 ) -> FloatArray:
-    """A box (left, top, width, height) as a detector would give it: enlarged, moved and scaled at random."""
+    """Draw a box (left, top, width, height) with errors of a detector: enlarged, moved and scaled."""
     size = box[2:] * margin * np.exp(rng.normal(0.0, scale, 2))
     centre = box[:2] + box[2:] / 2.0 + rng.normal(0.0, offset, 2) * box[2:]
     return np.concatenate([centre - size / 2.0, size])

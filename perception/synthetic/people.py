@@ -1,6 +1,6 @@
-"""People and robots made of solids: appearance, head, body and posture.
+"""People and robots composed of solids: appearance, head, body and posture.
 
-Frames: x is where the face or body points, y left, z up; the origin is between the ears (heads) or on the
+Frames: x is the direction of the face or body, y left, z up; the origin is between the ears (heads) or on the
 ground.
 """
 
@@ -64,9 +64,9 @@ class Appearance:
     ----------
     skin, hair_colour, hat_colour, top, shirt, trousers, shoes : albedo, blue green red in 0…1
     hair, hat : style
-    glasses, beard : whether there are any
+    glasses, beard : whether present
     open_jacket : whether a strip of shirt shows on the chest
-    backpack : whether there is one, of ``hat_colour``
+    backpack : whether present, in ``hat_colour``
     bare_arms : whether the forearms are skin
     top_texture : texture of the upper clothes, as in `Solids.texture`
     stretch : factors of the head's length, width and height
@@ -136,16 +136,16 @@ def _colour(values: np.ndarray) -> Reflectance:
 
 
 CORE, EXTRA = 0, 1
-"""Groups of a head's solids: what its box encloses, and what hangs or sticks out."""
+"""Groups of a head's solids: inside its box, and protruding."""
 
 _DARK = (0.03, 0.03, 0.035)
 
 
 def head_solids(look: Appearance) -> Solids:
-    """Skull, face, ears, hair, hat, glasses and beard (metres).
+    """Build skull, face, ears, hair, hat, glasses and beard (metres).
 
     Group CORE is the skull with its cap of hair, the face, and hats that fit closely; group EXTRA long hair,
-    buns, brims and hoods, which say little about where the head itself is.
+    buns, brims and hoods, which do not define the position of the head.
     """
     make, extra = Builder(), Builder()
     _face(make, look)
@@ -188,7 +188,7 @@ def _face(make: Builder, look: Appearance) -> None:
 
 def _hair(make: Builder, look: Appearance) -> None:
     colour, strands = look.hair_colour, (SPECKLED, 0.22, 8.0)
-    # Everything in front of and below the hair line is cut off: the face and what is below the ears.
+    # Hair in front of and below the hair line is cut off: at the face and below the ears.
     line = (0.70, 0.0, 0.72, -0.22) if look.hair == "bald" else (0.80, 0.0, -0.60, 0.16)
     size = {"afro": 1.38, "bald": 1.02}.get(look.hair, 1.09)
     semi = np.array((0.097, 0.076, 0.092)) * size
@@ -234,7 +234,7 @@ def _hat(make: Builder, extra: Builder, look: Appearance) -> None:
 
 
 def neck_and_shoulders(look: Appearance) -> Solids:
-    """Neck and shoulders, in the body's frame with the head's origin at 0."""
+    """Build neck and shoulders, in the body's frame with the head's origin at 0."""
     make = Builder()
     make.limb((-0.022, 0.0, -0.05), (-0.030, 0.0, -0.17), 0.052, np.array(look.skin) * 0.9, skin=True)
     make.ellipsoid(
@@ -258,16 +258,16 @@ _THIGH = 0.42
 
 @dataclass(frozen=True)
 class Posture:
-    """Place and posture of a person.
+    """Position and posture of a person.
 
     Attributes
     ----------
     position : (2,) metres on the ground
-    body, head : world directions (radians) of the torso and of the face, seen from above
+    body, head : world directions (radians) of the torso and of the face, from above
     tilt : of the head, radians above the horizontal
     phase : of the step, radians; a step of each leg is 2π
     stride : amplitude of the step, 0 (standing) to 1
-    sitting : how far the person has sat down, 0 (upright) to 1 (thighs level, as on a chair)
+    sitting : degree of sitting, 0 (upright) to 1 (thighs level, as on a chair)
     """
 
     position: tuple[float, float]
@@ -291,16 +291,16 @@ def placed(
 
     Parameters
     ----------
-    upper, legs : x where the body points, z up from the ground
+    upper, legs : x in the body's direction, z up from the ground
     head : as of `head_solids`
     """
     size = look.height / _REFERENCE_HEIGHT
     turn, place = rotation_z(posture.body), (*posture.position, 0.0)
-    # Who sits down lowers hips, trunk and head by what the thighs lose in height.
+    # Sitting lowers hips, trunk and head by the vertical loss of the thighs.
     lowered = _THIGH * (1.0 - np.cos(_bend(posture)))
     upper = upper.moved(np.eye(3), (0.0, 0.0, -lowered))
     body = Solids.together(upper, legs).scaled(size).moved(turn, place)
-    # The head turns about the neck, which bows forward a little.
+    # The head turns about the neck, which leans forward slightly.
     pivot = np.array([-0.03, 0.0, -0.10])
     facing = rotation_z(posture.head - posture.body) @ rotation_up(posture.tilt)
     head = head.moved(np.eye(3), -pivot).moved(facing, pivot + np.array([0.01, 0.0, _HEAD_HEIGHT - lowered]))
@@ -308,7 +308,7 @@ def placed(
 
 
 def _bend(posture: Posture) -> float:
-    """Radians that the thighs are off the vertical because the person sits."""
+    """Return the angle of the thighs from the vertical due to sitting, radians."""
     return 0.5 * np.pi * posture.sitting
 
 
@@ -377,7 +377,7 @@ def _arm(make: Builder, look: Appearance, side: float, swing: float) -> None:
 
 @dataclass(frozen=True)
 class RobotLook:
-    """A round base, a trunk with a screen, and a head with cameras.
+    """Robot of a round base, a trunk with a screen, and a head with cameras.
 
     Attributes
     ----------
@@ -394,7 +394,7 @@ class RobotLook:
 
 
 def random_robot(rng: np.random.Generator) -> RobotLook:
-    """Another robot at each call: 0.44 to 0.56 m across, 0.9 to 1.3 m high."""
+    """Draw a robot, 0.44 to 0.56 m across and 0.9 to 1.3 m high."""
 
     def colour() -> Reflectance:
         return _colour(np.clip(rng.uniform(0.1, 0.85) + rng.normal(0.0, 0.12, 3), 0.04, 0.9))
@@ -405,7 +405,7 @@ def random_robot(rng: np.random.Generator) -> RobotLook:
 
 
 def robot_solids(look: RobotLook, posture: Posture) -> tuple[Solids, Solids]:
-    """Body and head in the world (metres); of the posture only place and directions matter."""
+    """Body and head in the world (metres); only position and directions of the posture are used."""
     place, r, top = (*posture.position, 0.0), look.radius, look.height
     body = Builder()
     body.ellipsoid((0.0, 0.0, 0.14), (r, r, 0.13), look.base, texture=(CHECKED, 0.35, 6.0))

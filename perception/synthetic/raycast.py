@@ -21,7 +21,7 @@ _NEAR = 1e-6
 
 
 class _Packed(NamedTuple):
-    """Solids as the kernels take them: those of `Solids`, and the balls around them and around groups."""
+    """Solids in the form of the kernels: those of `Solids`, with bounding spheres of solids and groups."""
 
     kind: NDArray[np.int64]
     centre: FloatArray
@@ -36,7 +36,7 @@ class _Packed(NamedTuple):
 
     @classmethod
     def of(cls, solids: Solids, groups: int) -> _Packed:
-        """Solids that are sorted by their groups."""
+        """Pack solids sorted by group."""
         lengths = np.linalg.norm(solids.axes, axis=1)
         radius = np.where(solids.kind == 0, lengths.max(axis=1), np.linalg.norm(lengths, axis=1))
         first = np.searchsorted(solids.group, np.arange(groups + 1))
@@ -63,7 +63,7 @@ class _Packed(NamedTuple):
 
 @njit(cache=True, inline="always")
 def _misses_ball(dx: float, dy: float, dz: float, x: float, y: float, z: float, radius: float) -> bool:
-    """Return whether the half line along d from the origin passes the ball around (x, y, z)."""
+    """Return True if the half line along d from the origin intersects the sphere around (x, y, z)."""
     along = x * dx + y * dy + z * dz
     outside = x * x + y * y + z * z - radius * radius
     return outside > 0.0 and (along <= 0.0 or along * along < outside)
@@ -103,7 +103,7 @@ def _hit(kind: int, p: Any, q: Any, clip: Any, local: Any, normal: Any) -> float
             continue
         if clip[0] * local[0] + clip[1] * local[1] + clip[2] * local[2] > clip[3]:
             continue
-        sign = 1.0 if side == 0 else -1.0  # the far side is seen from within
+        sign = 1.0 if side == 0 else -1.0  # the far side is hit from within
         for i in range(3):
             normal[i] = sign * local[i]
         if kind == TUBE:
@@ -160,7 +160,7 @@ def _textured(texture: Any, local: Any) -> float:
 
 @njit(cache=True)
 def _in_shadow(point: Any, toward: Any, solids: Any, scratch: Any) -> bool:
-    """Return whether a solid lies between a point and the light."""
+    """Return True if a solid lies between a point and the light."""
     lx, ly, lz = toward
     for g in range(len(solids.balls)):
         b = solids.balls[g]
@@ -180,7 +180,7 @@ def _in_shadow(point: Any, toward: Any, solids: Any, scratch: Any) -> bool:
 
 @njit(cache=True)
 def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light: Any, floor: Any) -> Any:
-    """Follow each ray to the first surface and shade it; see `raycast.cast` for what comes back."""
+    """Follow each ray to the first surface and shade it; see `raycast.cast` for the output."""
     kind, centre, inverse, radius = solids.kind, solids.centre, solids.inverse, solids.radius
     clip, first, balls = solids.clip, solids.first, solids.balls
     n, groups = len(rays), len(balls)
@@ -249,7 +249,7 @@ def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light
         covered[r] = True
         skin[r] = solids.material[hit] == SKIN
         length, lit = 0.0, 0.0
-        for k in range(3):  # normals go by the transposed inverse
+        for k in range(3):  # normals transform by the transposed inverse
             world[k] = 0.0
             for j in range(3):
                 world[k] += inverse[hit, j, k] * best_normal[j]
@@ -266,13 +266,13 @@ def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light
 
 @dataclass(frozen=True)
 class Light:
-    """A distant light and the light from all around.
+    """Distant light and ambient light.
 
     Attributes
     ----------
     direction : (3,) unit vector towards the light
     key : (3,) strength of the light, blue green red
-    ambient : (3,) strength from all around
+    ambient : (3,) strength of the ambient light
     """
 
     direction: tuple[float, float, float]
@@ -281,7 +281,7 @@ class Light:
 
     @classmethod
     def above(cls, bearing: float, height: float, key: ArrayLike, ambient: ArrayLike) -> Light:
-        """A light at a bearing and a height above the horizon, in radians; strengths (3,)."""
+        """Return a light at a bearing and an elevation, in radians; strengths (3,)."""
         toward = np.cos(height) * np.cos(bearing), np.cos(height) * np.sin(bearing), np.sin(height)
         return cls(*(tuple(np.asarray(values, float).tolist()) for values in (toward, key, ambient)))
 
@@ -294,7 +294,7 @@ class Ground:
     ----------
     colour : (3,) albedo
     tile : size of a tile in metres
-    contrast : how much every other tile is darker, 0…1
+    contrast : relative darkening of every other tile, 0…1
     """
 
     colour: tuple[float, float, float]
@@ -308,12 +308,12 @@ class Cast:
 
     Attributes
     ----------
-    colour : (h, w, 3) light that arrives, 1 being white; 0 where nothing was met
-    covered : (h, w) whether a solid or the ground was met
-    skin : (h, w) whether skin was met
-    nearest : (h, w) group met first; −1 for ground and nothing
+    colour : (h, w, 3) incident light, white is 1; 0 without a hit
+    covered : (h, w) whether a solid or the ground was hit
+    skin : (h, w) whether skin was hit
+    nearest : (h, w) group hit first; −1 for ground and no hit
     extent : (g, 4) first and last column and row that each group covers, hidden or not; −1 without any
-    covers, shows : (owners,) pixels that each owner covers, and of these the ones where it is the nearest
+    covers, shows : (owners,) number of pixels covered by each owner, and of pixels where it is nearest
     """
 
     colour: NDArray[np.float32]
@@ -335,16 +335,16 @@ def cast(
     n_groups: int | None = None,
     owner: NDArray[np.int64] | None = None,
 ) -> Cast:
-    """Follow rays into a scene.
+    """Cast rays into a scene.
 
     Parameters
     ----------
     origin : (3,) metres, where all rays start
-    rays : (h, w, 3) unit directions; NaN where the lens shows nothing
+    rays : (h, w, 3) unit directions; NaN outside the lens
     solids : sorted by group (`Solids.together` does that)
-    ground : the floor, if there is one
-    n_groups : groups to tell of; by default up to the last that occurs
-    owner : (g,) ascending numbers of what the groups belong to; each group to itself by default. A group
+    ground : the floor; None: no floor
+    n_groups : number of reported groups; by default up to the last that occurs
+    owner : (g,) ascending owner numbers of the groups; by default each group is its own. A group
         that hides another of the same owner does not count as in front of it.
     """
     count = (int(solids.group[-1]) + 1 if len(solids) else 0) if n_groups is None else n_groups

@@ -1,4 +1,4 @@
-"""Whole frames: people among furniture on a floor, before a camera, with exact labels."""
+"""Rendering of frames: people among furniture on a floor, with exact labels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _GREY_FLOOR = Ground((0.42, 0.45, 0.47))
 
 @dataclass(frozen=True)
 class Furniture:
-    """A box (or a column) on the floor; give it another position to move it.
+    """Box (or column) on the floor.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Furniture:
 
 @dataclass(frozen=True)
 class Person:
-    """A person in a scene, or a robot: who, and how they stand."""
+    """Person or robot in a scene: appearance and posture."""
 
     look: Appearance | RobotLook
     posture: Posture
@@ -55,14 +55,14 @@ class Person:
 
 @dataclass(frozen=True)
 class Label:
-    """The truth about one person in a frame.
+    """Ground truth of one person in a frame.
 
     Attributes
     ----------
-    body_box : left, top, width, height in pixels of what would be seen without anything in front,
-        inside the image; None when outside it
+    body_box : left, top, width, height in pixels of the unoccluded person inside the image; None if
+        outside
     head_box : encloses skull, cap of hair and face, but not hanging hair, buns, brims or hoods
-    visibility : share of the person's pixels inside the image that nothing hides, 0…1
+    visibility : visible share of the person's pixels inside the image, 0…1
     """
 
     body_box: tuple[float, float, float, float] | None
@@ -72,11 +72,11 @@ class Label:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything in a frame but the people.
+    """Static content of a frame, without people.
 
     Attributes
     ----------
-    backdrop : light (3,) where neither floor nor furniture is seen, blue green red
+    backdrop : light (3,) behind floor and furniture, blue green red
     """
 
     camera: Camera
@@ -103,19 +103,19 @@ def render_frame(
     oversampling: int = 2,
     backdrop: NDArray[np.float32] | None = None,
 ) -> RenderedFrame:
-    """One frame.
+    """Render one frame.
 
     Parameters
     ----------
-    oversampling : rays a pixel and axis
-    backdrop : (h, w, 3) light to use instead of the scene's even one
+    oversampling : rays per pixel and axis
+    backdrop : (h, w, 3) light instead of the scene's uniform backdrop
     """
     shown = cast_scene(scene, people, scene.camera.rays(oversampling))
     return developed(scene, people, shown, sensor, rng, oversampling=oversampling, backdrop=backdrop)
 
 
 def cast_scene(scene: Scene, people: Sequence[Person], rays: FloatArray) -> Cast:
-    """Follow the camera's rays (h, w, 3); groups 3k … 3k + 2 are person k, the last ones furniture."""
+    """Cast the camera's rays (h, w, 3); groups 3k … 3k + 2 are person k, the last groups furniture."""
     parts: list[Solids] = []
     for k, person in enumerate(people):
         body, head = person.solids()
@@ -143,7 +143,7 @@ def developed(
     oversampling: int,
     backdrop: NDArray[np.float32] | None = None,
 ) -> RenderedFrame:
-    """The frame of what the rays of `cast_scene` met."""
+    """Return the frame of the hits of `cast_scene`."""
     camera = scene.camera
     w, h = camera.size
     colour, covered = shown.colour, shown.covered.astype(np.float32)
@@ -198,17 +198,17 @@ def _box(extent: FloatArray | None, oversampling: int) -> tuple[float, float, fl
 
 
 _MARGIN = 3
-"""Pixels around the boxes of what moves; a lens bends the edges of a box a little outwards."""
+"""Margin in pixels around the boxes of moving objects, since a lens bends edges outwards."""
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
 
 class StillScene:
-    """Renders the same frames as `render_frame`, faster, where little of the scene moves.
+    """Renderer of the same frames as `render_frame`, faster for mostly static scenes.
 
     Parameters
     ----------
-    scene : all that never moves
-    oversampling : rays a pixel and axis
+    scene : static content
+    oversampling : rays per pixel and axis
     """
 
     def __init__(self, scene: Scene, *, oversampling: int = 2) -> None:
@@ -225,7 +225,7 @@ class StillScene:
         *,
         moving: Sequence[Furniture] = (),
     ) -> RenderedFrame:
-        """One frame with people, and with furniture that is not part of the scene itself."""
+        """Render one frame with people, and with furniture that is not part of the scene."""
         scene = replace(self._scene, furniture=(*self._scene.furniture, *moving))
         solids = [person.solids() for person in people]
         movers = [*(Solids.together(*parts) for parts in solids), *(furniture_solids(f) for f in moving)]
@@ -241,7 +241,7 @@ class StillScene:
         return developed(scene, people, shown, sensor, rng, oversampling=self._oversampling)
 
     def _area(self, solids: Solids) -> tuple[slice, slice]:
-        """Rows and columns of the rays that may meet the solids or their shadow on the ground."""
+        """Return rows and columns of the rays that may hit the solids or their shadow on the ground."""
         half = np.abs(solids.axes).sum(axis=2)
         corners = (solids.centre[:, None] + half[:, None] * _CORNERS).reshape(-1, 3)
         toward = np.array(self._scene.light.direction)

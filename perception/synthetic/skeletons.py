@@ -1,9 +1,9 @@
-"""Skeletons of people who walk and stand, as a pose network would see them.
+"""Skeletons of walking and standing people, as output of a simulated pose network.
 
-The pelvis turns against the shoulders as in motion capture of people who walk (1-σ: 9°). Heads turn much
-farther than there (16°), since the graph already models how heads go with bodies. Heights and widths are
-those of anthropometry (Drillis & Contini 1966) and vary between people. Also the joints of rendered people,
-and whether a camera sees them.
+The pelvis turns against the shoulders as in motion capture of walking people (1-σ: 9°). Heads turn much
+farther than there (16°), since the graph already models the coupling of heads and bodies. Heights and widths
+are those of anthropometry (Drillis & Contini 1966) and vary between people. Also the joints of rendered
+people, and their visibility.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from perception.synthetic.solids import Builder, Solids, rotation_roll, rotation
 
 _TWIST, _HEAD_TURN, _FARTHEST = np.deg2rad([9.0, 35.0, 110.0])
 _EVEN = 0.5
-"""Share of the heads that turn anywhere up to the farthest, all alike."""
+"""Share of heads with a uniform turn up to the largest."""
 _SIDES = (1.0, -1.0)
 """Left and right."""
 _NORMALS = np.array(
@@ -43,26 +43,26 @@ _NORMALS = np.array(
 )
 """Normals of the points of `USED`, in the frame of head, shoulders or pelvis (x forward, y left, z up)."""
 _ROUND = np.array([0.25, 0.08, 0.08, 0.40, 0.40, 0.40, 0.40, 0.30, 0.30])
-"""Mean sine of the angle round a corner up to which each is still seen."""
+"""Mean sine of the angle behind the limb up to which each point is visible."""
 _DEVIATION = 0.45 * np.array([0.026, 0.025, 0.025, 0.035, 0.035, 0.079, 0.079, 0.107, 0.107])
-"""1-σ of a network's points in heights of the person: as much as COCO's annotators differ by.
+"""1-σ of a network's points in heights of the person, as between COCO's annotators.
 
-COCO states it in square roots of the person's area, which are 0.45 heights.
+COCO gives it in square roots of the person's area, which are 0.45 heights.
 """
 _SEEN, _HIDDEN = 2.6, np.array([-2.0] * 5 + [0.8] * 4)
-"""Log odds of the confidence in points that are seen and in those that are hidden."""
+"""Log odds of the confidence in visible and in hidden points."""
 _SWAPPED = (0, 2, 1, 4, 3, 6, 5, 8, 7)
 N_USED = len(USED)
 
 
 @dataclass(frozen=True, eq=False)
 class Skeletons:
-    """n people before cameras.
+    """Skeletons of n people in front of cameras.
 
     Attributes
     ----------
     points : (n, 9, 2) pixels of the points of `USED`
-    visibility : (n, 9) from 0 (hidden) to 1 (seen)
+    visibility : (n, 9) from 0 (hidden) to 1 (visible)
     height : (n,) of the person in pixels
     body, head : (n,) radians in the image frame: 0 faces the camera, +π/2 the right of the image. The body's
         is that of the shoulders
@@ -85,14 +85,14 @@ class NetworkErrors:
     Attributes
     ----------
     deviation : factor of the points' standard deviation
-    pixels : 1-σ in pixels besides, however large the person is
-    bias : 1-σ of the log odds by which a picture is surer than others
-    doubt : the same of each point
-    swapped : share of people whose left and right are taken for each other; more where they are small
-    hallucinated : share of the backs of heads that are taken for faces
-    hidden : share of people of whom some points are behind something or outside of the image
-    cut : share of the people whose unsure points are left out, as some networks do
-    unsaid : share of the people whose points come without confidences
+    pixels : additional 1-σ in pixels, independent of the person's size
+    bias : 1-σ of the log odds common to an image
+    doubt : 1-σ of the log odds of each point
+    swapped : share of people with left and right exchanged; larger for small people
+    hallucinated : share of backs of heads reported as faces
+    hidden : share of people with some points occluded or outside the image
+    cut : share of people without their uncertain points, as in some networks
+    unsaid : share of people without confidences
     """
 
     deviation: float = 1.0
@@ -109,7 +109,7 @@ class NetworkErrors:
 def make_skeletons(
     count: int, rng: np.random.Generator, size: tuple[float, float] = (20.0, 400.0)
 ) -> Skeletons:
-    """Draw people of heights in pixels in a range (even in the logarithm), before as many cameras."""
+    """Draw people of heights in pixels in a range (log-uniform), each in front of another camera."""
     body = rng.uniform(-np.pi, np.pi, count)
     turn = np.clip(rng.normal(0.0, _HEAD_TURN, count), -_FARTHEST, _FARTHEST)
     anywhere = rng.uniform(-_FARTHEST, _FARTHEST, count)
@@ -119,13 +119,13 @@ def make_skeletons(
     distance = np.exp(rng.uniform(np.log(2.5), np.log(40.0), count))
     high = np.where(rng.random(count) < 0.5, rng.uniform(0.8, 2.5, count), rng.uniform(2.5, 10.0, count))
     high = np.minimum(high, 0.9 + distance * np.tan(np.deg2rad(60.0)))
-    # The person stands at the origin, the camera on the x axis: who faces it has the direction 0.
+    # The person stands at the origin, the camera on the x axis: facing it is direction 0.
     camera = np.stack([distance, np.zeros(count), high], axis=1)
     world, normals = _joints(body, head, pelvis, tall, rng)
     to_camera = camera[:, None] - world
     to_camera /= np.linalg.norm(to_camera, axis=2, keepdims=True)
     facing = np.einsum("npk,npk->np", normals, to_camera)
-    around = rng.normal(_ROUND, 0.15, facing.shape)  # heads, hair, and what networks take for seen differ
+    around = rng.normal(_ROUND, 0.15, facing.shape)  # heads, hair, and networks differ
     visibility = expit((facing + around) / 0.10)
     pixels = np.exp(rng.uniform(np.log(size[0]), np.log(size[1]), count))
     ends = np.zeros((count, 2, 3))
@@ -139,7 +139,7 @@ def make_skeletons(
 def _joints(
     body: FloatArray, head: FloatArray, pelvis: FloatArray, tall: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 9, 3) in metres and where they look, unit vectors (n, 9, 3)."""
+    """Return points (n, 9, 3) in metres and their normals, unit vectors (n, 9, 3)."""
     n = len(body)
 
     def about(mean: float, deviation: float) -> FloatArray:
@@ -215,7 +215,7 @@ def perceived(
     height = np.broadcast_to(np.asarray(height, float), (n,))
     small = np.clip((50.0 - height) / 25.0, 0.0, 1.0)
     hidden, hair = _covered(n, rng, errors.hidden), rng.random(n) < 0.3
-    # Networks differ in how sure they are of which point, and in how much they say of what they do not see.
+    # Networks differ in the confidence of each point, and in their output for hidden points.
     unseen = _HIDDEN + rng.normal(0.0, 0.8, (n, 1))
     level = unseen + (_SEEN - unseen) * visibility + rng.normal(0.0, errors.doubt, visibility.shape)
     level[:, 3:5] -= np.where(hair, rng.uniform(1.0, 3.0, n), 0.0)[:, None]
@@ -235,7 +235,7 @@ def perceived(
 
 
 def _covered(n: int, rng: np.random.Generator, share: float) -> NDArray[np.bool_]:
-    """Points (n, 9) behind something: hips, all of the face, one side, or any."""
+    """Draw occluded points (n, 9): hips, the face, one side, or any."""
     kind = np.where(rng.random(n) < share, rng.integers(1, 5, n), 0)
     covered = np.zeros((n, N_USED), bool)
     covered[:, 7:] |= (kind == 1)[:, None]
@@ -253,7 +253,7 @@ def _confused(
     rng: np.random.Generator,
     errors: NetworkErrors,
 ) -> FloatArray:
-    """The same with left and right exchanged now and then."""
+    """Exchange left and right at random."""
     share = errors.swapped * (1.0 + 3.0 * small) * np.where(from_behind, 1.5, 0.7)
     whole = rng.random(len(found)) < share
     found = np.where(whole[:, None, None], found[:, _SWAPPED], found)
@@ -264,7 +264,7 @@ def _confused(
 
 
 def _written(found: FloatArray, rng: np.random.Generator, errors: NetworkErrors) -> FloatArray:
-    """The same as files have it: unsure points left out, no confidences, or three steps of them."""
+    """Degrade points as in files: without uncertain points, without confidences, or with three levels."""
     n = len(found)
     sure = found[..., 2]
     cut = np.where(rng.random(n) < errors.cut, rng.uniform(0.05, 0.4, n), 0.0)
@@ -281,7 +281,7 @@ def _written(found: FloatArray, rng: np.random.Generator, errors: NetworkErrors)
 _FACE = ((0.126, 0.0, -0.02), *((0.090, side * 0.033, 0.012) for side in _SIDES))
 _EARS = tuple((-0.008, side * 0.088, 0.0) for side in _SIDES)
 _DEPTH = np.array([0.02, 0.025, 0.025, 0.025, 0.025, 0.13, 0.13, 0.18, 0.18])
-"""Metres of the person's own flesh and clothes that may lie in front of a point."""
+"""Metres of the person's own body and clothes allowed in front of a visible point."""
 _BALL = 0.004
 _LIGHT = Light((0.0, 0.0, 1.0), (0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
 
@@ -308,7 +308,7 @@ def _balls(places: list[FloatArray]) -> Builder:
 
 
 def seen_joints(person: Person, camera: Camera, furniture: tuple[Furniture, ...] = ()) -> FloatArray:
-    """Visibility (9,) of `joints_of`: 1, or 0 where something else is in front."""
+    """Visibility (9,) of `joints_of`: 1, or 0 if occluded."""
     assert isinstance(person.look, Appearance)
     joints = joints_of(person.look, person.posture)
     eye = np.array(camera.position)
@@ -331,7 +331,7 @@ def seen_keypoints(
     rng: np.random.Generator,
     errors: NetworkErrors = NetworkErrors(),
 ) -> FloatArray:
-    """COCO's points (17, 3) of somebody, as a pose network would give them; limbs are not there."""
+    """Simulate COCO's points (17, 3) of a person by a pose network, without limbs."""
     pixels, visibility, height = _seen_person(person, camera, furniture)
     points = np.zeros((N_POINTS, 3))
     points[list(USED)] = perceived(pixels[None], visibility[None], height, rng, errors)[0]
@@ -356,9 +356,9 @@ def make_rendered_skeletons(
     *,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Skeletons:
-    """The skeletons of people as they are rendered, whose hair, hats, bags and arms hide points.
+    """Return skeletons of rendered people, whose hair, hats, bags and arms hide points.
 
-    Every one is another person before another camera; a fifth stands behind something.
+    Each is another person in front of another camera; a fifth is partly occluded.
     """
     rows = []
     for _ in range(count):

@@ -1,4 +1,4 @@
-"""Ellipsoids, tubes and boxes: what heads, people and furniture are made of."""
+"""Ellipsoids, tubes and boxes, the primitives of heads, people and furniture."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ PLAIN, SPECKLED, STRIPED, CHECKED = 0, 1, 2, 3
 """Textures: none, noise, bands along local z, bands along local z and x."""
 
 SKIN, OTHER = 1, 0
-"""Materials: the one thing about a surface that labels need is whether it is skin."""
+"""Materials: skin or other, as needed by labels."""
 
 _NO_CLIP = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Solids:
-    """m solids in one frame (metres, right-handed, z up).
+    """Set of m solids in one frame (metres, right-handed, z up).
 
     Attributes
     ----------
     kind : (m,) ELLIPSOID, TUBE or BOX
     centre : (m, 3) metres
     axes : (m, 3, 3) the columns are the semi-axes (metres): a point of the solid is centre + axes · local
-    clip : (m, 4) only the surface with n·local ≤ d is there, for rows (n, d)
+    clip : (m, 4) only the surface with n·local ≤ d exists, for rows (n, d)
     colour : (m, 3) albedo in 0…1, blue green red
-    texture : (m, 3) which texture, its contrast in 0…1, and its periods over the solid
+    texture : (m, 3) kind of texture, contrast in 0…1, and periods over the solid
     material : (m,) SKIN or OTHER
-    group : (m,) what the solid belongs to; boxes and visibility are told for each group
+    group : (m,) group of the solid; boxes and visibility are reported per group
     """
 
     kind: NDArray[np.int64]
@@ -51,23 +51,23 @@ class Solids:
         return len(self.kind)
 
     def moved(self, rotation: FloatArray, translation: ArrayLike) -> Solids:
-        """Rotated by (3, 3) about the origin, then moved by (3,) metres."""
+        """Rotate by (3, 3) about the origin, then move by (3,) metres."""
         return replace(
             self, centre=self.centre @ rotation.T + np.asarray(translation), axes=rotation @ self.axes
         )
 
     def scaled(self, factor: ArrayLike) -> Solids:
-        """Stretched about the origin by a factor, or by one factor for each axis (3,)."""
+        """Scale about the origin by a factor, or by one factor for each axis (3,)."""
         factor = np.broadcast_to(np.asarray(factor, dtype=float), (3,))
         return replace(self, centre=self.centre * factor, axes=self.axes * factor[:, None])
 
     def in_group(self, group: int) -> Solids:
-        """The same, all in one group."""
+        """Return the same solids, all in one group."""
         return replace(self, group=np.full(len(self), group, np.int64))
 
     @staticmethod
     def together(*parts: Solids) -> Solids:
-        """All of them, sorted by group, as the ray caster wants them."""
+        """Concatenate solids, sorted by group, for the ray caster."""
         names = Solids.__dataclass_fields__
         joined: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
         order = np.argsort(joined["group"], kind="stable")
@@ -75,7 +75,7 @@ class Solids:
 
 
 class Builder:
-    """Collects solids one by one; all lengths in metres."""
+    """Builder of solids; all lengths in metres."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[Any, ...]] = []
@@ -149,7 +149,7 @@ class Builder:
         self._rows.append((kind, centre, axes, clip, colour, texture, SKIN if skin else OTHER))
 
     def build(self, group: int = 0) -> Solids:
-        """Everything that was added, in one group."""
+        """Return all added solids, in one group."""
         columns = list(zip(*self._rows, strict=True)) if self._rows else [()] * 7
         kind, centre, axes, clip, colour, texture, material = columns
         return Solids(
@@ -165,7 +165,7 @@ class Builder:
 
 
 def _rotation(angle: ArrayLike, first: int, second: int) -> FloatArray:
-    """Rotations (..., 3, 3) by angles (...) in radians that turn one axis towards another."""
+    """Return rotations (..., 3, 3) by angles (...) in radians that turn one axis towards another."""
     angle = np.asarray(angle, float)
     result = np.broadcast_to(np.eye(3), (*angle.shape, 3, 3)).copy()
     result[..., first, first] = result[..., second, second] = np.cos(angle)
@@ -175,7 +175,7 @@ def _rotation(angle: ArrayLike, first: int, second: int) -> FloatArray:
 
 
 def rotation_z(angle: ArrayLike) -> FloatArray:
-    """Rotations (..., 3, 3) by radians (...) about z, counter-clockwise as seen from above."""
+    """Rotations (..., 3, 3) by radians (...) about z, counter-clockwise from above."""
     return _rotation(angle, 0, 1)
 
 

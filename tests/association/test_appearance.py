@@ -1,4 +1,4 @@
-"""The likelihood ratio of looks: on made-up people whose true ratio is known, and its bounds."""
+"""Likelihood ratio of appearance: on synthetic people with a known ratio, and its bounds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ K = 5
 
 
 def people(rng: np.random.Generator, count: int, seen: int = 12, k: int = K) -> tuple[np.ndarray, np.ndarray]:
-    """Descriptors (count · seen, k) of people who vary otherwise than they differ."""
+    """Descriptors (count · seen, k) whose covariances within and between people differ."""
     among, within = np.linspace(2.0, 0.5, k), np.linspace(1.5, 0.1, k)
     mean = rng.normal(size=(count, 1, k)) * among
     return (mean + rng.normal(size=(count, seen, k)) * within).reshape(-1, k), np.repeat(
@@ -36,7 +36,7 @@ def learned(rng: np.random.Generator, count: int, **settings: float) -> Appearan
 
 @pytest.mark.parametrize("count", [12, 60, 200])
 def test_it_is_calibrated_on_other_people(count: int) -> None:
-    """Of pairs that show one person with probability p, a share of about p does."""
+    """Among pairs with the probability p of one person, a share of about p has one person."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         model = learned(rng, count)

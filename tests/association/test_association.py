@@ -1,4 +1,4 @@
-"""Detections without identities: who is who is found, and what is false left out."""
+"""Data association of detections without identities; false detections are left out."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def test_a_tracker_that_swaps_two_people_and_loses_one_is_repaired() -> None:
     assert idf1(given, whose) < 0.97
     found = repair_detections(detections, given)
     assert idf1(found.identity, whose) == 1.0
-    # Who was right stays who they were.
+    # Correct identities are kept.
     right = ~np.isin(whose, [one, other, lost])
     np.testing.assert_array_equal(found.identity[right], given[right])
 

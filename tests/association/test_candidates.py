@@ -1,4 +1,4 @@
-"""Candidates within reach: none is missed, and what is left out changes no match."""
+"""Candidates within reach: complete, and pruning changes no match."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_what_is_kept_from_sweep_to_sweep_changes_nobody(name: str, monkeypatch:
     once, mended = associate_detections(detections), repair_detections(detections, given)
     monkeypatch.setattr(offline, "_Search", Search)
     again = associate_detections(detections)
-    # A candidate that was outbid is not looked at again where what outbid it has changed at second hand.
+    # An outbid candidate is not recomputed where the better candidate has changed indirectly.
     assert (once.identity != again.identity).mean() < 2e-3
     assert once.evidence == pytest.approx(again.evidence, rel=1e-4)
     np.testing.assert_array_equal(mended.identity, repair_detections(detections, given).identity)

@@ -34,7 +34,7 @@ def test_what_is_known_is_kept_and_the_rest_is_learned() -> None:
 
 
 def test_online_a_known_scene_is_used_from_the_first_frame_on() -> None:
-    """Ten seconds of other recordings of a place, with what one of them taught and without."""
+    """Ten seconds of further recordings of a place, with and without parameters learned from one of them."""
     taught = associate_detections(crowded(10)[0]).scene
     scores = []
     for seed in range(11, 17):
@@ -54,7 +54,7 @@ def test_a_model_file_says_it_to_every_command(tmp_path: Path) -> None:
     table = pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
     source, file = tmp_path / "seen.csv", tmp_path / "model.toml"
     table.to_csv(source, index=False)
-    # Whoever is not seen for a moment is gone: tracks end at each gap.
+    # A missed detection is a death: tracks end at each gap.
     known = {"longest_gap": 0.5, "longest_filled": 0.0, "position_std": 0.23}
     gt.Model("position", scene=known).save(file)
     free = gt.associate(table)

@@ -14,7 +14,7 @@ from graphtrack.association.online import OnlineAssociation
 from graphtrack.association.tracker import track_rows
 
 TURNING = {"acceleration_density": 0.2}
-"""People may turn, whatever those do whom the rest is learned from."""
+"""People may turn, unlike the people of the learned scene."""
 
 
 def kept(found: np.ndarray, whose: np.ndarray, frame: np.ndarray, person: int) -> bool:

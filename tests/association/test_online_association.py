@@ -59,7 +59,7 @@ def test_empty_frames_and_changing_rates_are_fine_and_bad_ones_change_nothing() 
 
 
 def test_estimates_are_those_of_a_smoother_that_knew_who_is_who() -> None:
-    """Revised identities included: what is taken back leaves no trace."""
+    """Online equals offline, revised identities included."""
     detections, _ = street(np.random.default_rng(5), people=6, frames=40, noise=0.05)
     tracker = gt.OnlineTracker("position", scene=SCENE)
     frames, owner = frames_of(detections), {}
@@ -131,4 +131,4 @@ def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> Non
             sizes.append(len(association.chains.t))
     assert 0.5 * first < density[40] < first and density[199] < 0.9 * density[40]
     assert set(density[200:]) == {0.02}
-    assert max(sizes[100:200]) <= max(sizes[:100]) + 40  # what is forgotten bounds the memory
+    assert max(sizes[100:200]) <= max(sizes[:100]) + 40  # dropped detections bound the memory

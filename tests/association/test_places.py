@@ -52,7 +52,7 @@ def test_people_come_where_they_came_and_leave_where_they_left() -> None:
 
 
 def test_without_gaps_a_scene_keeps_its_prior_of_occlusions() -> None:
-    """One occlusion of 2 s, and a hundredth of two events, count beside what was observed."""
+    """One occlusion of 2 s, and a hundredth of two events, count in addition to the observations."""
     chains, identity = street()
     found = learn_scene(chains, identity, gt.SceneParameters(), np.full(len(identity), np.nan), 0.4)
     assert found.occlusion_seconds == pytest.approx(2.0)
@@ -61,7 +61,7 @@ def test_without_gaps_a_scene_keeps_its_prior_of_occlusions() -> None:
 
 @pytest.mark.parametrize("k", [0, 7, 300])
 def test_own_events_are_left_out_as_if_they_had_not_been(k: int) -> None:
-    """Against a loop over the events of all others, blurred without a grid."""
+    """Against a loop over all other events, blurred without a grid."""
     chains, identity = street(seed=k)
     births, _, _ = seen_from_within(chains, identity)
     firsts = np.flatnonzero((chains.preceding < 0) & (identity >= 0) & (chains.frame > 3)).tolist()
@@ -92,7 +92,7 @@ def test_of_two_in_one_place_the_one_who_goes_out_leaves_rather() -> None:
 
 
 def test_somebody_goes_on_being_there_as_often_as_where_it_is_played() -> None:
-    """People stand still, and leave alike everywhere; who has left is never seen again."""
+    """People stand still, and leave at a uniform rate; a person who has left is never detected again."""
     rng, scene = np.random.default_rng(0), gt.SceneParameters(death_rate=0.06, occlusion_probability=0.1)
     found = OnlineAssociation(scene)
     for frame in range(20):
@@ -121,11 +121,11 @@ def test_observed_angles_are_the_given_ones_and_else_the_mean_of_class_likelihoo
 
 
 VARIANCE = 0.5
-"""Of an angle about the direction of travel, rad²."""
+"""Variance of an angle about the direction of travel, rad²."""
 
 
 def walking(way: float, speed: float = 1.2) -> np.ndarray:
-    """The state of somebody who walks in a direction (rad)."""
+    """The state of a person who walks in a direction (rad)."""
     state = np.zeros(STATE)
     state[:7] = 1.0, -2.0, speed * math.cos(way), speed * math.sin(way), 0.02, 0.03, 0.09
     return state

@@ -1,4 +1,4 @@
-"""The plain tracker is the filter that it says, and believes and gives up people when it says."""
+"""The plain tracker equals its documented filter, and confirms and deletes tracks by its rules."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ PARAMETERS = Parameters(
 
 
 def noisy_walk(n: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and head of somebody who turns, with gaps in both."""
+    """Positions and head of a person who turns, with gaps in both."""
     rng = np.random.default_rng(seed)
     course = 0.8 * np.sin(np.arange(n) / 9.0)
     position = np.cumsum(0.4 * unit(course), axis=0) + rng.normal(0.0, 0.4, (n, 2))
@@ -207,7 +207,7 @@ def test_a_step_is_the_matrix_exponential_of_the_drift(rate: float, dt: float) -
         [noise[0, 0], noise[0, 1], noise[1, 1]],
         rtol=1e-6,
     )
-    # ∫ exp(A·s) ds · (0, λ·s·u): what the steering adds, by one more exponential.
+    # ∫ exp(A·s) ds · (0, λ·s·u): the contribution of the steering, by one more exponential.
     steering = expm(np.block([[drift, np.array([[0.0], [rate]])], [np.zeros((1, 3))]]) * dt)[:2, 2]
     np.testing.assert_allclose(found.position_shift[0], steering[0] * unit(2.1), atol=1e-7)
     np.testing.assert_allclose(found.velocity_shift[0], steering[1] * unit(2.1), atol=1e-7)

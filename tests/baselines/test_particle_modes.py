@@ -29,7 +29,7 @@ from graphtrack.tracks.track import Track
 
 
 def aside(n: int = 60, *, seed: int = 0, offset: float = 1.4) -> Track:
-    """Somebody who walks straight, body and head all the time at an offset from where the motion goes."""
+    """A person who walks straight, body and head at a constant offset from the direction of motion."""
     rng = np.random.default_rng(seed)
     t = 0.1 * np.arange(n)
     position = np.stack([1.2 * t, np.zeros(n)], axis=1)
@@ -64,7 +64,7 @@ def test_couplings_are_as_strong_as_their_modes() -> None:
     size = np.hypot(table.cos, table.sin)
     np.testing.assert_allclose(size[:BASE], np.where(table.aligned > 0.0, 2.0, 0.5)[:BASE])
     np.testing.assert_allclose(np.hypot(table.held_cos, table.held_sin), 1.0)
-    # The body has no glances; a glance of the head steers nobody.
+    # The body has no glances; a glance of the head does not steer.
     assert (table.initial[BASE:] == 0.0).all()
     head = mode_table(gait_of(gait).head)
     np.testing.assert_allclose(np.hypot(head.cos, head.sin)[BASE:], GaitParameters().glance_strength)
@@ -109,7 +109,7 @@ def test_modes_that_are_all_alike_are_no_modes() -> None:
 
 
 def test_the_posterior_of_modes_is_that_of_the_exact_forward_filter() -> None:
-    """Of known motion, with bodies that are new in each frame: a hidden Markov chain over modes and offsets.
+    """Known motion, bodies redrawn in each frame: a hidden Markov chain over modes and offsets.
 
     The chain of the test is written from docs/model/modes.md; without drift, a mode stays or is drawn again.
     """
@@ -144,7 +144,7 @@ def test_the_posterior_of_modes_is_that_of_the_exact_forward_filter() -> None:
     step = kept * np.eye(43) + (1.0 - kept) * initial
     kappa = np.r_[np.full(36, strengths[1]), np.full(7, strengths[0])] * pull * speed**2
     both = np.abs(kappa + seen_kappa * np.exp(1j * (seen[:, None] - offsets)))
-    # ∫ VM(θ; offset, κ)·VM(seen; θ, κ') dθ, but for what all have in common.
+    # ∫ VM(θ; offset, κ)·VM(seen; θ, κ') dθ, up to a common factor.
     likelihood = special.i0e(both) / special.i0e(kappa) * np.exp(both - kappa - seen_kappa)
     exact, now = [], initial
     for k in range(n):

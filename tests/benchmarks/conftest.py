@@ -1,6 +1,6 @@
-"""The committed baseline: what each ratio was, and how far it may fall.
+"""The committed baseline: the ratios, and their tolerances.
 
-`make bench` compares with it; ``pytest tests/benchmarks -m benchmark --update-baseline`` states it anew.
+`make bench` compares with it; ``pytest tests/benchmarks -m benchmark --update-baseline`` updates it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def record(request: pytest.FixtureRequest) -> Callable[[str, float], None]:
 
 
 def verdict(entry: dict[str, Any] | None, value: float) -> tuple[str, bool]:
-    """Compare a value with the baseline's: the result in words, and whether it is as good, to a tolerance."""
+    """Compare a value with the baseline's: the result in words, and True if it is as good, to a tolerance."""
     if entry is None:
         return "not in baseline.json", False
     worse = (entry["value"] - value) * (1 if entry["direction"] == "higher" else -1)

@@ -134,7 +134,7 @@ def test_the_cost_of_a_late_step(lag: float | None, count: int, growth: float, r
             smoother.update(observation)
     spent = np.empty((200, 4))
     for k, o in enumerate(seen[count - 100 :]):
-        # By turns, for whoever comes after the fixed lag finds the caches full of it.
+        # In alternation, since the run after the fixed lag finds its data in the caches.
         for i in ((0, 1, 2, 3), (1, 0, 3, 2))[k % 2]:
             smoother = (old, young, fixed_old, fixed_young)[i]
             spent[k, i] = milliseconds(lambda s=smoother, o=o: took_in(s, o))
@@ -143,5 +143,5 @@ def test_the_cost_of_a_late_step(lag: float | None, count: int, growth: float, r
     mode = "full history" if lag is None else "window"
     record(f"isam2 {mode}, step {count:,} / step 200, processor time", late / at_200)
     record(f"online step {count:,}, fixed-lag / isam2 {mode}, processor time", fixed / late)
-    # The full history grows by what GTSAM counts in its tree.
+    # The growth of the full history is measured in GTSAM's tree.
     assert late < growth * at_200 and fixed < 1.3 * fixed_at_200

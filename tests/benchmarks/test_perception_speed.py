@@ -1,4 +1,4 @@
-"""Speed of what looks at people: milliseconds of processor time, and against OpenCV's HOG in the same run."""
+"""Speed of perception: milliseconds of processor time, and against OpenCV's HOG in the same run."""
 
 from __future__ import annotations
 

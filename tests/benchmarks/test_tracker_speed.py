@@ -24,7 +24,7 @@ HEAD_FRAMES = 20
 
 @pytest.fixture(scope="module")
 def frames() -> list[Image]:
-    """320 × 240, somebody walks in them."""
+    """Frames of 320 × 240 with a person who walks."""
     kind, rng = KINDS["person moving 1"], np.random.default_rng(0)
     sequence = ceiling_sequence(kind, rng, frames=40 + FRAMES, oversampling=1)
     return [frame.image for frame in sequence]

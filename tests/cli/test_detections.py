@@ -1,4 +1,4 @@
-"""`graphtrack track -` with rows that do not say of whom they are."""
+"""`graphtrack track -` with rows without identities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The first run on a machine: it says what it is doing, and its figures are those of any other run."""
+"""The first run on a machine: it reports compilation, and its results equal those of any other run."""
 
 from __future__ import annotations
 

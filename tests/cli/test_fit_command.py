@@ -56,7 +56,7 @@ def test_what_cannot_be_done_is_said_in_one_line(people: Path, wrong: list[str])
 
 
 def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(people: Path) -> None:
-    # The file says how noisy it is, so that its positions tell nothing of the default noise.
+    # The file declares its noise, so that its positions do not determine the default noise.
     options = ["--model", "position", "--json", "learned.json"]
     done = run("fit", "people.csv", "-o", "learned.toml", *options)
     assert done.returncode == 0 and "not identified" in done.stdout
@@ -68,7 +68,7 @@ def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(people: Path) -> 
 
 
 def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(people: Path) -> None:
-    # Those learned from hardly move, those held out do: whatever is learned, it is wrong for them.
+    # Training people hardly move, held-out people do: any learned value is wrong for them.
     calm = gt.Parameters(motion=MotionParameters(acceleration_density=1e-3))
     rng = np.random.default_rng(0)
     slow = gt.simulate(gt.Model("position", calm), n_tracks=4, n_steps=40, rng=rng, pace=None)

@@ -16,7 +16,7 @@ import graphtrack as gt
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with detections, and with the same ones labelled: who is nobody has −1."""
+    """A folder with detections, and with the same detections labelled; false ones have −1."""
     monkeypatch.chdir(tmp_path)
     detections, whose = street(np.random.default_rng(0), people=8, frames=50, miss=0.15, false=0.5)
     lines = zip(detections.frame, detections.t, *detections.position.T, whose, strict=True)

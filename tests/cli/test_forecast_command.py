@@ -95,7 +95,7 @@ def test_a_late_row_changes_no_forecast():
 
 
 class Killed(BaseException):
-    """Stands in for a kill."""
+    """Simulate a kill."""
 
 
 @pytest.mark.parametrize("identities", [False, True])
@@ -132,7 +132,7 @@ def test_a_stream_with_forecasts_goes_on_after_a_kill(monkeypatch, tmp_path, ide
     assert any("forecast" in one for one in whole)
     for place in [*stops, len(lines)]:
         more = run_to(place, tmp_path / "state")
-        # Whoever goes on after a kill is told the answers to the last row again.
+        # After a kill the answers to the last row are emitted again.
         again = [k for k in range(len(more) + 1) if found[len(found) - k :] == more[:k]]
         found += more[max(again, default=0) :]
     assert len(stops) == 6 and found == whole
@@ -153,7 +153,7 @@ def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch)
     assert done.returncode == 0, done.stderr
     walkers(here / "short.csv", people=1, steps=2)
     done = graphtrack("fit short.csv --forecast -o learned.toml")
-    assert done.returncode == 2 and "nobody who was seen after a forecast" in done.stderr
+    assert done.returncode == 2 and "no person observed after a forecast" in done.stderr
 
 
 def test_a_tracker_that_is_asked_late_says_what_one_says_that_was_always_asked():
@@ -178,7 +178,7 @@ def test_who_is_hidden_is_forecast_from_where_the_person_was_last_seen():
         people = tracker.update(0.4 * k, [(0.5 * k, 0.0)])
     before = tracker.forecast(0.8)
     people = tracker.update(4.8, np.zeros((0, 2)))
-    if people:  # whoever is more probably hidden than gone
+    if people:  # people who are more probably hidden than gone
         after = tracker.forecast(0.8)
         assert after.position[0, 0, 0] == pytest.approx(before.position[0, 1, 0], abs=0.05)
         assert after.radius_50[0, 0] > before.radius_50[0, 0]

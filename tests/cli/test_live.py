@@ -1,4 +1,4 @@
-"""`graphtrack track -` as a user runs it: its state file, its ends, and what it says."""
+"""`graphtrack track -` as a user runs it: its state file, its ends, and its messages."""
 
 import copy
 import io
@@ -22,7 +22,7 @@ from graphtrack.streaming.saved_state import StateFile
 
 
 def scene(n_frames, people=3, seed=0):
-    """Rows as a camera sends them: interleaved, with gaps, late, repeated and bad ones, and blank lines."""
+    """Rows as a camera sends them: interleaved, with gaps, out of sequence, repeated and invalid."""
     rng = np.random.default_rng(seed)
     lines = []
     for k in range(n_frames):
@@ -99,7 +99,7 @@ def test_isam2_with_modes_goes_on_within_its_tolerances(track, tmp_path, lag):
 
 
 class Killed(BaseException):
-    """Stands in for a kill: what the file holds at that moment is what the next run finds."""
+    """Simulate a kill: the next run finds the file as it is at that moment."""
 
 
 @pytest.mark.parametrize(
@@ -343,7 +343,7 @@ STAMPS = {"ms": (10**3, 0), "ns": (10**9, 1_763_892_000_123_456_789)}
 
 
 def renamed(line, unit):
-    """A row of `scene` as somebody else writes it; what is no row stays as it is."""
+    """A row of `scene` in another valid notation; invalid rows are unchanged."""
     try:
         row = json.loads(line)
     except ValueError:
@@ -446,4 +446,4 @@ def test_well_known_names_last_as_long_as_the_stream(track, tmp_path):
     options += ("--state", tmp_path / "state")
     _, first, _ = track(rows(range(3)), *options)
     _, second, said = track(rows(range(3, 6)), *options)
-    assert first + second == whole and "going on" in said
+    assert first + second == whole and "resuming from" in said

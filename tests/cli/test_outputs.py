@@ -102,7 +102,7 @@ def test_outputs_that_coincide_are_refused_before_anything_is_read(
     here: Path, monkeypatch: pytest.MonkeyPatch, arguments: str
 ) -> None:
     before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
-    # Whoever reads in spite of it, is caught.
+    # A read in spite of it is detected.
     monkeypatch.setattr("graphtrack.io.source.Source.open", lambda path: pytest.fail(f"{path} was read"))
     done = run(arguments)
     said = done.stderr.splitlines()

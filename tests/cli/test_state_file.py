@@ -80,7 +80,7 @@ def test_lines_that_no_flush_has_reached_may_be_cut_off(tmp_path):
         path.write_bytes(data[:end])
         known = [*VALUES, [4, "x"]][: data[:end].count(b"\n") - 1]
         assert content(path) == known
-        assert path.read_bytes() == data[:end]  # nobody has added anything
+        assert path.read_bytes() == data[:end]  # no other process has appended
         file = StateFile(path, HOUR)
         file.append(6)
         file.close()
@@ -102,7 +102,7 @@ def test_lines_that_are_missing_repeated_moved_or_foreign_are_found(tmp_path_fac
         found = content(folder / "state")
     except InputError:
         pass
-    else:  # nothing but what was never written whole, behind what was
+    else:  # only the incomplete last line
         assert found in (values, [{"rows": 1}, *values[1:]])
     assert (folder / "state").read_bytes() == after
 
@@ -208,7 +208,7 @@ def test_it_is_flushed_from_time_to_time(tmp_path, monkeypatch):
 
 
 def writings(path, seconds):
-    """Times at which a stream of nobody is written, every ten seconds, after it began at 0."""
+    """Times at which an empty stream is written, every ten seconds, after its start at 0."""
     now, found = 0.0, []
     nobody = SimpleNamespace(rows=0, line=0, members={}, before_change=None)
     file = StateFile(path, 3600.0)

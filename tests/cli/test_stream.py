@@ -1,4 +1,4 @@
-"""Rows in, estimates out: what becomes of each row of a stream."""
+"""Rows in, estimates out: the result of each row of a stream."""
 
 import json
 

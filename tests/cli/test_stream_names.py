@@ -38,7 +38,7 @@ def test_what_is_told_within_an_answer_has_the_same_names_and_unit() -> None:
     later=st.lists(st.integers(0, 90 * DAY), min_size=2, max_size=4),
 )
 def test_whole_stamps_come_back_to_the_last_digit(unit: int, first: int, later: list[int]) -> None:
-    """Also those since 1970, of which a double has no nanoseconds."""
+    """Also times since 1970, which a double cannot hold in nanoseconds."""
     stamps = [(first + more) // unit for more in (0, *later)]
     lines = [(0, b"no row"), *((k, b'{"t": %d}' % stamp) for k, stamp in enumerate(stamps, start=1))]
     rest, names = StreamNames(unit=unit).beginning(iter(lines), nobody, print)
@@ -50,7 +50,7 @@ def test_whole_stamps_come_back_to_the_last_digit(unit: int, first: int, later: 
 
 
 def test_fractions_of_a_unit_come_back() -> None:
-    """Of milliseconds since 1970 a double has three digits after the point."""
+    """A double resolves milliseconds since 1970 to three digits after the point."""
     stamps = [1_763_892_000_123.25 + 0.5 * k for k in range(5)]
     lines = [(k, json.dumps({"t": stamp}).encode()) for k, stamp in enumerate(stamps)]
     rest, names = StreamNames(unit=10**6).beginning(iter(lines), nobody, print)

@@ -1,4 +1,4 @@
-"""`graphtrack view -`: what is shown is what was answered."""
+"""`graphtrack view -`: the viewer shows the answers."""
 
 from __future__ import annotations
 

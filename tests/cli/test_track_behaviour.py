@@ -1,4 +1,4 @@
-"""`graphtrack track - --groups --attention --forecast`: what is told, when, and after a stop."""
+"""`graphtrack track - --groups --attention --forecast`: its output, its timing, and after a restart."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OF_GROUPS = ["group", "kind", "probability", "centre_x", "centre_y"]
 
 
 def rows(frames: int = 8, people: int = 3) -> list[dict[str, Any]]:
-    """Two who walk side by side, and others far from them."""
+    """Two people who walk side by side, and further people far from them."""
     far = {1: 0.0, 2: 0.7}
     return [
         {"track_id": k, "frame": f, "t": round(0.4 * f, 6), "x": round(0.5 * f, 6), "y": far.get(k, 20.0 * k)}
@@ -56,7 +56,7 @@ def test_rows_with_identities_are_answered_at_once_and_a_frame_when_it_has_ended
     found = answers(people, rows()) + people.finish()
     told = [row for row in found if "status" not in row]
     assert [(row["track_id"], row["frame"]) for row in told] == [(k, f) for f in range(8) for k in (1, 2, 3)]
-    # Somebody seen once is in a group, or alone, and has no forecast.
+    # A person observed once is in a group, or alone, and has no forecast.
     assert list(told[0]) == ["track_id", "frame", "t", *OF_GROUPS, "attention"]
     assert list(told[-1]) == [*told[0], "forecast"]
     first, second, alone = told[-3:]

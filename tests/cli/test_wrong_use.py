@@ -89,7 +89,7 @@ def test_wrong_use_is_one_line_with_status_2(arguments, here):
     errors = [line for line in lines if line.startswith("error: ")]
     assert done.returncode == 2
     assert len(errors) == 1 and len(errors[0]) > len("error: ")
-    # Beside the error there is at most what was read.
+    # In addition to the error there is at most the summary of the input.
     assert all(line.startswith(("tracks.csv: ", "  ")) for line in lines if line not in errors)
     assert "Traceback" not in done.stderr + done.stdout
     assert {path.name for path in here.iterdir()} <= {"tracks.csv", "demo"}

@@ -39,7 +39,7 @@ def people(
 
 
 def misdeclared(tracks: TrackSet, position: float, body: float, head: float) -> TrackSet:
-    """The same observations, said to be so many times as noisy (1-σ) as they are."""
+    """The same observations, declared that many times as noisy (1-σ) as they are."""
 
     def changed(track: Track) -> Track:
         return replace(
@@ -134,7 +134,7 @@ def test_gross_errors_do_not_count_as_noise() -> None:
 
 
 def walkers(seed: int, n: int = 14) -> TrackSet:
-    """People who go straight on, each their own way, and face where they go."""
+    """People who go straight, each in another direction, and face their direction of travel."""
     rng, tracks = np.random.default_rng(seed), []
     t = 0.1 * np.arange(40)
     for m in range(n):

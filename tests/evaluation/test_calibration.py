@@ -1,4 +1,4 @@
-"""NEES and coverage of intervals: right for errors that are drawn from what is stated, and else not."""
+"""NEES and coverage of intervals: right for errors drawn from the covariance, and wrong otherwise."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from graphtrack.tracks.track import Track, TrackSet
 
 
 def drawn(truth: Track, claimed: float, seed: int = 0) -> Track:
-    """Estimates whose errors have a covariance that is ``claimed`` ** -2 times what they state."""
+    """Estimates whose errors have ``claimed`` ** -2 times the reported covariance."""
     rng = np.random.default_rng(seed)
     root = np.tril(rng.normal(0.0, 0.05, (6, 6))) + 0.2 * np.eye(6)
     errors = rng.standard_normal((len(truth), 6)) @ root.T

@@ -1,4 +1,4 @@
-"""Baxter et al.'s Fig. 5 on CAVIAR: who is judged, what is seen of them, and what the gains are made of."""
+"""Baxter et al.'s Fig. 5 on CAVIAR: selected people, their observations, and the parts of the gains."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from graphtrack.tracks.track import Track
 
 
 def labelled_walk(seed: int = 0, n: int = 200) -> Track:
-    """Somebody at 25 frames a second, the head up to a bin off the travel and labelled anew each second."""
+    """A person at 25 frames a second, the head up to a bin off the travel and labelled again each second."""
     rng = np.random.default_rng(seed)
     course = np.repeat(rng.normal(0.0, 0.3, n // 25), 25)
     position = np.cumsum(0.055 * unit(course), axis=0) + rng.normal(0.0, 0.03, (n, 2))
@@ -109,7 +109,7 @@ def test_what_the_gains_are_made_of() -> None:
     likelihood = {
         one.control: float(np.median(one.likelihood)) for one in found if one.method == "consistent"
     }
-    # The likelihood gains from the prior's narrowness, whatever the head says; the error does not.
+    # The likelihood gains from the prior's narrowness, for any head angle; the error does not.
     assert likelihood["as recorded"] > 1.3
     assert likelihood["head turned around"] > 1.25
     assert error["head turned around"] < 0.3 * error["as recorded"]

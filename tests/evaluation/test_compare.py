@@ -1,4 +1,4 @@
-"""The comparison: the same input for every method, what it reports, and what happens when a method fails."""
+"""The comparison: the same input for every method, its report, and failures of a method."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from graphtrack.simulation.scenario import scenario
 
 @dataclass(frozen=True)
 class Echo:
-    """A method that gives back what it was given; it fails on some tracks."""
+    """A method that returns its input; it fails on some tracks."""
 
     name: str = "echo"
     online: bool = True

@@ -1,4 +1,4 @@
-"""`graphtrack compare` on input that is hardly any: one clear error, or an answer and what to know of it."""
+"""`graphtrack compare` on minimal input: one clear error, or an answer with its limitations."""
 
 import json
 import math
@@ -15,7 +15,7 @@ HEAD = "track_id,frame,t,x,y,body_deg,head_deg,true_x,true_y,true_body_deg,true_
 
 
 def rows(track, seen, n=12, jump=None, head=True):
-    """Somebody who walks along x, of whom the frames in ``seen`` have a position."""
+    """A person who walks along x, with positions in the frames ``seen``."""
     rng = np.random.default_rng(track)
     text = ""
     for k in range(n):

@@ -1,4 +1,4 @@
-"""What modes bring: every way has the same people, noise and models."""
+"""Gain from coupling modes: every method has the same people, noise and models."""
 
 from __future__ import annotations
 

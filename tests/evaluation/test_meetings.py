@@ -23,7 +23,7 @@ SPEED, STEP = 1.2, 0.1
 
 
 def around_a_corner(track_id: int, turn: float, frames: int = 61) -> Track:
-    """Somebody who walks on a line, turns within a second, and walks on; the head is a little ahead."""
+    """A person who walks on a line, turns within a second, and walks on; the head is a little ahead."""
     time = STEP * np.arange(frames)
     heading = turn * np.clip(time - 0.5 * time[-1] + 0.5, 0.0, 1.0)
     way = SPEED * STEP * np.column_stack([np.cos(heading), np.sin(heading)])
@@ -62,7 +62,7 @@ def test_a_switch_is_another_identity_than_the_one_before() -> None:
     whose = np.array([0, 1, 0, 1, 0, 1, 0])
     assert switches(whose, np.array([5, 7, 5, 7, 5, 7, 5])) == 0
     assert switches(whose, np.array([5, 7, 7, 5, 7, 5, 7])) == 2
-    assert switches(whose, np.array([5, 7, -1, 7, 5, 7, 7])) == 1  # nobody's is passed over
+    assert switches(whose, np.array([5, 7, -1, 7, 5, 7, 7])) == 1  # none is skipped
 
 
 def test_body_and_head_tell_apart_who_turns() -> None:

@@ -1,4 +1,4 @@
-"""Experiments that take long, on a few people: which tables come out, and what holds in them."""
+"""Long experiments on a few people: their tables, and properties of these."""
 
 from __future__ import annotations
 

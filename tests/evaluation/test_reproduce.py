@@ -136,7 +136,7 @@ def test_one_step_ahead_is_steered_by_the_estimated_head() -> None:
 
     origin = np.array([*estimate.position[0], 0.8, -0.5, 0.0, 0.9])
     slope = np.stack([(ahead(origin + d) - ahead(origin - d)) / 2e-4 for d in 1e-4 * np.eye(6)], axis=1)
-    # ∫ 0.5·((1 − e^−λs)/λ)² ds: what the noise of the velocity adds to each axis of the position.
+    # ∫ 0.5·((1 − e^−λs)/λ)² ds: the contribution of the velocity noise to each axis of the position.
     s = np.linspace(0.0, dt, 2001)
     noise = np.trapezoid(0.5 * ((1.0 - np.exp(-1.5 * s)) / 1.5) ** 2, s) + 0.2**2
     predicted, logs = one_step_ahead(estimate, observed, model)
@@ -224,7 +224,7 @@ def test_a_table_is_rectangular_and_ready_for_json() -> None:
 
 
 def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # no recordings beside: the corpus alone
+    monkeypatch.chdir(tmp_path)  # without recordings: the corpus alone
     monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
     tables = []
     for name in ("first", "again"):

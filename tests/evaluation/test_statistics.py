@@ -32,7 +32,7 @@ def straight(head: np.ndarray, course: float = 1.0, speed: float = 1.2) -> Track
 def test_mean_and_spread_are_those_that_were_put_in(course: float) -> None:
     rng = np.random.default_rng(0)
     offset = np.radians(rng.normal(-12.0, 25.0, 20_000))
-    found = deviation_statistics([straight(course - offset, course)], "made up")
+    found = deviation_statistics([straight(course - offset, course)], "synthetic")
     assert np.degrees(found.mean) == pytest.approx(-12.0, abs=0.6)
     assert np.degrees(found.std) == pytest.approx(25.0, rel=0.02)
     assert found.density @ np.diff(HISTOGRAM_EDGES) == pytest.approx(1.0)
@@ -58,7 +58,7 @@ def test_who_stands_still_or_shows_no_head_does_not_count() -> None:
     half[:25] = np.nan
     assert np.isfinite(head_deviation(straight(half))).sum() == 25
     with pytest.raises(InputError, match="nobody"):
-        deviation_statistics([straight(np.zeros(50), speed=0.1)], "made up")
+        deviation_statistics([straight(np.zeros(50), speed=0.1)], "synthetic")
 
 
 @pytest.mark.parametrize("lag", [1, 5, 17])
@@ -69,7 +69,7 @@ def test_a_head_made_of_the_future_is_told(lag: int) -> None:
     track = replace(track, head=head)
     assert future_share([track]) > 0.95
     with pytest.warns(InputWarning, match="later position"):
-        assert deviation_statistics([track], "made up").tells_the_future
+        assert deviation_statistics([track], "synthetic").tells_the_future
 
 
 def test_an_honest_head_is_not_suspected() -> None:

@@ -1,4 +1,4 @@
-"""Groups among people who are independent of each other: few are found, and true ones are kept."""
+"""Groups among independent people: few are found, and true groups are kept."""
 
 from __future__ import annotations
 

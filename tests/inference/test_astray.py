@@ -1,4 +1,4 @@
-"""Ten frames at one place that nobody was at: what they cost, and how soon the path is found again."""
+"""Ten false frames at one place: their cost, and the time to recover the path."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def with_loss(preset: str, robust: str, threshold: float) -> gt.Model:
 
 
 def walker(seed: int) -> Track:
-    """Somebody who walks straight, seen at one place 1.5 m beside for ten frames."""
+    """A person who walks straight, observed 1.5 m off at one place for ten frames."""
     rng = np.random.default_rng(seed)
     t = np.arange(75) / FPS
     path = np.column_stack([1.3 * t, np.zeros_like(t)])
@@ -34,7 +34,7 @@ def walker(seed: int) -> Track:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_path_is_found_again_online_as_soon_as_it_costs_less(seed: int) -> None:
-    """Newton's method alone goes on from where it was, up to 2 m off, for three frames more."""
+    """Newton's method alone stays in its basin, up to 2 m off, for three frames more."""
     track = walker(seed)
     estimate = gt.track_online(track, with_loss("separate", "cauchy", 5.0))
     off = np.linalg.norm(estimate.position - track.true_position, axis=1)
@@ -69,6 +69,6 @@ def test_ten_frames_at_one_place_on_motion_capture(data_dir: Path) -> None:
                     squares = [np.mean(np.sum((one.position - true) ** 2, axis=1)) for one, true in pairs]
                     found[loss, way] = float(np.sqrt(np.mean(squares)))
             print(std, metres, {key: round(value, 3) for key, value in found.items()})
-            # What is near, and lasts for ten frames, may be true as far as the past tells.
+            # A near position that lasts for ten frames is plausible given the past.
             assert found["cauchy", "offline"] < (0.9 if metres else 1.02) * found["huber", "offline"]
             assert found["cauchy", "online"] < (0.4 if metres == 3.0 else 1.02) * found["huber", "online"]

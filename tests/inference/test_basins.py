@@ -1,4 +1,4 @@
-"""Classifiers that take front for back: no engine may settle where the body or the head faces backwards."""
+"""Classifiers that confuse front and back: no engine may settle in the reversed basin."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ HABITS = StrollerParameters(stops_per_minute=8.0, turns_per_minute=0.0, fastest_
 
 
 def standing_still(n: int = 60) -> Track:
-    """Somebody who walks, stands and walks on, at 10 Hz."""
+    """A person who walks, stands and walks on, at 10 Hz."""
     t = np.arange(n) / 10.0
     speed = np.where((t > 2.0) & (t < 4.0), 0.0, 1.2)
     position = np.stack([np.cumsum(speed) / 10.0, np.zeros(n)], axis=1)
@@ -115,7 +115,7 @@ def test_a_turn_too_many_is_taken_back_and_nothing_else_changes(place: int, turn
     np.testing.assert_array_equal(found[:, others], states[:, others])
     states[:, place] = right
     assert proposed(track, states) is None
-    # Who walks may turn as they like.
+    # A walking person may turn freely.
     states[:, 2], states[:, place] = 1.2, 2.0 * np.pi * ramp
     assert proposed(track, states) is None
 
@@ -140,7 +140,7 @@ def test_gtsam_unwinds_as_the_chain_does() -> None:
 
 
 def rounds(frames: int) -> Track:
-    """Somebody who walks in a circle, again and again, of whom the place alone is seen."""
+    """A person who walks in circles, with observed positions only."""
     t = np.arange(frames) / 25.0
     noise = np.random.default_rng(0).normal(0.0, 0.05, (frames, 2))
     return Track(

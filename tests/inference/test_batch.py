@@ -172,7 +172,7 @@ def assert_equivariant(model: Model, track: Track, angle: float, shift: tuple[fl
 
 @SYMMETRIC  # a head that steers does so forwards in time only
 def test_a_walk_seen_backwards_is_the_walk_backwards(preset: str) -> None:
-    """No prior tells the first frame from the last; body and head turn with the motion."""
+    """No prior distinguishes the first frame from the last; body and head turn with the motion."""
     parameters = Parameters(
         motion=MotionParameters(initial_speed_std=1e3), coupling=CouplingParameters(correlation_time=0.0)
     )

@@ -146,7 +146,7 @@ def grid_course(states: States, track: Track, model: Model, bins: int = 72) -> S
     joint = unary["body"][:, :, None] + unary["head"][:, None, :] + pull[:, None, None] * apart
     by_body = [apart / (turning.body_diffusion * step) for step in dt.tolist()]
     by_head = [apart / (turning.head_diffusion * step) for step in dt.tolist()]
-    # What the cheapest course costs that ends at each pair of directions.
+    # The cost of the cheapest course to each pair of directions.
     values = [joint[0]]
     for k in range(n - 1):
         turned = (by_body[k][:, :, None] + values[k]).min(axis=1)
@@ -183,7 +183,7 @@ def test_contradictions_do_not_keep_it_from_the_best_course(tracks: int) -> None
 @EVERY_PRESET
 def test_far_from_the_origin_estimates_are_as_exact_as_near_it(preset: str) -> None:
     far, model = np.array([1e7, -1e7]), Model(preset)
-    # What a double holds of 1e7 m is 2e-9 m.
+    # The resolution of a double at 1e7 m is 2e-9 m.
     track = walk(40, seed=2, uneven=True)
     distant = replace(track, position=track.position + far)
     near = replace(track, position=distant.position - far)
@@ -229,7 +229,7 @@ def test_a_term_without_a_kernel_is_gtsams_work() -> None:
 
 def test_a_term_is_linear_only_if_its_own_class_says_so() -> None:
     class Steered(Motion):
-        """A parent's word is not taken for what a child may have changed."""
+        """A parent's declaration does not hold for a child that may have changed it."""
 
     def is_linear(model: Model) -> bool:
         return model.is_linear(pack([walk()], model))

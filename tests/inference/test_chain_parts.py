@@ -1,4 +1,4 @@
-"""Parts of the chain engine, each against what it says: search, start, window, modes."""
+"""Parts of the chain engine, each against its documentation: search, start, window, modes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Modes of the couplings: people who side-step, people who do not, and the recursion behind it."""
+"""Coupling modes: people who side-step, people who do not, and the recursion."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -100,7 +100,7 @@ def test_online_the_offset_is_found_from_the_past() -> None:
 
 
 def test_the_past_of_a_window_is_not_forgotten() -> None:
-    # After a window without anything seen of body and head the mode is known from before.
+    # After a window without observations of body and head the mode is known from before.
     (track,) = people(np.radians(100.0), 1, seed=15, seconds=8.0)
     hidden = np.arange(len(track)) >= 150
     channels = {name: np.where(hidden, np.nan, getattr(track, name)) for name in ("body", "head")}
@@ -111,7 +111,7 @@ def test_the_past_of_a_window_is_not_forgotten() -> None:
 
 @pytest.mark.parametrize("offset", [0.0, 100.0])
 def test_the_head_steers_people_who_look_where_they_go_and_no_others(offset: float) -> None:
-    """A turn in a gap that only the head tells of; bodies and heads of the others point elsewhere."""
+    """A turn in a gap that only the head reveals; bodies and heads of other people point elsewhere."""
     rng, tracks = np.random.default_rng(17), []
     for i in range(6):
         t = np.arange(150) / FPS
@@ -134,7 +134,7 @@ def test_the_head_steers_people_who_look_where_they_go_and_no_others(offset: flo
     assert error(Model("full")) < (0.8 if offset == 0.0 else 1.1) * error(unsteered)
 
 
-# The recursion and the kernels, against what they say.
+# The recursion and the kernels, against their documentation.
 
 
 @compiled
@@ -170,7 +170,7 @@ def test_glances_begin_and_end_at_their_rates_and_are_forgotten(dt: float) -> No
     base = np.r_[(1 - modes.aligned) * modes.anywhere, modes.aligned * modes.share]
     longrun = np.r_[(1 - share) * base, share * modes.glance]
     np.testing.assert_allclose(longrun @ matrix, longrun, atol=1e-12)
-    # A glance is kept as long as its mean length says; one after it is another.
+    # A glance lasts its mean duration; a later one is another.
     kept = np.exp(-dt / Parameters().gait.glance_time)
     stays = share + (1.0 - share) * np.exp(-dt / (Parameters().gait.glance_time * (1.0 - share)))
     other = (stays - kept) * np.tile(modes.glance, (BINS, 1))
@@ -208,7 +208,7 @@ def test_a_lead_that_is_not_known_adds_its_variance() -> None:
     missing = loosen(8.0, 1.0, 0.5, 1.0, 0.2)
     assert 1.0 / missing == pytest.approx(1.0 / 8.0 + 0.5 * 0.2)
     assert loosen(8.0, 1.0, 0.0, 1.0, 0.2) == 8.0
-    # The weight of a frame scales what it counts, not how certain it is.
+    # The weight of a frame scales its cost, not its concentration.
     assert loosen(0.8, 1.0, 0.5, 0.1, 0.2) == pytest.approx(0.1 * missing)
 
 
@@ -240,7 +240,7 @@ def test_modes_are_those_of_summing_over_all_courses(coupling: str) -> None:
         np.testing.assert_allclose(filtered[k], forward[k] / forward[k].sum(), rtol=1e-9)
         both = forward[k] * backward[k]
         np.testing.assert_allclose(smoothed_p[k], both / both.sum(), rtol=1e-9)
-    # In two parts, the second from what the first has filtered.
+    # In two parts, the second from the filtered result of the first.
     second, _ = both_ways(dt[3:], of_offsets[3:], modes, filtered[2])
     np.testing.assert_allclose(second, filtered[3:], rtol=1e-9)
 

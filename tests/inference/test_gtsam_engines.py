@@ -102,7 +102,7 @@ def test_only_isam2_has_no_lag(engine: Any) -> None:
 
 
 def test_likelihoods_of_classes_are_followed_as_closely_as_by_the_chain() -> None:
-    """Their peaks are sharper than what an angle says: relinearised as seldom, the head would be 5° away."""
+    """Peaks are sharper than those of an angle: relinearised as seldom, the head would be 5° off."""
     away = []
     for seed in range(3):
         track = walk(100, seed=seed, classes=True)
@@ -114,7 +114,7 @@ def test_likelihoods_of_classes_are_followed_as_closely_as_by_the_chain() -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize(("lag", "turn"), [(2.0, 2.0), (2.0, 3.1), (None, 3.1)])
 def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) -> None:
-    """Orientations that turn out to be far from where they began must not be mistaken for others."""
+    """Orientations that move far from their initial values must not be confused with others."""
     track, steps = walk(60, seed=3, noise=0.05, angle_kappa=20.0), np.arange(60)
     head = track.head + np.where(steps < 35, turn * steps / 17.0, 0.0)
     track = replace(track, head=head, head_kappa=np.where(steps < 35, 0.05, 30.0))
@@ -125,7 +125,7 @@ def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) 
 
 @pytest.mark.parametrize("preset", sorted(presets))
 def test_every_preset_online_is_within_the_uncertainty_of_the_chain(preset: str) -> None:
-    """With the defaults: what one Gauss–Newton step each leaves, in standard deviations."""
+    """With the defaults: the error of one Gauss–Newton step each, in standard deviations."""
     track = walk(40, seed=2, noise=0.1, angle_kappa=3.0)
     _, chained, covariance, _ = online(track, preset, engine="chain", lag=2.0)
     known = np.isfinite(chained[-1])
@@ -186,7 +186,7 @@ def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: 
     track = make()
     _, chain, covariance, modes = online(track, "full", engine="chain", lag=1.0)
     _, found, _, found_modes = online(track, "full", engine=engine, lag=lag)
-    # Before a second has passed modes are judged by velocities of which hardly anything is known.
+    # Before a second has passed modes depend on velocities that are hardly known.
     settled = track.t > track.t[0] + 1.0
     spread, classes = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), make is classified
     away = np.abs(apart(found, chain) / spread)[settled]

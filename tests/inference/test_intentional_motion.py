@@ -70,7 +70,7 @@ def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
     assert condense(problem_of(packed)._replace(prior=np.zeros((8, 6))), states, True, memory)
 
     def cost(vector: np.ndarray) -> float:
-        # Without what the couplings say about the second frame itself.
+        # Without the couplings of the second frame itself.
         return cost_around(here, both, model)(vector) - couplings(vector)
 
     def couplings(vector: np.ndarray) -> float:
@@ -125,7 +125,7 @@ def test_the_head_tells_of_a_turn_that_is_not_seen(data_dir: Path) -> None:
 
 
 def straight(head: np.ndarray, dt: float = 0.1) -> Track:
-    """Somebody who walks along x at 1 m/s, without noise."""
+    """A person who walks along x at 1 m/s, without noise."""
     n = len(head)
     path = np.column_stack([dt * np.arange(n), np.zeros(n)])
     return Track(track_id=1, frame=np.arange(n), t=dt * np.arange(n), position=path, head=head)

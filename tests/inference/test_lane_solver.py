@@ -26,7 +26,7 @@ from graphtrack.tracks.track import Track, TrackSet
 
 
 def scene(seed: int) -> list[Track]:
-    """More tracks than there are lanes, of 1 to 40 frames, some seen wrongly, and all that can be missing."""
+    """More tracks than there are lanes, of 1 to 40 frames, with outliers and all kinds of missing data."""
     rng = np.random.default_rng(seed)
     tracks = [without_classes(random_track(rng)) for _ in range(2 * LANES)]
     tracks += [contradicted(rng, "flipped")]

@@ -1,4 +1,4 @@
-"""The last frame of a track has nothing after it: offline and online say the same of it."""
+"""The last frame of a track has no later observations: offline and online agree on it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def differences(preset: str) -> np.ndarray:
 
 
 def mean_differences(whole: gt.TrackSet, online: gt.TrackSet) -> np.ndarray:
-    """Of the last bodies and the last heads, in degrees."""
+    """Mean differences of the last bodies and the last heads, in degrees."""
     found = []
     for one, other in zip(whole, online, strict=True):
         found.append([difference(one.body[-1], other.body[-1]), difference(one.head[-1], other.head[-1])])

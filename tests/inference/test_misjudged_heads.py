@@ -1,4 +1,4 @@
-"""Heads that a classifier sees turned all along, of which the modes of `full` know the odds."""
+"""Heads that a classifier sees turned persistently, with a probability in the modes of `full`."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def test_angles_have_no_such_doubts() -> None:
 
 
 def swinging(seed: int) -> tuple[Track, np.ndarray]:
-    """A person who walks along x and swings the head by 70 degrees, and the head that a classifier sees."""
+    """A person who walks along x and swings the head by 70 degrees, and the head as classified."""
     rng, n = np.random.default_rng(seed), 100
     t = np.arange(n) / 25.0
     head = np.radians(70.0) * np.sin(2.0 * np.pi * t / 4.0)

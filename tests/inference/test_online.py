@@ -231,7 +231,7 @@ def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
 
 
 def test_a_marginal_prior_owns_its_numbers() -> None:
-    """GTSAM's linear term is a view of the factor: once that is gone, other data would stand there."""
+    """GTSAM's linear term is a view of the factor, invalid after the factor is freed."""
     step = next(iter(chain(walk(3, seed=1))))
     values, linear = gtsam.Values(), np.array([1.0, -2.0])
     values.insert(step.position_key, np.array([3.0, 4.0]))
@@ -354,7 +354,7 @@ def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str, lag: floa
         for step in range(k, min(k + 4, len(seen))):
             found = resumed.update(seen[step])
             assert found.status == expected[step].status
-            # Steps with class likelihoods are linearised anew beyond a tenth of the threshold, 0.01 rad.
+            # Steps with class likelihoods are re-linearised beyond a tenth of the threshold, 0.01 rad.
             assert_same(found, expected[step], 0.01)
 
 

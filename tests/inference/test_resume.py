@@ -26,7 +26,7 @@ CAMERA = GroundCamera.from_homography([[0.02, 0.001, -6.0], [0.0, -0.03, 14.0], 
 
 
 def bits(estimate: Estimate) -> bytes:
-    """Every number of an estimate, as it stands in memory."""
+    """Every number of an estimate, bit for bit."""
     angles = [estimate.body, estimate.head, estimate.aligned_p, estimate.gait_offset]
     numbers = np.concatenate(
         [estimate.position, estimate.velocity, angles, estimate.covariance.ravel(), [estimate.t]]
@@ -39,7 +39,7 @@ def through_json(state: dict[str, Any]) -> dict[str, Any]:
 
 
 def spinning(track: Track) -> Track:
-    """Somebody who turns round and round, so that angles are known in turns that nobody writes down."""
+    """A person who turns round and round, so that angles exceed ±π by many turns."""
     turn = 4.0 * (track.t - track.t[0])
     return replace(track, body=wrap(track.body + turn), head=wrap(track.head + turn))
 
@@ -51,7 +51,7 @@ def seen_by_camera(track: Track) -> Track:
 
 
 def rows(track: Track, seed: int) -> list[Observation]:
-    """Its observations as a bad line brings them: with gaps, outliers, and late, repeated and old ones."""
+    """Its observations over a bad line: with gaps, outliers, and out-of-sequence, repeated and old ones."""
     rng = np.random.default_rng(seed)
     seen = list(observations(track))
     for k, chance in enumerate(rng.random(len(seen)).tolist()):
@@ -159,7 +159,7 @@ def test_what_is_remembered_of_intervals_does_not_show() -> None:
 
 
 def courses(people: int, frames: int) -> list[list[Observation | None]]:
-    """By frame: what was seen of each; people begin, end, and miss frames and channels."""
+    """Observations by frame; people begin, end, and miss frames and channels."""
     rng = np.random.default_rng(people)
     found: list[list[Observation | None]] = [[None] * people for _ in range(frames)]
     for person in range(people):
@@ -236,7 +236,7 @@ def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
 
 
 def test_rows_together_are_answered_as_one_by_one() -> None:
-    """Of people who come twice, late, for the first time, with what is no row, and who are forgotten."""
+    """Updates of repeated, out-of-sequence, new, invalid and forgotten people."""
     rng = np.random.default_rng(1)
     lines = []
     for k in range(60):

@@ -31,7 +31,7 @@ SOCIAL = Model("social")
 
 
 def positions(people: int = 8, steps: int = 60, seed: int = 3, fps: float = 1.0) -> tuple[Party, TrackSet]:
-    """A party, and what is seen of it: positions with noise."""
+    """A party and its observations: positions with noise."""
     rng = np.random.default_rng(seed)
     made = party(rng, people=people, steps=steps, fps=fps)
 
@@ -43,7 +43,7 @@ def positions(people: int = 8, steps: int = 60, seed: int = 3, fps: float = 1.0)
 
 
 def errors(found: TrackSet, made: Party) -> dict[str, float]:
-    """Radians, of body and head, where groups stand."""
+    """Errors in radians, of body and head, where groups stand."""
     inside = made.group >= 0
     return {
         name: mean_absolute_error(
@@ -75,7 +75,7 @@ def test_engines_agree(engine: Any) -> None:
     _, seen = positions(people=3, steps=15)
     chain, graph = (gt.track_online(seen, "social", engine=one, lag=4.0) for one in ("chain", engine))
     for a, b in zip(chain, graph, strict=True):
-        # Who stands alone in the first seconds may face anywhere.
+        # A person who stands alone in the first seconds may face anywhere.
         assert np.median(np.abs(wrap(a.body - b.body)) / np.sqrt(a.covariance[:, 4, 4])) < 0.3
 
 
@@ -179,7 +179,7 @@ def test_what_is_kept_is_bounded_while_people_come_and_go() -> None:
 
 
 def side_by_side() -> gt.TrackSet:
-    """Three who walk together, bodies and heads seen."""
+    """Three people who walk together, with observed bodies and heads."""
     rng, frame, walkers = np.random.default_rng(5), np.arange(60), []
     t = 0.2 * frame
     for k in range(3):
@@ -190,7 +190,7 @@ def side_by_side() -> gt.TrackSet:
 
 
 def far_apart() -> gt.TrackSet:
-    """Four who meet nobody and stand at times, of whom places alone are seen."""
+    """Four people who meet nobody and stand at times, with observed positions only."""
     rng, frame, walkers = np.random.default_rng(6), np.arange(80), []
     for k in range(4):
         speed = np.repeat(rng.uniform(0.0, 1.4, 4) * [1.0, 0.0, 1.0, 1.0], 20)

@@ -85,7 +85,7 @@ def test_an_estimate_that_is_not_finite_names_the_input_that_made_it_so() -> Non
 
 
 def test_a_linear_system_without_a_solution_is_told_in_a_few_words() -> None:
-    """GTSAM's own text is a paragraph; a reason of somebody's own factor stays."""
+    """GTSAM's own text is a paragraph; the message of a user's factor is kept."""
     said = "Indeterminate linear system detected while working near variable\n70616 (Symbol: b8).\n\nThrown"
     model = gt.Model("joint")
     assert with_extreme(said, track(), model) == (

@@ -1,4 +1,4 @@
-"""Attention: calibrated on simulated looks, whole posteriors, who stands in between, and places."""
+"""Attention: calibrated on simulated gaze, joint posteriors, occluding people, and places."""
 
 from __future__ import annotations
 

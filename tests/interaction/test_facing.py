@@ -1,4 +1,4 @@
-"""Where bodies face by where the others stand, and how people walk together: found, and learned."""
+"""Facing by the positions of others, and walking together: found, and learned."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_what_is_learned_faces_as_people_do() -> None:
 
 
 def walking_pairs(rng: np.random.Generator, apart: float, alike: float) -> tuple[TrackSet, GroupLabels]:
-    """Pairs side by side, who meet others that go the other way or faster."""
+    """Pairs side by side, who meet other people that go the other way or faster."""
     tracks, pairs = [], []
     frame = np.arange(30, dtype=np.int64)
     t = 0.4 * frame

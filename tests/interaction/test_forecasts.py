@@ -1,4 +1,4 @@
-"""Forecasts: nothing of the future leaks, circles hold what they say, and turning the world turns them."""
+"""Forecasts: no leak of the future, calibrated circles, and rotation equivariance."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def track(track_id, position, first=0, head=None):
 
 
 def wanderers(count, rng, steps=40, apart=200.0):
-    """People whose velocity wanders (a random walk, 0.1 m/s a step), so far apart that nobody meets."""
+    """People whose velocity is a random walk (0.1 m/s a step), too far apart to meet."""
     people = []
     for k in range(count):
         speeds = rng.normal(0, 0.8, 2) + np.cumsum(rng.normal(0, 0.1, (steps, 2)), axis=0)
@@ -127,7 +127,7 @@ def test_the_head_leads_to_its_side():
     assert straight[1] == pytest.approx(0.0, abs=1e-9)
     assert end(0.5)[1] > 0.1 and end(-0.5)[1] < -0.1
     np.testing.assert_allclose(end(0.0), straight)
-    assert abs(end(3.0)[1]) < 0.1  # whoever walks backwards does not turn round
+    assert abs(end(3.0)[1]) < 0.1  # a person who walks backwards does not turn round
 
 
 def test_people_are_expected_to_turn_where_others_turned():

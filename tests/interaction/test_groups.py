@@ -1,4 +1,4 @@
-"""Groups: what they do not depend on, what they keep, and what their files may hold."""
+"""Groups: their invariances, their state, and their files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def circle(ids: range, centre: tuple[float, float], radius: float, n: int, dt: f
 
 
 def party(n: int = 20, dt: float = 0.5) -> TrackSet:
-    """Two conversations and somebody alone, who looks away."""
+    """Two conversations and a single person, who looks away."""
     alone = circle(range(9, 10), (6.0, 3.0), 0.0, n, dt)[0]
     alone = replace(alone, body=np.full(n, 0.4), head=np.full(n, 0.4))
     return TrackSet(
@@ -49,7 +49,7 @@ def party(n: int = 20, dt: float = 0.5) -> TrackSet:
 
 
 def walkers(n: int = 40, dt: float = 0.4) -> TrackSet:
-    """A pair side by side, and somebody who overtakes them."""
+    """A pair side by side, and a person who overtakes them."""
     frame = np.arange(n, dtype=np.int64)
     t = dt * frame
     ways = {1: (1.2, 0.0), 2: (1.2, 0.7), 3: (1.9, 1.6)}

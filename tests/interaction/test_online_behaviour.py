@@ -1,4 +1,4 @@
-"""Groups and attention frame by frame: as over a file, whoever comes first, and after a stop."""
+"""Groups and attention frame by frame: as over a file, in any order of people, and after a restart."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FPS = 2.0
 
 
 def estimated(people: int = 7, steps: int = 40, seed: int = 2) -> TrackSet:
-    """Estimates of a party, of which rows are missing here and there."""
+    """Estimates of a party, with missing rows."""
     rng = np.random.default_rng(seed)
 
     def one(track: Track) -> Track:
@@ -149,7 +149,7 @@ def test_numbers_of_groups_are_forgotten() -> None:
     for k in range(200):
         assert numbering.of_frame(1.0 * k, [[1, 2], [10 + k, 1000 + k]]) == [0, k + 1]
     assert len(json.dumps(numbering.state())) < 2000
-    # Three of five keep the number, and who was gone for a while finds it again.
+    # Three of five keep the number, and a person who was absent gets it again.
     assert numbering.of_frame(200.0, [[1, 2, 3, 4]]) == [0]
     assert numbering.of_frame(201.0, [[1, 2, 3]]) == [0]
     assert numbering.of_frame(201.5, []) == []

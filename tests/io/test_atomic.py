@@ -1,4 +1,4 @@
-"""Writing whole or not at all: through links, beside others who write, and after runs that were killed."""
+"""Atomic writing: through links, with parallel writers, and after runs that were killed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write(path: Path, text: str) -> None:
 
 
 def killed(path: Path, *directory: str) -> None:
-    """Somebody who is killed while they write."""
+    """A process that is killed while it writes."""
     done = subprocess.run([sys.executable, "-c", KILLED, str(path), *directory], check=False)
     assert done.returncode == -signal.SIGKILL
 
@@ -96,7 +96,7 @@ def test_what_killed_runs_left_goes_with_the_next_writing_to_the_same_place(tmp_
     with atomic_path(tmp_path / "shown", directory=True):
         pass
     left = {entry.name for entry in tmp_path.iterdir()} - {"a.csv", "shown", mine.name}
-    # What was left of another place waits for a writing to that one.
+    # Remains at another path wait for the next write to that path.
     assert len(left) == 1 and left.pop().startswith(".b.csv.")
 
 

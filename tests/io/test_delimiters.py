@@ -1,4 +1,4 @@
-"""Tables with other marks than commas between their cells: told in one line, with what converts them."""
+"""Tables with delimiters other than commas: a one-line error, with a command that converts them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAMES = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
 
 
 def named(error: InputError) -> dict[str, str]:
-    """The options that the message says to give."""
+    """The options that the message recommends."""
     words = shlex.split(error.expected.split("; ")[-1].removesuffix(" reads it"))
     assert words and all(word.startswith("--") for word in words[::2])
     return {name.removeprefix("--"): value for name, value in zip(words[::2], words[1::2], strict=True)}

@@ -89,7 +89,7 @@ def test_ucy_is_turned_right_handed(tmp_path: Path) -> None:
     tracks = io.read_identified(path)
     assert tracks.camera is not None and not tracks.camera.is_mirrored
     assert any("right-handed" in note for note in tracks.summary.notes)
-    # (x, y) = (−50, 30) is (row, column) = (258, 310); the made-up homography takes that to (7.2, 5.66).
+    # (x, y) = (−50, 30) is (row, column) = (258, 310); the synthetic homography maps that to (7.2, 5.66).
     np.testing.assert_allclose(tracks.by_id(0).position[0], [7.2, -5.66])
     assert all(track.head is None for track in tracks)
     path.write_bytes(sample_of("ucy").content().replace(b" 25 90.0", b" 0 90.0", 1))

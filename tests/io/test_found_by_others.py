@@ -1,4 +1,4 @@
-"""Detections of supervision and Ultralytics, and what trackers make of them, as tracks."""
+"""Detections of supervision and Ultralytics, and their trackers' output, as tracks."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_what_the_package_trackers_gives_is_taken() -> None:
     trackers = pytest.importorskip("trackers", reason="see the extra peers")
     tracker = trackers.ByteTrackTracker(frame_rate=4.0)
     found = [tracker.update(detections(k, ids=False, make=supervision.Detections)) for k in range(FRAMES)]
-    assert found[0].tracker_id is not None and (found[0].tracker_id == -1).all()  # nobody is followed yet
+    assert found[0].tracker_id is not None and (found[0].tracker_id == -1).all()  # no tracks yet
     tracks = gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01)
     assert_walks(tracks, range(1, FRAMES))
 

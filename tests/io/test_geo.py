@@ -18,7 +18,7 @@ SPEC = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
 
 
 def walks() -> pd.DataFrame:
-    """Two people who go north; of one a place is missing."""
+    """Two people who go north; one lacks a position."""
     times = [f"2025-11-23T10:00:0{k}.5Z" for k in range(4)]
     steps = 48.137 + 1e-5 * np.arange(4)
     anna = pd.DataFrame({"agent": "anna", "timestamp": times, "lat": steps, "lon": 11.575})

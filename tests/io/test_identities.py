@@ -1,4 +1,4 @@
-"""Two identities are never taken for one: a double cannot tell all integers beyond 2⁵³ − 1."""
+"""Two identities are never confused: a double cannot distinguish all integers beyond 2⁵³ − 1."""
 
 from __future__ import annotations
 

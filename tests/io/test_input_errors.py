@@ -104,7 +104,7 @@ def test_encodings_and_gzip(sample: Sample, tmp_path: Path) -> None:
     for damaged in (packed[: len(packed) // 2], packed[:-6] + bytes([packed[-6] ^ 1]) + packed[-5:]):
         path.write_bytes(damaged)
         assert "gzip" in refused(path).found
-    if sample.format != "caviar":  # XML says its encoding itself, and UTF-16 is one of them
+    if sample.format != "caviar":  # XML declares its encoding itself, and UTF-16 is one of them
         path.write_bytes(data.decode().encode("utf-16"))
         assert io.read_identified(path, **sample.options).n_frames == plain.n_frames
         path.write_bytes(data.decode().encode("utf-16-be"))

@@ -1,4 +1,4 @@
-"""Inputs of a track: what they may be called and hold, in memory, in tables and in a stream."""
+"""Inputs of a track: their names and values, in memory, in tables and in a stream."""
 
 from __future__ import annotations
 

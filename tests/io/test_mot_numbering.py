@@ -1,4 +1,4 @@
-"""MOT text counts frames from 1: what is written, what is read back, and what TrackEval takes."""
+"""MOT text counts frames from 1: as written, as read back, and as TrackEval reads it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RATE = 25.0
 
 
 def people(first: int) -> TrackSet:
-    """Two people, one of whom comes two frames after the other."""
+    """Two people, one starting two frames after the other."""
     walks = []
     for k in (0, 2):
         frame = np.arange(first + k, first + 6)
@@ -43,7 +43,7 @@ def test_frames_from_0_are_written_from_1_and_come_back(tmp_path: Path) -> None:
     again = gt.read(path, fps=RATE)
     assert_same(people(0), again)
     assert SHIFTED in again.summary.notes
-    # The mark is a zero, to whoever reads the numbers.
+    # The mark is a zero for readers of the numbers.
     assert (np.loadtxt(path, delimiter=",")[:, 9] == 0.0).all()
 
 

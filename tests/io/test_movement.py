@@ -28,7 +28,7 @@ and 0.1 rad a frame, and look ahead. In frame 5 anna's right shoulder is missing
 
 
 def estimates() -> TrackSet:
-    """Two people who are not there in the same frames, with all that an engine says of them."""
+    """Two people in different frames, with all output of an engine."""
     rng, made = np.random.default_rng(0), made_tracks()
     people = gt.smooth(made.with_tracks([made.by_id(3)[:4], made.by_id(8)[2:]]), "full")
     return people.map(

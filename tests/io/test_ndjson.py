@@ -80,7 +80,7 @@ def test_bad_rows_are_placed(line, column, tmp_path):
 
 
 def answers():
-    """As `graphtrack track -` gives them: of a late and a repeated row the frame is the newest one again."""
+    """As `graphtrack track -` reports them: out-of-sequence and repeated rows have the newest frame."""
     answer = ROW | {"vx": 0.0, "vy": 0.0, "x_std": 0.1, "y_std": 0.1, "body_deg": None, "status": "new"}
     return [
         answer | {"x": None, "y": None, "status": "waiting"},
@@ -91,7 +91,7 @@ def answers():
         answer | {"frame": 3, "t": 3.0, "x": 5.0, "status": "failed", "reason": "no"},
         {"track_id": 1, "frame": None, "line": 9, "error": "line 9: found junk"},
         answer | {"frame": 4, "t": 4.0},
-        answer | {"frame": 4, "t": 4.0},  # said again by a run that went on
+        answer | {"frame": 4, "t": 4.0},  # repeated by a resumed run
     ]
 
 
@@ -106,7 +106,7 @@ def test_the_answers_of_a_stream_are_read(tmp_path):
 
 
 def walkers(n: int = 12, steps: int = 40, hz: float = 10.0, noise: float = 0.1) -> pd.DataFrame:
-    """People who walk at 1.3 m/s, seen with noise (metres, each axis)."""
+    """People who walk at 1.3 m/s, observed with noise (metres, each axis)."""
     rng = np.random.default_rng(0)
     table = pd.DataFrame({"track_id": np.repeat(np.arange(n), steps), "frame": np.tile(np.arange(steps), n)})
     table["t"] = table.frame / hz

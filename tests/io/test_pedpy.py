@@ -23,7 +23,7 @@ SIMULATED = Path(__file__).parent / "made_elsewhere" / "jupedsim.sqlite.gz"
 
 
 def seen() -> TrackSet:
-    """Tracks as `made_tracks`, the frames with a position; what text and databases hold."""
+    """Tracks as `made_tracks`, the frames with a position, with the columns of text and databases."""
     return TrackSet(tuple(track[np.isfinite(track.position).all(axis=1)] for track in made_tracks()))
 
 
@@ -124,9 +124,7 @@ def test_databases_come_back(tmp_path: Path) -> None:
     assert_same(gt.read(path), seen(), in_degrees=True)
     smoothed = gt.smooth(made_tracks(), model="position")
     gt.write(smoothed, path)
-    assert_same(
-        gt.read(path), smoothed, but=("covariance",), in_degrees=True
-    )  # of which a table has the diagonal
+    assert_same(gt.read(path), smoothed, but=("covariance",), in_degrees=True)  # a table has its diagonal
     pedpy = pytest.importorskip("pedpy", reason="the extra pedpy has it")
     loaded = pedpy.load_trajectory_from_jupedsim_sqlite(trajectory_file=path)
     area = pedpy.load_walkable_area_from_jupedsim_sqlite(trajectory_file=path)

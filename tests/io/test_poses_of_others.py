@@ -22,7 +22,7 @@ POINTS = ("nose", "left_ear", "right_ear", "left_hip", "right_hip")
 
 
 def places(person: int) -> np.ndarray:
-    """(frames, keypoints, 2) pixels of somebody who walks to the right and looks there."""
+    """(frames, keypoints, 2) pixels of a person who walks to the right and looks there."""
     at = np.array([[8.0, 0.0], [0.0, -6.0], [0.0, 6.0], [-2.0, -9.0], [-2.0, 9.0]])
     walk = np.column_stack([20.0 + 5.0 * np.arange(FRAMES), np.full(FRAMES, 50.0 + 100.0 * person)])
     return walk[:, None, :] + at

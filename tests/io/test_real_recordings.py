@@ -1,4 +1,4 @@
-"""Real recordings: known counts, and what must hold of people who walk."""
+"""Real recordings: known counts, and properties of walking people."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_heads_are_seen_above_the_feet_by_the_camera_of_the_lobby(data_dir: Path
     observations = _Reader(Source.open(data_dir / "caviar/xml/mws1gt.xml")).observations()
     both = [o for o in observations if np.isfinite([*o.foot, *o.head]).all()]
     foot, head = np.array([o.foot for o in both]), np.array([o.head for o in both])
-    # A head 1.6 m up hides the ground that is further away by the camera's height over what is left of it.
+    # A head at 1.6 m occludes the ground behind it, by the ratio of heights above ground and head.
     predicted = camera.ground_to_image(camera.image_to_ground(foot) * LOBBY_HEIGHT / (LOBBY_HEIGHT - 1.6))
     miss = np.linalg.norm(predicted - head, axis=1)
     assert len(both) > 1400

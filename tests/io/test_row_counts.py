@@ -17,12 +17,12 @@ import graphtrack as gt
 from perception.detection import from_supervision, from_ultralytics
 
 Read = tuple[gt.TrackSet, int, int]
-"""What was read, the rows that went in, and those of them that no reader can use."""
+"""The result, the rows that went in, and the number of them that no reader can use."""
 
 
 @dataclass(frozen=True)
 class WayIn:
-    """A reader or an adapter, and what it needs besides this package."""
+    """A reader or an adapter, and its further requirements."""
 
     read: Callable[[Path], Read]
     needs: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ def foreign_table(folder: Path) -> Read:
 
 
 def detections_as_table(folder: Path) -> Read:
-    """Rows of which some have no position, and some stand there twice."""
+    """Rows with missing positions, and with repeated rows."""
     t = np.repeat(np.arange(FRAMES), 2)
     x = np.tile([0.0, 5.0], FRAMES) + 0.05 * t
     table = pd.DataFrame({"frame": t, "t": t / 10.0, "x": x, "y": np.zeros(len(t))})
@@ -105,7 +105,7 @@ def detections_as_table(folder: Path) -> Read:
 
 
 def beyond_the_horizon(folder: Path) -> Read:
-    """Pixels of which one lies above the horizon v = 100."""
+    """Pixels, one of them above the horizon v = 100."""
     homography = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, -100.0]])
     pixels = {"track_id": [1] * 5, "frame": range(5), "u": [1, 2, 3, 4, 5], "v": [200, 201, 202, 203, 50]}
     return gt.read(pixels, fps=10.0, homography=homography), 5, 1
@@ -157,7 +157,7 @@ def test_rows_read_are_used_or_refused(name: str, tmp_path: Path) -> None:
     for package in way.needs:
         pytest.importorskip(package)
     tracks, given, unusable = way.read(tmp_path)
-    # Rows that association adds for frames in which nobody was seen were not read.
+    # Rows that association adds for frames without a detection were not read.
     used = sum(len(track) if track.observed is None else int(np.nansum(track.observed)) for track in tracks)
     assert tracks.summary.rows_read == given
     assert tracks.summary.rows_refused >= unusable

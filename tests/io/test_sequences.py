@@ -18,7 +18,7 @@ from graphtrack.errors import InputError
 
 @pytest.fixture
 def sequence(tmp_path: Path) -> Path:
-    """Two people, at 14 frames a second, and what a detector says of one of them."""
+    """Two people, at 14 frames a second, and a detector's output for one of them."""
     folder = tmp_path / "MOT-02"
     for name in ("gt", "det", "img1"):
         (folder / name).mkdir(parents=True)

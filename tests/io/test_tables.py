@@ -1,4 +1,4 @@
-"""Tables with names, units and kinds of values of their own: read as they are said to be, written as read."""
+"""Tables with their own names, units and value types: read as declared, written as read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands where what POSIX alone has is not there, as on Windows."""
+"""Commands without the POSIX-only modules, as on Windows."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""How people look is learned from labelled looks, and holds where it was not learned."""
+"""Attention parameters are learned from labelled gaze, and hold on held-out people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How often the stated 95 % intervals hold the parameters that simulated people were made with.
+"""Coverage of the 95 % intervals of parameters, on simulated people.
 
 One command prints the table of docs/results/model.md:
 ``pytest tests/learning/test_coverage.py -m slow -s``
@@ -30,7 +30,7 @@ parabola in them (`test_the_criterion_is_jagged_in_those_parameters_alone`)."""
         ("position", "evidence", 8, 60, TRUE, set()),
         ("separate", "evidence", 8, 60, TRUE, set()),
         ("intentional", "evidence", 8, 60, TRUE, set()),
-        # How strongly the body follows is told apart from the speed at which it begins to.
+        # The strength of the coupling of the body is distinguished from its speed threshold.
         ("joint", "truth", 40, 16, BRISK, {*JAGGED, "coupling.motion_body_kappa"}),
         ("joint", "truth", 40, 16, EVEN_SLOW, JAGGED),
     ],

@@ -1,4 +1,4 @@
-"""Learning of forecasts: training data, and parameters found where they are known."""
+"""Learning of forecasts: training data, and recovery of known parameters."""
 
 from dataclasses import replace
 
@@ -91,5 +91,5 @@ def test_a_forecaster_goes_on_where_its_state_was_taken():
 def test_recordings_that_nothing_can_be_learned_from_are_told():
     with pytest.raises(InputError, match="at least one"):
         learning.fit_forecast({})
-    with pytest.raises(InputError, match="nobody who was seen"):
+    with pytest.raises(InputError, match="no person observed"):
         learning.fit_forecast({"short": crowd(count=3, steps=2)})

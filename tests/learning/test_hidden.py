@@ -1,4 +1,4 @@
-"""Learning by what was hidden, and with modes."""
+"""Learning by held-out observations, and with modes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from graphtrack.tracks.track import Track, TrackSet
 
 
 def people_of_both_kinds(count: int, n: int, seed: int) -> TrackSet:
-    """Half of them face where they go, half are a quarter off; 10 frames a second."""
+    """Half of them face their direction of travel, half are a quarter turn off; 10 frames a second."""
     rng, tracks = np.random.default_rng(seed), []
     for i in range(count):
         t = np.arange(n) / 10.0

@@ -23,7 +23,7 @@ MISSED, CLUTTER, NOISE, SECONDS = 0.15, 1.0, 0.1, 120.0
 
 @pytest.fixture(scope="module")
 def seen() -> Detected:
-    """People who cross a place, with the faults of a detector, who do not say how noisy they are."""
+    """People who cross a place, with detector errors and without declared noise."""
     rng = np.random.default_rng(0)
     exact = crowd(rng, seconds=SECONDS, place=Place(arrivals=0.25))
     found = detect(exact, Detector(missed=MISSED, clutter=CLUTTER), position_std=NOISE, rng=rng)
@@ -59,7 +59,7 @@ def test_what_detections_were_made_with_comes_out(
     assert learned["clutter_density"] == pytest.approx(false / square, rel=0.2)
     assert learned["birth_density"] == pytest.approx(len(seen.truth) / SECONDS / square, rel=0.35)
     assert learned["death_rate"] == pytest.approx(len(seen.truth) / present, rel=0.35)
-    # Nobody was hidden, and nobody had two detections.
+    # No occlusions and no duplicates.
     assert learned["occlusion_probability"] < 0.02 and learned["duplicate_rate"] < 0.01
 
 

@@ -1,10 +1,10 @@
 """Load a service on the loopback: ``python tests/load/load.py [--seconds S] [--streams N] [--people N]``.
 
 Twenty streams of twenty people at 25 Hz by default, each a client that sends frames in time whatever comes
-back, beside clients that misbehave. It prints latencies from the sending of a row to its answer, rows that
-were lost, processor time of the service and of the clients for a row, and the memory of all processes early
-and at the end, without and with kept states, and whether the service held its load; it fails if a row was
-lost, and only then: times depend on what else the machine does.
+back, in parallel to clients that misbehave. It prints latencies from the sending of a row to its answer,
+rows that were lost, processor time of the service and of the clients for a row, and the memory of all
+processes early and at the end, without and with kept states, and whether the service held its load; it
+fails if a row was lost, and only then: times depend on what else the machine does.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Told:
 
 
 def row(person: int, frame: int, rate: float) -> str:
-    """Somebody who walks in a circle, a little noisy."""
+    """A person who walks in a circle, with a little noise."""
     t, angle = frame / rate, person + 0.3 * frame / rate
     noise = 0.02 * math.sin(7.0 * frame + 3.0 * person)
     place = {"x": 4.0 * math.cos(angle) + noise, "y": 4.0 * math.sin(angle) - noise}
@@ -101,7 +101,7 @@ async def well_behaved(address: str, given: argparse.Namespace, begin: float, to
 
 
 async def malformed(address: str, end: float) -> None:
-    """Send what is no row, again and again."""
+    """Send invalid rows repeatedly."""
     async with connect(address) as socket:
         while time.monotonic() < end:
             await socket.send('{"track_id": 1, "frame": "x"}')
@@ -120,7 +120,7 @@ async def oversized(address: str, end: float) -> None:
 
 
 async def slow(address: str, rate: float, end: float) -> None:
-    """Send and never read, and go away in the end: no more can be said where nothing is read."""
+    """Send without reading, and disconnect in the end: nothing else can be checked."""
     with suppress(ConnectionClosed, TimeoutError):
         async with connect(address, max_queue=1) as socket:
             try:
@@ -132,7 +132,7 @@ async def slow(address: str, rate: float, end: float) -> None:
 
 
 async def half_open(port: int, end: float) -> None:
-    """Begin to ask, and say no more."""
+    """Send an incomplete request."""
     _, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(b"GET /v1/streams/half HTTP/1.1\r\nHost: here\r\nUpgr")
     await asyncio.sleep(max(0.0, end - time.monotonic()))
@@ -160,7 +160,7 @@ def memory(process: int) -> float:
 
 
 def processor_seconds(process: int) -> tuple[float, float]:
-    """Of a process itself, and of all below it with those that have ended."""
+    """Processor seconds of a process, and of all its descendants, ended ones included."""
     seconds = []
     for one in below(process):
         with suppress(OSError):
@@ -197,7 +197,7 @@ async def service(options: list[str]) -> AsyncIterator[tuple[int, int]]:
 
 
 async def measure(options: list[str], given: argparse.Namespace) -> bool:
-    """Load one service and print what came of it; whether nothing was lost."""
+    """Load one service and print the results; True if no row was lost."""
     told, memories = Told(), []
     more = ["--model", given.model, "--max-streams", str(given.streams + 8)]
     async with service([*options, *more]) as (port, pid):

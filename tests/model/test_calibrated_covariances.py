@@ -59,7 +59,7 @@ def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
         future[n - 1 - k] = future[n - k] + share * (angle[n - 1 - k] - future[n - k])
     inner = slice(1000, -1000)
     behind, around = (angle - past)[inner].var(), (angle - 0.5 * (past + future))[inner].var()
-    # A smoother, which is twice as sure, looks as far to both sides.
+    # A smoother, with half the variance, averages over both sides.
     for share, ends, found in ((1.0, 0.0, behind), (0.5, 1e3, around)):
         calibration = calibration_of(replace(Parameters(), orientation=orientation))
         turns = calibration.body_turns, calibration.head_turns
@@ -70,7 +70,7 @@ def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
 @pytest.mark.parametrize("preset", ["separate", "joint-body", "joint"])
 @pytest.mark.parametrize("position_std", [0.05, 0.3])
 def test_an_estimate_is_so_many_seconds_behind_somebody_who_turns(preset: str, position_std: float) -> None:
-    """The newest frame of somebody who has long walked in a wide circle, against the engine's estimate."""
+    """The newest frame of a person who has long walked in a wide circle, against the engine's estimate."""
     rate, t = 0.02, np.arange(0.0, 12.0, 0.1)
     heading, speed = rate * t, 1.3
     place = speed / rate * np.column_stack([np.sin(heading), 1.0 - np.cos(heading)])
@@ -89,7 +89,7 @@ def test_an_estimate_is_so_many_seconds_behind_somebody_who_turns(preset: str, p
 
 
 def test_half_of_what_a_filter_states_is_noise() -> None:
-    """The noise that is in the steady Kalman filter of a diffusing angle that is seen often."""
+    """The noise in the steady Kalman filter of a diffusing angle that is observed often."""
     process, noise = 1e-4, 1.0
     variance = noise_part = 0.5 * (np.sqrt(process**2 + 4.0 * process * noise) - process)
     gain = (variance + process) / (variance + process + noise)

@@ -146,7 +146,7 @@ def test_it_is_logged_once_on_a_machine_and_run_once_in_a_process(
     assert not rehearsal.is_cold() and logged(caplog, rehearsal) == [] and len(runs) == 2
     assert logged(caplog, Rehearsal("a short one", list, 2.0)) == []
     failing = Rehearsal("another", lambda: [][0], 1.0)
-    for _ in range(2):  # what failed is not ready
+    for _ in range(2):  # a failed rehearsal is not ready
         with pytest.raises(IndexError):
             make_ready("something", failing)
         assert failing.is_cold()

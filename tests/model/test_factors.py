@@ -78,7 +78,7 @@ def test_a_traceback_holds_nothing_of_a_factor_that_is_gone(use: str) -> None:
         getattr(custom_factor([X(0)], 1, residual), use)(VALUES)
     frames = [entry.frame.f_locals for entry in caught.traceback]
     assert len(frames) > 1
-    # Whatever prints the locals of a traceback would read freed memory.
+    # Printing the locals of a traceback would read freed memory.
     assert not any(isinstance(value, gtsam.CustomFactor) for frame in frames for value in frame.values())
 
 

@@ -81,7 +81,7 @@ def straight(x: float) -> float:
 
 @compiled
 def branch(x: FloatArray, found: FloatArray) -> bool:
-    """x where it is more than ½, put into the lanes where it is less than ¾; whether any is more than 1."""
+    """x where it is more than ½, put into the lanes where it is less than ¾; True if any is more than 1."""
     lanes = lane_array(x)[0]
     masked(lane_array(found)[0], lanes < 0.75)[0] = choose(lanes > 0.5, lanes, -1.0)
     return bool(any_of(lanes > 1.0))
@@ -102,7 +102,7 @@ def one_float(x: float) -> tuple[int, float, bool]:
 
 @compiled
 def one_by_one(x: FloatArray, found: FloatArray) -> int:
-    """Twice each lane's number into row 1, lane by lane; returns how many lanes there are."""
+    """Twice each lane's number into row 1, lane by lane; returns the number of lanes."""
     lanes, into = lane_array(x)[0], lane_array(found)
     for lane in range(lane_count(lanes)):
         masked(into, only_lane(lanes > 0.0, lane))[1] = 2.0 * lane_of(lanes, lane)

@@ -1,4 +1,4 @@
-"""Model files: parameters, presets and what is known of a scene, saved and loaded."""
+"""Model files: parameters, presets and known scene parameters, saved and loaded."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, text: str, found: str,
 
 
 def small_tracks() -> gt.TrackSet:
-    """People seen by angles and by classes, at even and uneven times, in metres and pixels, with gaps."""
+    """People observed by angles and by classes, at even and uneven times, in metres and pixels, with gaps."""
     camera = GroundCamera.from_homography(np.array([[0.02, 0, -5], [0, -0.02, 30], [0, 0.002, 0.2]]))
     tracks = [walk(20, seed=1), walk(20, seed=2, classes=True, uneven=True, dt=0.04, track_id=2)]
     tracks.append(walk(20, seed=3, dt=0.4, track_id=3))

@@ -54,7 +54,7 @@ def add_look(
 
 
 class LooksAtWindow(Term):
-    """Heads turn to a window within reach, or to the input that says where it is in a frame."""
+    """Heads turn to a window within reach, or to the input with its position in a frame."""
 
     uses = frozenset({"head"})
     window, reach, kappa = np.array([1.0, 2.0]), 9.0, 2.0
@@ -111,7 +111,7 @@ def test_its_kernel_is_its_density() -> None:
 
 
 def test_its_input_reaches_the_engines_of_gtsam() -> None:
-    """Offline and online, where a state was saved and read between, beside people seen the same."""
+    """Offline and online, with a saved state in between, next to people with the same observations."""
     track = told(walk(20, seed=4))
     offline = smooth_track(track, MODEL, engine="gtsam").track
     assert offline.inputs.keys() == track.inputs.keys()

@@ -346,7 +346,7 @@ def test_gradient_and_curvature_are_the_derivatives_of_the_cost(case: Case) -> N
             return evaluate(term, packed, 1, both[:6], both[6:], exact)
 
         cost, gradient, hessian = at(both)
-        # Steps that are short beside the angles and the speeds over which a sharp cost changes.
+        # Steps that are short compared with the angles and the speeds over which a sharp cost changes.
         step = 1e-4 / (1.0 + np.sqrt(np.abs(hessian).max()) / 30.0)
         expected = derivative(lambda x: at(x)[0], both, step)
         allowed = 1e-6 * (1.0 + np.abs(expected).max()) + 1e-11 * (1.0 + cost) / step
@@ -384,7 +384,7 @@ def test_the_factors_have_the_cost_and_the_gradient_of_the_kernels(case: Case) -
 
 
 def place_of(key: int, k: int) -> np.ndarray:
-    """Places of a variable of frame k or of the one before among 12 numbers."""
+    """Indices of a variable of frame k or of the previous one among 12 numbers."""
     symbol = gtsam.Symbol(key)
     first = {"x": 0, "v": 2, "b": 4, "h": 5}[chr(symbol.chr())] + 6 * (symbol.index() - k + 1)
     return np.arange(first, first + (2 if chr(symbol.chr()) in "xv" else 1))

@@ -1,7 +1,7 @@
-"""Do the tests notice mistakes? Each mutant is one, made by hand, in a copy of the tree that is thrown away.
+"""Mutation tests: each mutant is a mistake, made by hand, in a temporary copy of the tree.
 
 ``python tests/mutants/run.py [NAME…]`` runs the tests that should notice each, or those named, and prints
-what became of it. It takes an hour or two, most of which compiles the mistakes; it is no part of CI.
+the outcome. It takes an hour or two, most of which compiles the mistakes; it is no part of CI.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TESTS = "model inference"
 
 @dataclass(frozen=True)
 class Mutant:
-    """A mistake: a piece of code that stands once in the package, what takes its place, who should notice.
+    """A mistake: a unique piece of code of the package, its replacement, and the tests that should fail.
 
     The piece is looked for in all files, so that it may move from one to another.
     """
@@ -62,7 +62,7 @@ def copy_tree(folder: Path) -> None:
 
 
 def find(tree: Path, piece: str) -> Path:
-    """The file of the package in which a piece of code stands."""
+    """The file of the package that contains a piece of code."""
     counts = {path: path.read_text("utf-8").count(piece) for path in (tree / PACKAGE).rglob("*.py")}
     (found,) = (path for path, count in counts.items() if count)
     if counts[found] != 1:
@@ -109,7 +109,7 @@ def judge(tree: Path, mutant: Mutant) -> str:
 
 
 def first_failure(tree: Path, tests: tuple[str, ...]) -> str:
-    """The first test that fails, and does so again: some fail where their first call is compiled."""
+    """The first test that fails twice: some fail where their first call is compiled."""
     passed_over: tuple[str, ...] = ()
     while True:
         failed = fails(tree, (*tests, *(f"--deselect={test}" for test in passed_over)))

@@ -1,4 +1,4 @@
-"""A camera that teaches itself: labels, alignment, what it learns, and what it refuses."""
+"""A camera that adapts itself: labels, alignment, learning, and rejected input."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 
 @pytest.fixture(scope="module")
 def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The file that a camera wrote, and what it said."""
+    """The file that a camera wrote, and its messages."""
     folder = tmp_path_factory.mktemp("adapted")
     arguments = write_street(pasted_street(24, np.random.default_rng(0)), folder / "street")
     done = run("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
@@ -79,7 +79,7 @@ def test_a_patch_holds_the_box_in_its_middle() -> None:
 def test_a_direction_that_nobody_walked_in_is_neither_likely_nor_unlikely() -> None:
     label, person = np.repeat([0, 4, 1], 2), np.arange(6)
     seen = seen_directions(label, person)
-    # Mirror images count: who goes to the left shows how it looks to the right.
+    # Mirror images count: walking to the left gives samples of walking to the right.
     assert seen.tolist() == [True, True, False, False, True, False, False, True]
     said = np.exp(calibrated(np.array([[9.0, 0, 5, 5, 0, 5, 5, 0]]), 1.0, 0.0, seen)[0])
     np.testing.assert_allclose(said.sum(), 1.0)
@@ -154,7 +154,7 @@ def test_observe_uses_what_the_camera_has_learned(
     image = others.frames[0].image
     assert image is not None
     first = np.exp(models.look(image, [others.boxes[0].box])[0][0])
-    # The table turns by the ray and interpolates; what is surest in the image stays about as sure.
+    # The table turns by the ray and interpolates; the most certain image angles stay about as certain.
     assert abs(body[0].max() - first.max()) < 0.25
     np.testing.assert_allclose(body.sum(axis=1), 1.0, atol=1e-3)
 

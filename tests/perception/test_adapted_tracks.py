@@ -1,4 +1,4 @@
-"""How much frames of one person are worth together, several recordings of a camera, and rendered help."""
+"""Joint weight of frames of one person, several recordings of a camera, and rendered training data."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from perception.synthetic.inserted import Place, with_person
 
 
 def _said(rng: np.random.Generator, *, again: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is said of 60 people in 20 frames each, right by 0.65; always the same, or anew."""
+    """Classifications of 60 people in 20 frames each, right by 0.65; one per person, or one per frame."""
     person = np.repeat(np.arange(60), 20)
     angle = np.repeat(rng.uniform(-np.pi, np.pi, 60), 20)
     draws = rng.choice(8, 60 if again else len(person), p=[0.65, *[0.05] * 7])
@@ -85,7 +85,7 @@ def test_people_are_rendered_where_the_camera_saw_people_walk() -> None:
     camera = GroundCamera.from_scale(0.02)
     walkers = [PersonBox(k, 1, (40.0 + 5.0 * k, 60.0, 16.0, 40.0)) for k in range(12)]
     scenery = Scenery(walkers, walkers, None, camera)
-    # What is behind is told apart from who walks there, who is somewhere else in every frame.
+    # The background is distinguished from a walking person, who moves in every frame.
     behind = rng.integers(60, 200, (160, 160, 3), np.uint8)
     shown = []
     for item in walkers:
@@ -113,7 +113,7 @@ def test_people_are_rendered_where_the_camera_saw_people_walk() -> None:
 
 
 def test_rendered_people_look_where_they_are_said_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who faces the camera shows a face, who goes away hair: skin is redder than hair on average."""
+    """Facing the camera shows a face, facing away hair: skin is redder than hair on average."""
     rng = np.random.default_rng(5)
     place = Place(np.full((224, 160, 3), 120, np.uint8), (48.0, 32.0, 64.0, 160.0), 0.2, 8.0)
     for name in ("_SCALE", "_BLUR", "_NOISE"):
@@ -142,7 +142,7 @@ def test_people_of_few_kinds_move_with_those_they_help() -> None:
         return (clean + 0.1 * rng.normal(size=clean.shape)).astype(np.float32)
 
     off = np.array([3.0, -2.0, 1.0], np.float32)
-    real = np.full(20, np.pi)  # all of them are seen from behind
+    real = np.full(20, np.pi)  # all people face away
     few = Sums.of(looks(real) + off, sign, CLASSES.index(real), np.arange(20))
     many = Sums.of(looks(angle), sign, label, np.arange(len(angle)))
     helped = few.helped(many, 3.0)

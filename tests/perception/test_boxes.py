@@ -1,4 +1,4 @@
-"""Boxes of people from files: what is taken, what is left out and told, and what is refused."""
+"""Boxes of people from files: used, skipped with a report, and refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A camera without a calibration: what boxes tell of the view, how surely, and when they do not."""
+"""A camera without a calibration: the view from boxes, its uncertainty, and insufficient boxes."""
 
 from __future__ import annotations
 
@@ -110,10 +110,10 @@ def test_cameras_are_recovered_within_what_is_said() -> None:
         try:
             scores.append(deviations(found_view(crowd(camera, rng, people=50), SIZE, rng), camera))
         except InputError:
-            continue  # it may say that it does not know
+            continue  # it may report that it is undetermined
     assert len(scores) >= 10
     assert (np.abs(scores) < 2.5).mean() > 0.9
-    assert (np.abs(scores) < 0.7).mean() < 0.75  # nor does it say far too much
+    assert (np.abs(scores) < 0.7).mean() < 0.75  # and the interval is not far too wide
 
 
 @pytest.mark.parametrize("identified", [True, False])
@@ -149,7 +149,7 @@ def test_turning_the_image_around_turns_the_roll_around() -> None:
 @pytest.mark.parametrize(
     ("camera", "options", "words"),
     [
-        (Camera((0.0, 0.0, 4.0), 1.0, -0.4, 1100.0, SIZE), {"people": 4}, "people: the view does not tell"),
+        (Camera((0.0, 0.0, 4.0), 1.0, -0.4, 1100.0, SIZE), {"people": 4}, "people: too few to calibrate"),
         (
             Camera((0.0, 0.0, 2.0), 1.0, -0.05, 1100.0, SIZE),
             {"nearest": 19.5, "farthest": 20.5, "noise": 0.01},
@@ -203,7 +203,7 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path: Path) -> N
     frames, boxes = written(tmp_path, crowd(camera, np.random.default_rng(6), people=3))
     done = run("calibrate", frames, "--boxes", boxes, "-o", tmp_path / "camera.ci")
     assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1 and "does not tell" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1 and "too few to calibrate" in done.stderr
     assert not (tmp_path / "camera.ci").exists()
 
 

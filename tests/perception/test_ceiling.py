@@ -1,4 +1,4 @@
-"""Rendered ceiling-camera sequences: what is seen against what the labels say."""
+"""Rendered ceiling-camera sequences: the images agree with the labels."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_casting_only_near_what_moves_gives_the_same_frame(oversampling: int) ->
 @pytest.mark.parametrize("name", ["person moving and sitting 1", "robot moving"])
 def test_the_label_encloses_the_pixels_of_the_target(name: str) -> None:
     sequence = drawn(name)
-    # Without a key light nothing throws a shadow: what differs from the empty room is the person.
+    # Without a key light there are no shadows: only the person differs from the empty room.
     light = replace(sequence.scene.light, key=(0.0, 0.0, 0.0))
     scene = replace(sequence.scene, light=light)
     room = StillScene(scene, oversampling=1)

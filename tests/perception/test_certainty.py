@@ -1,4 +1,4 @@
-"""How often detections are right, by tracks that have not seen their frames."""
+"""Probability that detections are right, by tracks that were held out."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ CAMERA = GroundCamera.from_homography(np.array([[0.02, 0.0, -1.0], [0.0, -0.02, 
 
 
 def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> dict[int, SeenFrame]:
-    """Three people a frame, whose numbers come in any order; without scores and looks if not ``known``."""
+    """Three people a frame, numbered in any order; without scores and appearance if not ``known``."""
     frames = {}
     for k in range(count):
         people = []
@@ -97,7 +97,7 @@ def test_a_journal_reads_between_writing_and_keeps_only_places(tmp_path: Path) -
 
 @pytest.mark.parametrize("has_identities", [False, True], ids=["detections", "people"])
 def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, has_identities: bool) -> None:
-    """With looks, from the journal to the table; the difference of two lengths."""
+    """With appearance, from the journal to the table; the difference of two lengths."""
     rng = np.random.default_rng(4)
     kept = []
     for count in (100, 500):
@@ -110,7 +110,7 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, ha
                     frame.people[:] = [replace(item, track_id=item.track_id % 3) for item in frame.people]
                 journal.add(k, frame)
             gc.collect()
-            tracemalloc.clear_traces()  # only what comes now is counted
+            tracemalloc.clear_traces()  # only new rows are counted
             make = to_tracks if has_identities else to_detections
             found = make(journal, PANS, CAMERA, 5.0)
             gc.collect()

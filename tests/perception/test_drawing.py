@@ -1,4 +1,4 @@
-"""Drawn estimates: where things are in the picture, and what stands on the disk."""
+"""Drawn estimates: positions in the image, and the content of the disk."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_arrow_points_down_to_the_camera_and_right_at_a_quarter(
     pan[pan_class] = 1.0
     turned = replace(estimate, pan=pan / pan.sum())
     opposite = replace(turned, pan=np.roll(turned.pan, 6))
-    # Both arrows begin in the middle; what lies on the asked side must be this one's.
+    # Both arrows begin in the middle; pixels on the tested side must belong to this one.
     plain, arrow = draw(GREY, 1, turned), draw(GREY, 1, turned, BlobTracker().pan_classes)
     factor = plain.shape[0] // SIZE[1]
     rows, columns = np.argwhere((plain != arrow).any(axis=2)[:, : factor * SIZE[0]]).T / factor

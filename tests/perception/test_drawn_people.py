@@ -24,7 +24,7 @@ every_camera = pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 
 
 def person(camera: GroundCamera, body: int | None, head: int | None, track_id: int = 3) -> DrawnPerson:
-    """Somebody who certainly looks one way, or any; the box is far from the feet, for the test's sake."""
+    """A person who certainly faces one direction, or any; the box is far from the feet, for the test."""
     shares = [np.full(n, 1.0 / n) if k is None else np.eye(n)[k] for k, n in ((body, 8), (head, 12))]
     box, head_box = np.array([10.0, 400.0, 30.0, 60.0]), np.array([*(HEAD - 3.0), 6.0, 6.0])
     return DrawnPerson(track_id, box, head_box, camera.image_to_ground(FOOT), *shares)

@@ -50,7 +50,7 @@ def test_joint_estimates_are_nearer_to_the_truth_than_single_frames(clip: Clip) 
     rows = joint_effect([clip], models)
     by = {(row["estimate"], row["model"]): row for row in rows}
     assert by["smoother", "joint"]["body_deg"] < 0.8 * by["per frame", ""]["body_deg"]
-    # Every online method has Chen et al.'s three models beside the paper's own filter.
+    # Every online method has Chen et al.'s three models in addition to the paper's own filter.
     for method in ("particle", "particle, eq. 12–14", "graph, chain", "graph, isam2"):
         assert {by[method, model]["group"] for model in ("separate", "joint-body", "joint")} == {"online"}
     lengths = np.bincount([box.track_id for box in clip.boxes])

@@ -1,4 +1,4 @@
-"""`perception follow` with a tracker of red blobs: what it says, and what becomes of it in the graph."""
+"""`perception follow` with a tracker of red blobs: its messages, and its effect in the graph."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def blobs(monkeypatch: pytest.MonkeyPatch) -> list[BlobTracker]:
-    """Every name stands for the tracker of blobs; those that were made."""
+    """Replace every tracker by the tracker of blobs; returns the trackers made."""
     made: list[BlobTracker] = []
 
     def make(
@@ -128,7 +128,7 @@ def test_graphtrack_takes_the_table_as_it_is(folder: Path, capsys: pytest.Captur
     # The graph bridges the frames in which nothing was found.
     hidden = np.isin(frame, list(HIDDEN))
     assert np.linalg.norm(pixel - true, axis=1)[hidden].max() < 1.5
-    # The image's right is +x where y goes up: all the tracker's pan says is +π/2 in the image.
+    # The image's right is +x where y goes up: the tracker's pan is +π/2 in the image.
     assert smoothed.head is not None
     assert np.abs(difference(smoothed.head, 0.0)).max() < 0.3
 

@@ -1,4 +1,4 @@
-"""Frames of videos and folders: what is taken, told of and refused."""
+"""Frames of videos and folders: used, reported and refused."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_frames_of_a_folder_have_the_numbers_of_their_names(tmp_path: Path) -> N
 def test_numbers_are_those_of_the_frames_that_there_are(tmp_path: Path) -> None:
     source = FrameSource.open(written(tmp_path / "film.avi", 5))
     assert source.numbers() == list(range(5))
-    assert replace(source, count=2).numbers() == list(range(5))  # some containers say anything
+    assert replace(source, count=2).numbers() == list(range(5))  # some containers declare arbitrary values
     for name in ("0003.png", "0011.png"):
         cv2.imwrite(str(tmp_path / name), np.zeros((20, 20, 3), np.uint8))
     (tmp_path / "film.avi").unlink()

@@ -1,4 +1,4 @@
-"""A room under a fisheye camera: calibration, places on the ground, and a robot in place of the person."""
+"""A room under a fisheye camera: calibration, ground positions, and a robot in place of the person."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def follow(room: Path, output: Path, *arguments: object) -> Done:
 
 
 def away(boxes: BoxCamera, room: Path) -> np.ndarray:
-    """Metres between the places of a room's exact boxes and the truth."""
+    """Metres between the ground positions of a room's exact boxes and the truth."""
     (truth,) = io.read_identified(room / "truth.csv")
     at = dict(zip(truth.frame.tolist(), truth.position, strict=True))
     found = [(boxes.position(item.box), at[item.frame]) for item in read_boxes(room / "boxes.txt")]

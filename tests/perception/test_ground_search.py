@@ -1,4 +1,4 @@
-"""People found where they have a person's height; what a recording teaches of them, and how sure it is."""
+"""People found where they have a person's height; learning from a recording, and confidence."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from perception.synthetic.clips import CAMERA, FPS, SIZE, PastedStreet, pasted_s
 
 @pytest.fixture
 def little_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few people who walk shortly are enough."""
+    """Few people who walk for a short time are enough."""
     monkeypatch.setattr(rescoring, "LEAST_BOXES", 4)
     monkeypatch.setattr(rescoring, "LEAST_PEOPLE", 4)
 
@@ -170,7 +170,7 @@ def test_the_weaker_of_two_at_one_place_is_dropped() -> None:
 
 
 def test_moved_cameras_have_no_foreground(street: PastedStreet) -> None:
-    """What is foreground all over says nothing."""
+    """An image that is foreground all over is uninformative."""
     search, image = GroundSearch(street.camera, SIZE), street.frames[0].image
     assert image is not None
     other = Background(
@@ -182,7 +182,7 @@ def test_moved_cameras_have_no_foreground(street: PastedStreet) -> None:
     np.testing.assert_allclose(search.candidates(rolled, other).score, search.candidates(rolled, None).score)
 
 
-# -- what a recording teaches ------------------------------------------------------------------------------
+# -- learning from a recording -----------------------------------------------------------------------------
 
 
 def precision_and_recall(
@@ -276,7 +276,7 @@ def test_observe_writes_detections_and_smooth_finds_who_is_who(
 def test_a_run_goes_on_with_what_it_was_taught(
     written: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the frames that are learned from are not all, the rest goes on without learning again."""
+    """With learning from a part of the frames, the others are processed without learning again."""
     monkeypatch.setattr("perception.detection.rescoring._FRAMES", 45)
     monkeypatch.setattr("perception.detection.rescoring._RUNS", 1)
     assert run("observe", *written, "-o", tmp_path / "whole.csv").returncode == 0

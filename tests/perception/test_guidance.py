@@ -77,7 +77,7 @@ def test_while_hidden_it_goes_on_and_becomes_less_sure() -> None:
 
 
 def test_what_a_tracker_says_as_its_target_is_covered_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The box stands still for ten frames, as at the edge of a wall, before the tracker owns up."""
+    """The box stands still for ten frames, as at the edge of a wall, before the tracker reports a loss."""
     errors = {}
     for forget in (0.0, 0.4):
         monkeypatch.setattr(guidance, "FORGET", forget)
@@ -127,7 +127,7 @@ def test_patience_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.linalg.norm(guide.predict(90).centre - 20.0) < 3.0
 
 
-# -- what the graph adds -----------------------------------------------------------------------------------
+# -- guidance by the graph ---------------------------------------------------------------------------------
 
 
 def test_the_graph_lowers_the_errors_of_noisy_boxes_and_pans() -> None:
@@ -161,7 +161,7 @@ def test_survival_counts_from_the_reappearance_on() -> None:
     visible[20:30] = 0.0
     visible[30:33] = 0.3
     boxes = true.copy()
-    boxes[22:42] += 1000.0  # back on the target nine frames after half of it is seen
+    boxes[22:42] += 1000.0  # back on the target nine frames after half of it is visible
     assert survives(boxes, true, visible)
     boxes[42:49] += 1000.0
     assert not survives(boxes, true, visible)

@@ -149,7 +149,7 @@ def test_the_causal_selection_is_the_end_of_the_best_path_up_to_each_frame() -> 
     found = select_so_far(frames, smoothness=0.3)
     ends = [select_along_track(frames[: k + 1], smoothness=0.3)[-1] for k in range(len(frames))]
     np.testing.assert_array_equal(found, ends)
-    # The whole track knows better: this is what causality costs, and why the two are told apart.
+    # Offline errors are smaller: the difference is the cost of causality.
     assert (found != select_along_track(frames, smoothness=0.3)).any()
 
 

@@ -1,4 +1,4 @@
-"""The journal: what is taken up again, and what is not."""
+"""The journal: resumed work, and work that is not resumed."""
 
 from __future__ import annotations
 

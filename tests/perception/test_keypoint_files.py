@@ -1,4 +1,4 @@
-"""Keypoints of others: the formats say the same, whose points are whose, and what is refused."""
+"""Keypoint files: the formats agree, the assignment of points to people, and refused input."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FRAMES = 4
 
 
 def skeleton(k: int, place: float = 0.0) -> tuple[np.ndarray, tuple[float, float, float, float]]:
-    """Points (17, 3) and box of somebody who walks to the lower right and looks ahead, in frame k."""
+    """Points (17, 3) and box of a person who walks to the lower right and looks ahead, in frame k."""
     look = random_appearance(np.random.default_rng(1))
     person = Person(look, Posture((place + 0.1 * k, -0.05 * k), BODY, HEAD))
     points = np.zeros((N_POINTS, 3))
@@ -205,7 +205,7 @@ def test_points_of_other_names_and_empty_folders_are_refused(tmp_path: Path) -> 
 
 
 def test_everybody_has_their_own_points() -> None:
-    """Boxes in any order; those of nobody have none, and nobody is taken twice."""
+    """Boxes in any order; unmatched boxes have no keypoints, and no keypoints are used twice."""
     nowhere = np.full(4, np.nan)
     found = found_by_frame(
         PersonPoints(k, points, nowhere, 1.0) for k, group in PEOPLE.items() for points, _ in group

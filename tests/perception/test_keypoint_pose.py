@@ -47,7 +47,7 @@ def all_17(used: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("angle", np.deg2rad([0.0, 45.0, 90.0, 135.0, 180.0, -135.0, -90.0, -45.0]))
 def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
-    """Of a rendered person who looks where the body points, before a camera at 5 m, without errors."""
+    """Keypoints of a rendered person facing along the body, before a camera at 5 m, without errors."""
     rng = np.random.default_rng(3)
     camera = Camera((5.0, 0.0, 1.5), np.pi, -0.1, 400.0, (400, 400))
     found = []
@@ -104,7 +104,7 @@ def test_an_unseen_face_above_shoulders_that_are_seen_from_behind_says_so() -> N
     behind = (np.abs(difference(people.head, np.pi)) < 0.3) & (np.abs(difference(people.body, np.pi)) < 0.5)
     points = perceived(people.points, people.visibility, people.height, rng, CERTAIN)[behind]
     assert np.median(points[:, :3, 2]) < 0.2
-    points[:, :3] = 0.0  # as networks that leave out what they are not sure of
+    points[:, :3] = 0.0  # as networks that leave out uncertain keypoints
     _, head = MODEL.log_likelihoods(all_17(points))
     p = np.exp(head)
     back = np.abs(wrap(HEAD.pan - np.pi)) < np.deg2rad(50.0)

@@ -11,7 +11,7 @@ from perception.pose.classes import PoseClasses
 
 
 class Sure:
-    """Answers in the order in which it is asked, with the classes that it was told."""
+    """A classifier that returns given classes, in the order of calls."""
 
     def __init__(self, classes: PoseClasses, labels: np.ndarray) -> None:
         self.classes, self.labels = classes, labels

@@ -1,4 +1,4 @@
-"""Descriptors of what people look like: what they do not depend on, and that they tell people apart."""
+"""Appearance descriptors: their invariances, and that they distinguish people."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ COLOURS = len(PARTS) * int(np.prod(LEVELS))
 
 
 def picture(seed: int, height: int = 96, width: int = 40) -> np.ndarray:
-    """Somebody in coarse patches of colour."""
+    """A person in coarse patches of colour."""
     few = np.random.default_rng(seed).integers(30, 200, (8, 3, 3)).astype(np.uint8)
     return cv2.resize(few, (width, height), interpolation=cv2.INTER_NEAREST)
 
@@ -65,7 +65,7 @@ def test_size_and_the_feet_matter_little_and_colours_much() -> None:
 
 
 def test_a_darker_frame_and_its_people_look_as_before() -> None:
-    """Nearly: L* is not linear in the values of pixels, and shadows stay where they are."""
+    """Nearly: L* is not linear in pixel values, and shadows do not move."""
     frame = np.vstack([np.full((40, 200, 3), 128, np.uint8), np.hstack([picture(k) for k in range(5)])])
 
     def of(image: np.ndarray, light: np.ndarray) -> np.ndarray:

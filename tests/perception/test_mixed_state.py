@@ -100,7 +100,7 @@ def test_transitions_follow_distance_and_shared_people() -> None:
     by_pose = table.reshape(8, 3, 8, 3)
     pose = by_pose.sum(axis=3)
     step = 2.0 * np.pi / 8
-    # Between poses: a normal density of their distance, whatever the exemplar.
+    # Between poses: a normal density of their distance, for any exemplar.
     np.testing.assert_allclose(pose[0, 0, 2] / pose[0, 0, 1], np.exp(-0.5 * (4 - 1) * (step / 0.5) ** 2))
     np.testing.assert_allclose(pose[0], np.broadcast_to(pose[0, :1], (3, 8)))
     # Within the same pose: mostly the same exemplar.
@@ -119,7 +119,7 @@ def test_transitions_between_exemplars_are_the_shares_of_common_people() -> None
         matrix = replace(model, shared=shared, plain=plain).transitions(1.0, 0.0, 0.9)
         np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
         np.testing.assert_allclose(matrix[0, 2:4] / matrix[0, 2:4].sum(), expected)
-        np.testing.assert_allclose(matrix[1, 2:4] / matrix[1, 2:4].sum(), [0.5, 0.5])  # nobody in common
+        np.testing.assert_allclose(matrix[1, 2:4] / matrix[1, 2:4].sum(), [0.5, 0.5])  # no person in common
 
 
 def test_poses_that_face_away_become_impossible() -> None:
@@ -161,7 +161,7 @@ def test_a_file_gives_the_same_model_again(plain: bool, tmp_path: Path) -> None:
     z = np.random.default_rng(0).standard_normal((3, 764))
     np.testing.assert_allclose(again.log_ratio(z), model.log_ratio(z), rtol=1e-6)
     np.testing.assert_array_equal(again.deviation, model.deviation)
-    # People share exemplars with themselves; nobody is shared more often than the label has people.
+    # People share exemplars with themselves; no person is shared more often than the label has people.
     np.testing.assert_array_equal(again.shared, model.shared.T)
     assert (model.shared <= np.diag(model.shared)[:, None]).all()
     assert again.card.figures == model.card.figures and again.plain == plain

@@ -49,7 +49,7 @@ def test_a_last_layer_of_two_classes_never_says_a_third() -> None:
 
 def test_no_person_is_learned_from_and_judged() -> None:
     heads = make_heads(48, np.random.default_rng(0))
-    # Everybody has a direction of their own, and no two are reflections: nobody tells of the others.
+    # Each person has a distinct direction, and no two are reflections: no person predicts another.
     who = np.repeat(np.arange(4), 12)
     pan = np.deg2rad(45.0) * who
     options = {"share": 0.5, "repetitions": 2}

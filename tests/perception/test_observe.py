@@ -1,4 +1,4 @@
-"""`perception observe`: what it writes, leaves out, says and draws, and how it goes on."""
+"""`perception observe`: its output, skipped rows, messages and drawings, and resuming."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ def test_a_run_that_was_broken_off_is_drawn_whole(
     assert run(*arguments).returncode == 130 and not (tmp_path / "shown").exists()
     done = run(*arguments)
     assert done.returncode == 0 and "going on after 3 frames" in done.stderr, done.stderr
-    assert "frame 0, track 9: found a box" in done.stderr  # of which the first run could not tell
+    assert "frame 0, track 9: found a box" in done.stderr  # which the first run could not report
     whole = drawn(tmp_path / "shown")
     assert sorted(whole) == list(range(6))
     plain = FrameSource.open(clip / "frames")

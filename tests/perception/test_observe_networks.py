@@ -1,4 +1,4 @@
-"""`perception observe` with networks of one's own, and what other libraries find as boxes."""
+"""`perception observe` with a user's networks, and with other libraries' boxes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PERSON = (20, 12, 36, 56, 0.9, 0)
 
 
 def standing(person: tuple[float, ...]) -> list[float]:
-    """Keypoints of somebody in a box who faces the camera."""
+    """Keypoints of a person in a box who faces the camera."""
     left, top, right, bottom = person[:4]
     x = np.array(
         [0, 0.12, -0.12, 0.28, -0.28, 0.6, -0.6, 0.7, -0.7, 0.7, -0.7, 0.35, -0.35, 0.35, -0.35, 0.3, -0.3]
@@ -53,7 +53,7 @@ def walk(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How often networks have looked, from here on."""
+    """Count the evaluations of networks from here on."""
     counted: list[int] = []
     found = YoloNetwork.detect
 
@@ -100,7 +100,7 @@ def test_a_pose_network_makes_boxes_or_is_asked_of_those_given(walk: Path, tmp_p
     given = pd.read_csv(out)
     assert set(given["track_id"]) == {4}
     body = [f"body_p{k}" for k in range(8)]
-    # Who faces the camera, which sees them from below the image: the same, whoever made the box.
+    # A person facing the camera, which is below the image: the same for any detector.
     np.testing.assert_allclose(given[body], alone[body].iloc[1:], atol=1e-3)
     both = run("observe", walk, "--keypoints", model, "--detector", brightest(tmp_path / "d.onnx"), "-o", "-")
     assert both.returncode == 0

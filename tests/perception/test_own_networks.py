@@ -1,4 +1,4 @@
-"""Networks of one's own in ONNX files: layouts, places, classes, and what is refused."""
+"""A user's networks in ONNX files: layouts, positions, classes, and refused files."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def network(tmp_path: Path, kind: str, people: list[Any], classes: int = 3, **op
 
 @pytest.mark.parametrize("kind", [*KINDS, "unselected"])
 def test_every_layout_says_the_same(tmp_path: Path, kind: str) -> None:
-    """People best first, in pixels of the image; neither unsure ones nor those of other classes."""
+    """People best first, in image pixels; without uncertain detections and other classes."""
     found = network(tmp_path, kind, [UNSURE, SURE, OTHER, (40, 40, 60, 60, 0.1, 0)])
     assert found.layout.kind == kind.removeprefix("un") and found.size == (SIDE, SIDE)
     people = found.detect(PICTURE)

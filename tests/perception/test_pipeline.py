@@ -82,7 +82,7 @@ def test_the_memory_that_boxes_take_is_bounded_by_the_image(size: tuple[float, f
     models = Models(load_head_localiser(), load_classifier("body_pose"), load_classifier("deep_belief"))
     image = np.random.default_rng(0).integers(0, 256, (240, 320, 3)).astype(np.uint8)
     boxes = [PersonBox(0, k, (-0.5, -0.5, *size)) for k in range(5)]
-    observe_frame(image, 0, boxes[:1], models, pytest.fail)  # what is made once
+    observe_frame(image, 0, boxes[:1], models, pytest.fail)  # made once
     tracemalloc.start()
     try:
         assert len(observe_frame(image, 0, boxes, models, pytest.fail)) == 5

@@ -50,7 +50,7 @@ def test_the_printed_responses_keep_the_mean_of_the_image() -> None:
     assert np.abs(gabor_features(flat)).max() == 0.0
     kept = gabor_features(flat, subtract_mean=False).reshape(4, -1)
     np.testing.assert_allclose(kept.mean(axis=1), 0.0, atol=1e-5)
-    np.testing.assert_allclose(kept.std(axis=1), 1.0, rtol=1e-5)  # eq. 1 of what the border takes away
+    np.testing.assert_allclose(kept.std(axis=1), 1.0, rtol=1e-5)  # eq. 1 for the part beyond the border
 
 
 # -- Chen et al. 2011

@@ -1,4 +1,4 @@
-"""Trackers on real recordings: made-up ones here, and what the command says where there are none."""
+"""Trackers on recordings: synthetic ones here, and the command's message where there are none."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BOX: Box = (40.0, 60.0, 24.0, 16.0)
 
 
 def lobby(k: int, seed: int = 0) -> np.ndarray:
-    """Somebody who stands from the first frame on, and somebody of the same colours who passes by closely."""
+    """A person who stands from the first frame on, and a person of the same colours who passes closely."""
     grey = ROOM.copy()
     grey[60:76, 40:64] = STANDS
     left = 4 * k - 30

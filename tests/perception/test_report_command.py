@@ -1,4 +1,4 @@
-"""`perception report`: what is in its folder, what it says, and how it goes on."""
+"""`perception report`: the content of its folder, its messages, and resuming."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def arguments(street: PastedStreet, tmp_path_factory: pytest.TempPathFactory) ->
 
 @pytest.fixture(scope="module")
 def reported(arguments: list[object], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder of a report, and what the command said."""
+    """The folder of a report, and the command's output."""
     folder = tmp_path_factory.mktemp("reported") / "out"
     done = run("report", *arguments, "-o", folder)
     assert done.returncode == 0, done.stderr
@@ -325,7 +325,7 @@ def test_a_folder_of_nothing_is_no_table(tmp_path: Path) -> None:
 def test_what_is_learned_is_learned_once(
     arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`observe --adapt` writes what `adapt` and `observe --models` do, and does not learn again."""
+    """`observe --adapt` writes the output of `adapt` and `observe --models`, and does not learn again."""
     quick = AdaptationParameters(least_people=3, rounds=0)
     learned: list[int] = []
 

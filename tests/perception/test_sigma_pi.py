@@ -1,4 +1,4 @@
-"""The Sigma-Pi tracker on small made-up videos, and its equations written out."""
+"""The Sigma-Pi tracker on small synthetic videos, and its equations written out."""
 
 from __future__ import annotations
 

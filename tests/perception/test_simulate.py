@@ -1,4 +1,4 @@
-"""`perception simulate`: what it renders agrees with what it says of it, and the other commands take it."""
+"""`perception simulate`: renderings agree with their labels, and other commands read them."""
 
 from __future__ import annotations
 

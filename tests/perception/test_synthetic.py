@@ -104,7 +104,7 @@ def test_the_same_seed_gives_the_same_images_and_another_seed_others(make: Calla
 
 
 def test_few_drawn_poses_have_some_of_every_class() -> None:
-    """Of 36 classes, of which 24 have some one in a hundred each, 200 drawn poses lack one as a rule."""
+    """With 36 classes, 24 of them at one in a hundred each, 200 drawn poses usually lack one."""
     classes = PoseClasses.circle(12, 3)
     for seed in range(5):
         pan, tilt = draw_poses(200, np.random.default_rng(seed), HeadVariation(), classes)

@@ -1,4 +1,4 @@
-"""Properties of every tracker, and what its paper's form does differently."""
+"""Properties of every tracker, and differences of the paper's form."""
 
 from __future__ import annotations
 

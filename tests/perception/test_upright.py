@@ -1,4 +1,4 @@
-"""People who lean in the picture of a camera that looks down are turned upright before they are looked at."""
+"""People who lean in the image of a downward camera are turned upright before classification."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PLACES = [(-3.0, 0.5), (-1.5, -1.0), (-2.0, 2.5)]
 
 
 def person_at(place: tuple[float, float]) -> tuple[FloatArray, FloatArray, tuple[float, float, float, float]]:
-    """Feet, the top of the head, and the box along the picture's axes, of somebody 1.75 m high."""
+    """Feet, the top of the head, and the box along the image axes, of a person 1.75 m high."""
     camera, ground = lobby_camera(), np.array(place)
     raised = ground * LOBBY_HEIGHT / (LOBBY_HEIGHT - 1.75)
     foot, head = camera.ground_to_image(ground), camera.ground_to_image(raised)

@@ -91,7 +91,7 @@ def calibrated(
             found[..., axis, 2 + axis] += past * seconds
             found[..., 2 + axis, axis] += past * seconds
             found[..., 2 + axis, 2 + axis] += whole
-    # Angles: as wide as their von Mises density, less what is not noise, and behind turns that last.
+    # Angles: the width of their von Mises density, less the persistent part, plus the lag.
     behind = radians_behind(given, velocity, parameters)
     for place, name in ((4, "body"), (5, "head")):
         variance = given[..., place, place]

@@ -1,6 +1,6 @@
 """TrackEval's figures for the scenes of the tests.
 
-``python tests/reference/trackeval_scores.py`` writes ``trackeval_scores.json`` beside this file; it needs
+``python tests/reference/trackeval_scores.py`` writes ``trackeval_scores.json`` next to this file; it needs
 ``pip install trackeval==1.3.0``, best in an environment of its own. TrackEval is no dependency of the tests:
 it brings opencv-python, which takes the place of the opencv-python-headless that the package needs.
 """
@@ -50,7 +50,7 @@ Pair = tuple[Detections, Detections]
 
 
 def oracle(pairs: Sequence[Pair], *, metres: float | None = None, iou: float | None = None) -> dict[str, Any]:
-    """What TrackEval says of all pairs together, by our names."""
+    """TrackEval's scores of all pairs together, by our names."""
     from trackeval.metrics import CLEAR, HOTA, Identity
 
     config = {"THRESHOLD": 0.5 if iou is None else iou, "PRINT_CONFIG": False}

@@ -1,4 +1,4 @@
-"""Groups, looks and forecasts in the page: what it holds, what its scripts say, and what is refused."""
+"""Groups, attention and forecasts in the page: its content, its scripts' output, and refused input."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def report(tracks):
 
 
 def in_page(report, code):
-    """What ``code`` returns, with the page's ``people`` and ``behaviour`` at hand."""
+    """Return the value of ``code``, with the page's ``people`` and ``behaviour`` at hand."""
     data = json.dumps(report.replay)
     start = (
         f"const data = {data}; const people = data.people.map((p) => decodePerson(p, data.steps));"
@@ -365,7 +365,7 @@ def test_looks_and_forecasts_of_others_are_refused(tracks):
 def test_looks_at_places_that_nobody_gave_are_counted_and_in_no_map(tracks):
     report = tracking_report(tracks, behaviour=behaviour_of(tracks, attention=looking(tracks, (BAR,))))
     assert len(table(report, "Dwell times")) == 4
-    assert "Where bar is was not said" in render_report(report)
+    assert "No position of bar was given" in render_report(report)
     assert report.replay["people"][0]["look_1"] is None
 
 
@@ -389,7 +389,7 @@ def test_the_command_writes_the_page(here):
     done = graphtrack(f"report tracks.csv -o report.html --observations tracks.csv {tables} --title Standing")
     assert done.returncode == 0 and "wrote report.html" in done.stderr, done.stderr
     page = (here / "report.html").read_text(encoding="utf-8")
-    for words in ("<title>Standing</title>", ">Groups<", ">Looks<", ">Forecasts<", 'data-layer="fans"'):
+    for words in ("<title>Standing</title>", ">Groups<", ">Gaze<", ">Forecasts<", 'data-layer="fans"'):
         assert words in page
     gt.write_report("again.html", gt.read("tracks.csv"), groups="groups.csv", title="Standing")
     assert ">Groups<" in (here / "again.html").read_text(encoding="utf-8")

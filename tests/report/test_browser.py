@@ -1,4 +1,4 @@
-"""The page of many people in a browser: one visit, from which the tests look at what was there."""
+"""The page of many people in a browser: one visit, which the tests inspect."""
 
 from pathlib import Path
 

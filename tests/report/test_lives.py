@@ -1,4 +1,4 @@
-"""Births, deaths, gaps, joins and switches: what the page says of them is what the tracks have."""
+"""Births, deaths, gaps, joins and switches: the page agrees with the tracks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCRIPTS = ("replay_data.js", "lives.js", "people.js")
 
 
 def associated(track_id=1, n=60, seed=0, kept=0.6, first=0):
-    """Somebody seen now and then, first and last; every frame in between is there."""
+    """A person observed in some frames, first and last; every frame in between exists."""
     rng = np.random.default_rng([seed, track_id])
     seen = rng.random(n) < kept
     seen[[0, -1]] = True

@@ -1,4 +1,4 @@
-"""Pictures show what they are for: nothing covers curves, and colours and axes do not exaggerate."""
+"""Legible pictures: nothing covers curves, and colours and axes do not exaggerate."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pair(seconds: float = 20.0) -> TrackSet:
 
 
 def looking(tracks: TrackSet, share: float) -> list[Attention]:
-    """Everybody looks at the other with this probability, else at nothing."""
+    """Each person looks at the other with this probability, else at nothing."""
     made = []
     for one in attention(tracks):
         probability = np.zeros_like(one.probability)

@@ -54,7 +54,7 @@ def test_arrows_point_where_the_angles_do_and_have_their_colours():
     for name, colour in (("body", BODY_COLOUR), ("head", HEAD_COLOUR)):
         (quiver,) = arrows(axes, colour)
         assert np.arctan2(quiver.V, quiver.U) == pytest.approx(getattr(track, name)[::5])
-        # Beside the position, each to its own side, so that the path is not hidden.
+        # Next to the position, each to its own side, so that the path is not hidden.
         aside = quiver.get_offsets() - track.position[::5]
         left = np.stack([-quiver.V, quiver.U], axis=1)
         along = np.stack([quiver.U, quiver.V], axis=1)

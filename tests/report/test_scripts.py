@@ -167,7 +167,7 @@ def test_the_chart_draws_angles_without_jumps_and_once_in_every_turn():
     const low = Math.min(...path.filter(Number.isFinite)), high = Math.max(...path.filter(Number.isFinite));
     return [Array.from(path), runs, low, high, turnsInSight(low, high)];"""
     path, runs, low, high, turns = in_node(("replay_data.js", "angles_draw.js"), code)
-    assert runs == [[0, 19], [25, 39], [40, 59]]  # what is not known, and a hole, end a run
+    assert runs == [[0, 19], [25, 39], [40, 59]]  # unknown values, and a gap, end a run
     known = np.array([x for x in path if x is not None])
     assert known == pytest.approx(np.unwrap([a for a in values if a is not None]))
     for k in range(-20, 21):

@@ -29,7 +29,7 @@ TIMES = [0.1 * k for k in range(20)]
 
 
 def walkers(frame="map", names=("anna", "ben")):
-    """Two people who walk along x, one a metre beside the other."""
+    """Two people who walk along x, a metre apart."""
     return [
         (t, people(t, [person(name, t + k, float(k), 0.5) for k, name in enumerate(names)], frame))
         for t in TIMES
@@ -139,7 +139,7 @@ def turning_robot(rate=0.5, speed=1.0, static=0.3):
 
 def test_tf_brings_people_to_the_fixed_frame(tmp_path):
     def seen(t):
-        """Where the laser sees somebody who stands at (3, 2) in odom and faces 1 rad."""
+        """The laser's measurement of a person who stands at (3, 2) in odom and faces 1 rad."""
         angle = 0.5 * t + 0.3
         back = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         laser = np.array([t + 0.2 * math.cos(0.5 * t), 0.2 * math.sin(0.5 * t)])
@@ -174,7 +174,7 @@ def test_rows_at_times_without_tf_are_counted(tmp_path):
 
 def test_humans_are_where_tf_has_their_frames(tmp_path):
     ids = [(t, make("hri_msgs/msg/IdsList", header=header(t, ""), ids=["ann"])) for t in TIMES]
-    # Of a gaze z looks ahead, x to the right and y down: here along y of the map.
+    # The gaze frame has z ahead, x to the right and y down: here z along y of the map.
     gaze = quaternion(-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
     told = [
         (

@@ -1,4 +1,4 @@
-"""Quaternions, covariances and transforms on a plane, against SciPy's rotations and by what they must be."""
+"""Quaternions, covariances and transforms on a plane, against SciPy's rotations and their properties."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What is written as MCAP: read here, by rosbags and by another decoder."""
+"""Written MCAP files: read here, by rosbags and by another decoder."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The node, with a stand-in for rclpy: messages in, messages out; and what it follows people by."""
+"""The node, with a stand-in for rclpy: messages in, messages out, and identities."""
 
 import importlib
 import itertools
@@ -42,7 +42,7 @@ from graphtrack.smoothing import track_online
 
 
 class FakeNode:
-    """What the node uses of ``rclpy.node.Node``."""
+    """A stand-in for the used part of ``rclpy.node.Node``."""
 
     parameters: ClassVar[dict] = {}
 

@@ -243,7 +243,7 @@ def peak_megabytes(n_tracks: int, folder: Path) -> float:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_data(tmp_path):
-    # Both are past the size at which the buffers are full; what remains varies by some 30 MB from run to run.
+    # Both exceed the size of full buffers; the remaining variation is some 30 MB from run to run.
     small, large = 1600, 6400
     before, after = peak_megabytes(small, tmp_path), peak_megabytes(large, tmp_path)
     covariances = (large - small) * 250 * 36 * 8 / 2**20

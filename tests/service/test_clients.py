@@ -305,7 +305,7 @@ def test_the_client_of_a_resumed_stream_is_in_step(service):
 
 
 def test_a_client_that_reads_slowly_gets_every_answer(service):
-    """Closing waits for who still reads."""
+    """Closing waits for clients that still read."""
     asking = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
     asking.request("POST", "/v1/streams/reader", "\n".join(rows(1000)), {"Connection": "close"})
     answer, found = asking.getresponse(), b""

@@ -1,4 +1,4 @@
-"""`graphtrack serve` as clients see it: answers of `track -`, nothing lost, and nobody hurt by others."""
+"""`graphtrack serve` for clients: answers of `track -`, nothing lost, and isolation of clients."""
 
 import json
 import os
@@ -68,7 +68,7 @@ def test_a_stream_goes_on_where_its_connection_ended(service):
             connection.send(line)
         found += answers(connection, 20)
     assert found == whole and service.request("DELETE", "/v1/streams/kept")[0] == 204
-    with service.connect("kept") as connection:  # and begins anew
+    with service.connect("kept") as connection:  # and starts again
         connection.send(sent[0])
         assert connection.recv(timeout=60) == whole[0]
 
@@ -111,7 +111,7 @@ def test_a_killed_service_goes_on(tmp_path):
             connection.send("")
             found += everything(connection)[0]
         assert found == of_track(sent)
-        # Told to stop, it keeps what open streams know and ends well.
+        # On a stop signal it saves the state of open streams and exits with 0.
         with second.connect("open") as connection:
             connection.send(sent[0])
             connection.recv(timeout=60)
@@ -141,7 +141,7 @@ def test_those_who_misbehave_hurt_nobody_else(service):
         with service.connect("oversized") as bad:
             bad.send("x" * (1 << 17))
             assert everything(bad)[1].code == 1009
-        # One who never reads: rows wait in the sockets between, and no longer in anybody's memory.
+        # A client that never reads: rows wait in the sockets, and no longer in any process's memory.
         slow = service.connect("slow", max_queue=1)
         text = "\n".join(rows(200))
         with slow, half_open(service.port):
@@ -156,7 +156,7 @@ def test_those_who_misbehave_hurt_nobody_else(service):
 
 @contextmanager
 def half_open(port):
-    """A client that begins to ask and says no more."""
+    """A client that sends an incomplete request."""
     with socket.create_connection(("127.0.0.1", port)) as begun:
         begun.sendall(b"GET /v1/streams/half HTTP/1.1\r\nHost: here\r\nUpgr")
         yield

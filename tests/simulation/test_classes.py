@@ -1,4 +1,4 @@
-"""Answers of classifiers: how often each comes, and that their likelihoods are those of the truth."""
+"""Simulated classifiers: frequencies of answers, and likelihoods that are those of the truth."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def test_answers_come_as_often_as_the_confusion_says() -> None:
         assert getattr(seen, name) is None
         true_class = np.argmax(np.cos(truth[:, None] - class_centres(n)), axis=1)
         expected = confusion_matrix(n)
-        # Each answer has a column of its own, of which its greatest entry is the answer itself.
+        # Each answer has a column of its own, whose greatest entry is the answer itself.
         answer = likelihood.argmax(axis=1)
         for k in np.flatnonzero(np.bincount(true_class, minlength=n) > 1000):
             share = np.bincount(answer[true_class == k], minlength=n) / (true_class == k).sum()

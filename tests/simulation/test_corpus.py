@@ -26,7 +26,7 @@ def test_noise_is_what_the_paper_says() -> None:
     error = difference(corpus.head, corpus.travel)
     assert np.degrees(circular_mean(error)) == pytest.approx(4.0, abs=0.3)
     assert np.degrees(np.std(error)) == pytest.approx(20.0, rel=0.02)
-    # A straight path's noise is what remains across it.
+    # The noise of a straight path is the residual across it.
     straight = simulate_behaviour(0, replace(SMALL, tracks=100), rng=np.random.default_rng(1))
     residual = []
     for path in straight.truth:

@@ -1,4 +1,4 @@
-"""Noise added on purpose has the stated statistics; withheld windows lie where people turn."""
+"""Added noise has the declared statistics; withheld windows are at turns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from graphtrack.simulation.degrade import add_noise, occlude
 def walker(
     course: np.ndarray, speed: np.ndarray | float = 1.2, fps: float = 10.0, track_id: int = 1
 ) -> Track:
-    """A person with these courses (radians) and speeds, seen exactly."""
+    """A person with given courses (radians) and speeds, observed exactly."""
     step = np.broadcast_to(speed, course.shape)[:, None] * unit(course) / fps
     frame = np.arange(len(course))
     return Track(track_id, frame, frame / fps, np.cumsum(step, axis=0), body=course, head=course)
@@ -113,7 +113,7 @@ def test_a_rough_truth_does_not_hide_the_turn() -> None:
         rough.append(replace(track, position=track.position + noise))
 
     def share(**more: float) -> float:
-        """Of the windows that hold the turn."""
+        """The share of the windows that hold the turn."""
         windows = occlude(TrackSet(tuple(rough)), 3.0, **more).windows
         return float(np.mean([windows[t.track_id][np.argmin(np.abs(t.t - 12.0))] for t in rough]))
 

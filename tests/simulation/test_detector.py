@@ -1,4 +1,4 @@
-"""A simulated detector misses, hides and invents what it says, and the truth can be had back."""
+"""A simulated detector misses, occludes and adds detections at its rates, and the truth is recoverable."""
 
 from __future__ import annotations
 

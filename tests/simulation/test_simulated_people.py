@@ -1,4 +1,4 @@
-"""Simulated people are those whom the estimator believes in, at every frame rate."""
+"""Simulated people have the statistics of the estimator's model, at every frame rate."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_modes_have_their_shares_rates_and_offsets() -> None:
     )
     t = np.arange(400) / 10.0
     modes = sample_modes(t, 400, gait, np.random.default_rng(4)).body
-    # 400 people for 40 s, in which the mode is drawn anew twenty times.
+    # 400 people for 40 s, in which the mode is redrawn twenty times.
     assert modes.aligned.mean() == pytest.approx(0.3, abs=0.03)
     for k in (0, -1):
         assert modes.aligned[:, k].mean() == pytest.approx(0.3, abs=0.1)
@@ -118,7 +118,7 @@ def consistency(preset: str, fps: float, people: int, monkeypatch: pytest.Monkey
     monkeypatch.undo()
     found: dict[str, list[float]] = {}
     columns = {"position": slice(0, 2), "velocity": slice(2, 4), "body": slice(4, 5), "head": slice(5, 6)}
-    # Simulated people neither sway nor turn for long, as real ones do, for which the defaults allow.
+    # Simulated people have no gait oscillation and no persistent turns, unlike the defaults.
     for i, track in enumerate(smooth(tracks, Model(preset, steady(default_parameters(preset))))):
         for name, column in columns.items():
             if name not in kept:
@@ -139,6 +139,6 @@ def test_estimates_of_simulated_people_know_their_errors(
 ) -> None:
     found = consistency(preset, fps, 60, monkeypatch)
     print("|", preset, fps, *(f"{name} {value:.2f}" for name, value in found.items()))
-    # Bodies of `full` are not quite as well known as it says.
+    # Body variances of `full` are slightly underestimated.
     most = {"body": 1.2} if preset == "full" else {}
     assert all(0.9 < value < most.get(name, 1.1) for name, value in found.items()), found

@@ -1,4 +1,4 @@
-"""Pedestrians who are not the model's: what they do is what was asked for."""
+"""Pedestrians of another model than the estimator's: their motion has the requested statistics."""
 
 from __future__ import annotations
 

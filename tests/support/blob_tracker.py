@@ -1,4 +1,4 @@
-"""A tracker that needs no learning: it follows red pixels, and says so of a red blob's place."""
+"""A tracker without learning: it follows red pixels, and reports the position of a red blob."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def blob_image(centre: tuple[float, float] | None, size: tuple[int, int] = SIZE)
 
 
 class BlobTracker:
-    """The middle of the red pixels. It remembers what it was told of the graph."""
+    """The centre of the red pixels. It stores the guidance of the graph."""
 
     name: ClassVar[str] = "blob"
 

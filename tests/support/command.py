@@ -20,7 +20,7 @@ class Done:
 
 
 def run(*arguments: object, program: str = "perception") -> Done:
-    """A program's command line, in this process: what it imports takes longer than what it does here."""
+    """Run a program's command line in this process, since imports take longer than the command."""
     main = import_module(f"{program}.cli").main
     out, err = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
@@ -39,6 +39,6 @@ _SAID = re.compile(
 
 
 def going_on(said: str) -> tuple[int, int]:
-    """The line after which a run goes on, and how many of the answers so far are to be kept."""
+    """The line after which a run continues, and the number of answers to keep."""
     rows, line, again = _SAID.search(said).groups()
     return int(line or rows), int(rows) - bool(again)

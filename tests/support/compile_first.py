@@ -1,6 +1,6 @@
 """Compile what the tests run, before their workers start: ``python tests/support/compile_first.py PART``.
 
-Each worker would do so for itself, of which most would be done twice.
+Each worker would compile for itself, mostly twice the same.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def solver() -> None:
 
 
 def others() -> None:
-    """GTSAM's engines, who is who, the particle filter, and what looks at pictures."""
+    """GTSAM's engines, data association, the particle filter, and perception."""
     from documents import run_line
 
     from graphtrack.baselines.particle_filter import particle_smoother

@@ -75,7 +75,7 @@ def gradient(cost: Callable[[np.ndarray], float], size: int, step: float = 1e-4)
 def hessian(cost: Callable[[np.ndarray], float], size: int, step: float = 2e-4) -> np.ndarray:
     """The curvature (size, size) at 0, to the second order of the step."""
     units, here = np.eye(size) * step, cost(np.zeros(size))
-    # The sum of what a step there and a step back cost more: dᵀ·H·d.
+    # The sum of the cost increases of a step forth and a step back: dᵀ·H·d.
     alone = [cost(a) + cost(-a) - 2.0 * here for a in units]
     found = np.diag(alone)
     for i in range(size):

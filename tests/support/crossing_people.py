@@ -1,4 +1,4 @@
-"""People who cross a place, as they are detected, and how well they are told apart."""
+"""People who cross a place, their detections, and the accuracy of their identities."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def frames_of(detections: Detections) -> list[np.ndarray]:
 def run_online(
     detections: Detections, association: OnlineAssociation | None = None, **shown: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, list[Decision]]:
-    """First and last reported identities of each detection, and all decisions; ``shown``: scores, looks."""
+    """First and last reported identities of each detection, and all decisions; ``shown``: its evidence."""
     association = OnlineAssociation() if association is None else association
     once = np.full(len(detections), -1)
     last, decisions, frames = once.copy(), [], frames_of(detections)
@@ -45,7 +45,7 @@ def street(
     false: float = 0.0,
     step: float = 0.4,
 ) -> tuple[Detections, np.ndarray]:
-    """People who cross a place of 16 m × 16 m, and whose each detection is; −1: nobody's."""
+    """People who cross a place of 16 m × 16 m, and the person of each detection; −1: false."""
     rows, owners = [], []
     for person in range(people):
         side = rng.integers(4)
@@ -93,7 +93,7 @@ def packed_square(
     miss: float = 0.1,
     square_metres: float = 9.0,
 ) -> tuple[Detections, np.ndarray]:
-    """People of 1.3 m/s who wander in a square and never leave, and whose each detection is; −1: nobody's.
+    """People of 1.3 m/s who wander in a square, and the person of each detection; −1: nobody's.
 
     There is one false detection a frame for 50 people.
     """
@@ -116,7 +116,7 @@ def packed_square(
 
 
 def looks_of(rng: np.random.Generator, whose: np.ndarray, size: int = 8, noise: float = 0.3) -> np.ndarray:
-    """(n, size) descriptors of the detections of people (n,), much as the person's others; −1: of nobody."""
+    """(n, size) descriptors of the detections of people (n,), similar within a person; −1: false."""
     people = rng.normal(0.0, 1.0, (whose.max() + 1, size))
     of_nobody = rng.normal(0.0, 1.0, (len(whose), size))
     shown = np.where(whose[:, None] >= 0, people[whose], of_nobody)
@@ -124,9 +124,9 @@ def looks_of(rng: np.random.Generator, whose: np.ndarray, size: int = 8, noise: 
 
 
 def met_behind_a_pillar(rng: np.random.Generator, people: int = 8) -> tuple[Detections, np.ndarray]:
-    """Two who meet where nobody sees them, and turn back; others walk elsewhere. Whose each detection is.
+    """Two people who meet while hidden, and turn back, among others; and the person of each detection.
 
-    The two come out where either would if they had gone on: by their motion each is taken for the other.
+    Both reappear where the other would have by constant motion, so that motion alone swaps them.
     """
     rows, owners = [], []
     for k in range(50):

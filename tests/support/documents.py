@@ -86,7 +86,7 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
     minutes run too, all as printed. A line that fails is an error.
     """
     written = {}
-    # A module, as a script is one: what compiles a function looks there for it.
+    # A module, as for a script: compilers of functions look there for it.
     module = sys.modules["document"] = ModuleType("document")
     vars(module).update(names)
     for block in chosen:
@@ -105,7 +105,7 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
 
 
 def run_line(line: str) -> str:
-    """Run a line: in this process, since imports take longer than most; in a shell where it needs one."""
+    """Run a line in this process, since imports take longer than most; in a shell where it needs one."""
     program, *arguments = shlex.split(line)
     if program in PROGRAMS and not {"|", ">"} & set(arguments):
         with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:

@@ -1,4 +1,4 @@
-"""A small made-up file of every format, with the files that lie beside it."""
+"""A small synthetic file of every format, with its accompanying files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Sample:
     options: dict[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path) -> Path:
-        """Write the sample, and what lies beside it, into a folder; return its path."""
+        """Write the sample and its accompanying files into a folder; return its path."""
         for name in (*self.beside, self.name):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             if (FOLDER / self.format / name).exists():

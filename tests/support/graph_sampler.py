@@ -99,7 +99,7 @@ def sample_graph(
     rng: np.random.Generator,
     particles: int = 1000,
 ) -> TrackSet:
-    """People of `joint` with their truth, observed as the parameters say, who do not say how noisily."""
+    """People of `joint` with their truth, observed by the parameters, without declared noise."""
     t, likelihood, tracks = np.arange(n_steps) / fps, parameters.likelihood, []
     for i in range(n_tracks):
         velocity, (body, head) = draw(t, parameters, particles, rng)

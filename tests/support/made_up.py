@@ -11,7 +11,7 @@ from graphtrack.tracks.track import Track, TrackSet
 
 
 def walker(track_id: int = 1, n: int = 60, hz: float = 25.0, **changes: Any) -> Track:
-    """An estimate of someone who walks a circle, so that every angle passes ±π."""
+    """An estimate of a person who walks a circle, so that every angle passes ±π."""
     t = np.arange(n) / hz
     heading = 2.5 + 1.5 * t
     position = np.stack([np.sin(heading), -np.cos(heading)], axis=1) + track_id
@@ -29,7 +29,7 @@ def walker(track_id: int = 1, n: int = 60, hz: float = 25.0, **changes: Any) -> 
 
 
 def observed(estimate: Track, missing: slice = slice(20, 35)) -> Track:
-    """Observations of the same person with a gap, and the truth beside them."""
+    """Observations of the same person with a gap, with the truth."""
     rng = np.random.default_rng(estimate.track_id)
     position = estimate.position + rng.normal(0.0, 0.1, estimate.position.shape)
     body = wrap(estimate.body + rng.normal(0.0, 0.2, len(estimate)))

@@ -1,4 +1,4 @@
-"""Small groups, looks and forecasts for the tests of the report."""
+"""Small groups, attention and forecasts for the tests of the report."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def standing(people: int = 4, n: int = 20, start: float = 0.0, hz: float = 2.5) 
 
 
 def grouped(tracks: TrackSet, probability: float = 0.9) -> Groups:
-    """Persons 1 and 2 in conversation as group 0, all others alone."""
+    """Persons 1 and 2 in conversation as group 0, all other people alone."""
     person = np.concatenate([np.full(len(track), track.track_id) for track in tracks])
     frame = np.concatenate([track.frame for track in tracks])
     t = np.concatenate([track.t for track in tracks])
@@ -41,7 +41,7 @@ def grouped(tracks: TrackSet, probability: float = 0.9) -> Groups:
 
 
 def looking(tracks: TrackSet, places: tuple[Place, ...] = ()) -> list[Attention]:
-    """Each looks at the next (0.6), at the first place (0.2) if there is one, and at nothing."""
+    """Each person looks at the next (0.6), at the first place (0.2) if there is one, and at nothing."""
     found = []
     ids = [track.track_id for track in tracks]
     for k, track in enumerate(tracks):
@@ -57,7 +57,7 @@ def looking(tracks: TrackSet, places: tuple[Place, ...] = ()) -> list[Attention]
 
 
 def forecast(tracks: TrackSet, every: int = 2) -> Forecasts:
-    """In every second frame: everybody goes along x with 1 m/s."""
+    """In every second frame: each person goes along x with 1 m/s."""
     made = [(track, k) for track in tracks for k in range(0, len(track), every)]
     count = len(AHEAD)
     ahead = np.tile(AHEAD, len(made))

@@ -39,7 +39,7 @@ def written(
 
 
 def saying(name: str) -> list[onnx.NodeProto]:
-    """Steps that say the weights "rows" whatever the picture is, as the tensor of that name."""
+    """Steps that return the weights "rows" for any image, as the tensor of that name."""
     return [
         helper.make_node("ReduceMean", ["images"], ["mean"], axes=[1, 2, 3], keepdims=1),
         helper.make_node("Mul", ["mean", "nought"], ["nothing"]),
@@ -57,7 +57,7 @@ def weights_of(rows: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def constant(path: Path, output: np.ndarray, **options: object) -> Path:
-    """A network that says the same (1, a, b) of every picture."""
+    """A network that returns the same (1, a, b) for every image."""
     return written(path, saying("output0"), weights_of(output), output.shape, **options)  # type: ignore[arg-type]
 
 

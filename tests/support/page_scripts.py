@@ -18,7 +18,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 def in_node(assets: tuple[str, ...], code: str) -> Any:
-    """Return what ``code`` returns, after the scripts of the page named ``assets``."""
+    """Return the value of ``code``, after the scripts of the page named ``assets``."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("needs node to run the page's own scripts")
@@ -31,7 +31,7 @@ def in_node(assets: tuple[str, ...], code: str) -> Any:
 
 
 def in_browser(page: str, code: str, folder: Path) -> Any:
-    """Return what ``code`` returns in the page, once its replay is there; no script may fail."""
+    """Return the value of ``code`` in the page, once its replay is loaded; no script may fail."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         pytest.skip(f"needs a browser to run the page in: one of {', '.join(BROWSERS)}")

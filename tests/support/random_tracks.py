@@ -50,7 +50,7 @@ def random_parameters(rng: np.random.Generator) -> Parameters:
 
 
 def random_track(rng: np.random.Generator, camera: GroundCamera | None = None) -> Track:
-    """A walk of 1 to 40 frames; each channel has gaps or is absent, and may say its own spread."""
+    """A walk of 1 to 40 frames; each channel has gaps or is absent, and may declare its own spread."""
     n = int(rng.integers(1, 41))
     track = walk(
         n,

@@ -14,7 +14,7 @@ Rows = dict[int, Any]
 
 
 def read_recording(path: Path) -> dict[str, dict[str, Rows]]:
-    """Entity → component → its rows; what is so at all times stands at −1."""
+    """Entity → component → its rows; static values are at −1."""
     found: dict[str, dict[str, list[tuple[bytes, int, Any]]]] = defaultdict(lambda: defaultdict(list))
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()

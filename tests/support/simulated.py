@@ -21,7 +21,7 @@ TRUE = Parameters(
 
 BRISK = replace(TRUE, motion=MotionParameters(0.1, 2.5, 1.0))
 """`TRUE` of people whose motion has a direction: the density of the couplings favours people who hardly move,
-about whom no Gaussian says where they go."""
+whose motion is not Gaussian."""
 
 EVEN_SLOW = replace(BRISK, coupling=replace(COUPLED, speed_threshold=0.0))
 """`BRISK` of people whose bodies follow their motion however slow it is."""
@@ -37,9 +37,9 @@ def unknown(
     truth: bool = False,
     true: Parameters | None = None,
 ) -> TrackSet:
-    """People who do not say how noisy they are, nor, without ``truth``, what is true.
+    """People without declared noise and, without ``truth``, without the truth.
 
-    They are made with ``true``: if not told otherwise `TRUE`, and `BRISK` for `joint`, whose people come from
+    They are made with ``true``: by default `TRUE`, and `BRISK` for `joint`, whose people come from
     the graph's own density.
     """
     rng = np.random.default_rng(seed)
@@ -54,7 +54,7 @@ def unknown(
 
 
 def inside(found: Fit, true: Parameters = TRUE) -> dict[str, bool]:
-    """Parameter → whether its interval holds the value that the people were made with."""
+    """Parameter → True if its interval holds the simulated people's value."""
     known = Model(found.model.preset, true).to_dict()
     return {
         one.name: one.low <= known[one.name.split(".")[0]][one.name.split(".")[1]] <= one.high

@@ -1,4 +1,4 @@
-"""People and what a bad tracker makes of them: misses, gaps, false positives, swaps and new identities."""
+"""People and a bad tracker's output: misses, gaps, false positives, swaps and new identities."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FRAMES = 40
 
 
 def random_scene(seed: int, *, boxes: bool = False) -> tuple[Detections, Detections]:
-    """Estimates and truth of a few people who walk among each other, on the ground or in the image."""
+    """Estimates and truth of a few people who walk in a crowd, on the ground or in the image."""
     rng = np.random.default_rng(seed)
     people = int(rng.integers(1, 7))
     frame, person = (part.ravel() for part in np.mgrid[0:FRAMES, 0:people])
@@ -47,7 +47,7 @@ def _walks(rng: np.random.Generator, people: int) -> np.ndarray:
 
 
 def _in_stretches(rng: np.random.Generator, people: int) -> np.ndarray:
-    """(FRAMES, people) whether somebody is there: from some frame to another, but for a while."""
+    """(FRAMES, people) presence: from some frame to another, with a gap."""
     k = np.arange(FRAMES)[:, None]
     begin, end = rng.integers(0, 10, people), rng.integers(25, FRAMES + 1, people)
     away = rng.integers(5, FRAMES, people)
@@ -55,7 +55,7 @@ def _in_stretches(rng: np.random.Generator, people: int) -> np.ndarray:
 
 
 def _identities(rng: np.random.Generator, people: int) -> np.ndarray:
-    """(FRAMES, people) the track that follows each; two swap now and then, and new ones begin."""
+    """(FRAMES, people) the track that follows each; two swap now and then, and new tracks begin."""
     found, now, new = [], np.arange(people) + 50, 100
     for _ in range(FRAMES):
         chance = rng.random()
@@ -69,7 +69,7 @@ def _identities(rng: np.random.Generator, people: int) -> np.ndarray:
 
 
 def _false_alarms(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Identities, frames and positions of tracks of nobody, which stay where they are."""
+    """Identities, frames and positions of false tracks, which stand still."""
     count, length = int(rng.integers(1, 4)), 8
     begin = rng.integers(0, FRAMES, count)
     frame = (begin[:, None] + np.arange(length)).ravel()

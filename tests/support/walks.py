@@ -1,4 +1,4 @@
-"""Walks made up for the tests: people who walk smoothly, observed with noise."""
+"""Synthetic tracks for the tests: people who walk smoothly, observed with noise."""
 
 from __future__ import annotations
 

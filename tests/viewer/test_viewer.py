@@ -1,4 +1,4 @@
-"""Recordings of tracks, read back: they hold what the table holds, at the same times."""
+"""Recordings of tracks, read back: they hold the table's values, at the same times."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from graphtrack.viewer.pictures import PersonBoxes
 
 
 def walks(*, hole: bool = False) -> gt.TrackSet:
-    """Two who walk side by side, with all that is estimated; the second one comes later and leaves before."""
+    """Two people side by side, with all estimates; the second one starts later and ends earlier."""
     tracks = []
     for who, (start, stop) in {3: (0, 40), 8: (5, 30)}.items():
         frame = np.arange(start, stop)
@@ -94,7 +94,7 @@ def test_series_are_in_degrees_without_jumps_and_with_their_intervals(tmp_path: 
     np.testing.assert_allclose(np.exp(1j * np.radians(body[:, 0])), np.exp(1j * track.body), atol=1e-9)
     np.testing.assert_allclose(body[:, 2] - body[:, 0], 1.96 * np.degrees(track.std("body")), rtol=1e-3)
     head = np.array(list(found["/series/3/head"]["Scalars:scalars"].values()))
-    assert np.abs(head[:, 0].mean() - body[:, 0].mean()) < 60.0  # drawn beside the body, no turn away
+    assert np.abs(head[:, 0].mean() - body[:, 0].mean()) < 60.0  # drawn next to the body, no turn away
     speed = found["/series/3/speed"]["Scalars:scalars"]
     np.testing.assert_allclose([one[0] for one in speed.values()], np.hypot(1.2, 0.1))
 
@@ -132,7 +132,7 @@ def test_groups_and_forecasts_are_where_they_were_found(tmp_path: Path) -> None:
             np.testing.assert_allclose(path[1:], ahead, atol=1e-5)
             radius = np.hypot(*(np.array(circle) - ahead[-1]).T)
             np.testing.assert_allclose(radius, columns["radius_90"][at][-1], rtol=1e-3, atol=1e-5)
-            # The ground that is seen has room for the whole circle.
+            # The visible ground has room for the whole circle.
             (lines,) = found["/ground/grid"]["LineStrips2D:strips"].values()
             assert np.all(np.min(lines, axis=(0, 1)) <= np.min(circle, axis=0))
             assert np.all(np.max(circle, axis=0) <= np.max(lines, axis=(0, 1)))

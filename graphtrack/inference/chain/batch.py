@@ -353,7 +353,7 @@ class LaneArrays(NamedTuple):
 
 
 def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
-    """Memory for tracks of up to n frames whose records have so many numbers."""
+    """Memory for tracks of up to n frames with records of a given size."""
     return LaneArrays(
         np.empty(LANES, np.int64),
         np.zeros(2, np.int64),

@@ -151,7 +151,7 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
 def plot_look_timeline(found: Sequence[Attention]) -> Figure:
     """Draw the most probable gaze target of each person over time, labelled if there is room; blank: none.
 
-    Of more than `MOST` people those who look at somebody for longest are shown.
+    Of more than `MOST` people those with most gaze at targets are shown.
     """
     spent = [_seconds(one)[:-1].sum() for one in found]
     shown = [found[k] for k in np.sort(np.argsort(spent, kind="stable")[::-1][:MOST])]

@@ -35,7 +35,7 @@ MARKED_GAP = 3
 """Gaps of at least this many frames get a marker at each end; shorter ones are only dotted."""
 
 DOTS: Any = (0.0, (0.01, 1.7))
-"""Line style, with round caps, of a path where nobody was observed."""
+"""Line style, with round caps, of an unobserved path."""
 
 NAMED_PEOPLE = 10
 """Up to this many people are named in the legend; with more, only ids next to the paths are drawn."""

@@ -1,4 +1,4 @@
-"""Trackers get the same detections and are judged alike; peers of other packages are adapted, or told of."""
+"""Trackers get the same detections and scores; trackers of other packages are adapted or reported."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def scene() -> Scene:
 
 @dataclass
 class Boxes:
-    """What a duck has for ``supervision.Detections``."""
+    """A stand-in for ``supervision.Detections``."""
 
     xyxy: np.ndarray
     confidence: np.ndarray | None = None
@@ -101,7 +101,7 @@ def test_our_trackers_find_most_and_the_offline_one_more(scene: Scene) -> None:
     assert all(0.6 < one.idf1 < offline.idf1 for one in online)
     filled = compare_trackers(scene.detections, scene.truth, OWN, fill=True)
     *online_filled, offline_again = (one.score for one in filled.results)
-    # `online` tells people whom it did not see itself: filling finds it nobody more.
+    # `online` reports hidden people itself: filling adds none.
     assert all(more.recall >= one.recall for more, one in zip(online_filled, online, strict=True))
     assert online_filled[1].recall > online[1].recall
     assert offline_again == offline
@@ -315,7 +315,7 @@ def test_detections_of_a_detector_have_its_boxes_in_the_order_of_time(tmp_path: 
 
 @pytest.mark.slow
 def test_real_people_are_followed_by_the_baseline_and_better_by_association(data_dir: Path) -> None:
-    """A third of the crowd at Zara, seen as badly as in docs/tracking.md."""
+    """A third of the crowd at Zara, with the detection noise of docs/tracking.md."""
     rng = np.random.default_rng(0)
     faults = Detector(0.15, 0.5, 2.0, 1.0, "fixed")
     exact = gt.read(data_dir / "ucy" / "zara01" / "annotation.vsp")

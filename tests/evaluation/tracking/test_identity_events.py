@@ -1,4 +1,4 @@
-"""Switches and fragmentations one by one: as many as the score counts, where they happened."""
+"""Switches and fragmentations as events: their number equals the score's, and their frames are right."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_there_are_as_many_events_as_the_score_counts(seed):
     assert all(event.switch == (event.before != event.after) for event in judged.events)
     matched = [np.isfinite(track.true_position).all(axis=1) for track in judged.tracks]
     assert sum(int(rows.sum()) for rows in matched) == score.matches
-    # Whoever has a person now stands near them.
+    # The track of a person stays near them.
     tracks, people = ({track.track_id: track for track in one} for one in (judged.tracks, truth))
     for event in judged.events:
         track, person = tracks[event.after], people[event.person]

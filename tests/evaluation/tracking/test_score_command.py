@@ -1,4 +1,4 @@
-"""`graphtrack score`: pairs of files to tables and JSON, and what is wrong in one line."""
+"""`graphtrack score`: pairs of files to tables and JSON, and one-line errors."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Figures equal TrackEval's: its stored ones always, and its own where it is installed."""
+"""Scores equal TrackEval's: its stored ones always, and its own where it is installed."""
 
 import json
 from dataclasses import asdict
@@ -60,7 +60,7 @@ def test_as_trackeval_says(demand, boxes, seeds):
 @settings(deadline=None)
 @given(data=st.data())
 def test_as_trackeval_says_of_ties(data):
-    """Places on a coarse grid, so that many distances are alike and many exactly the threshold."""
+    """Positions on a coarse grid, so that many distances are equal and many exactly the threshold."""
     pytest.importorskip(
         "trackeval", reason="pip install trackeval==1.3.0 to compare with it beyond what is stored"
     )

@@ -1,4 +1,4 @@
-"""What has to hold of the figures whatever the scene, and what `score` takes and says."""
+"""Properties of the scores in any scene, and the input and output of `score`."""
 
 from dataclasses import replace
 
@@ -56,7 +56,7 @@ def test_two_that_swap_halfway_lose_identities_and_no_detections():
     assert found.det_a == perfect.det_a == 1.0 and found.recall == found.precision == 1.0
     assert found.switches == 2 and found.fragmentations == 0
     assert found.mota == pytest.approx(1.0 - 2 / (4 * N))
-    assert found.idf1 == pytest.approx(3 / 4)  # of the two who swapped, half of the rows
+    assert found.idf1 == pytest.approx(3 / 4)  # half of the rows of the two swapped people
     # A(c) of the two is ½ / (½ + ½ + ½) in all of their frames.
     assert found.ass_a == pytest.approx((2 + 2 / 3) / 4)
     assert found.hota == pytest.approx(found.ass_a**0.5)
@@ -66,7 +66,7 @@ def test_a_gap_is_a_fragmentation_and_a_new_identity_a_switch_too():
     truth = walkers(1)
     (walker,) = truth
     with_gap = walker[np.r_[0:10, 15:N]]
-    # A companion keeps frames alive: of frames without any estimate nobody knows whether they were looked at.
+    # A companion keeps frames present: frames without any estimate may not have been processed.
     both = walkers(2)
     found = together(TrackSet((with_gap, both[1])), both)
     assert (found.switches, found.fragmentations, found.misses) == (0, 1, 5)
