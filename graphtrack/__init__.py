@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from graphtrack.forecasting.motion import ForecastParameters
     from graphtrack.forecasting.recorded import Forecasts, forecast
     from graphtrack.inference import Estimate, Failure, OnlineSmoother, Solution, SolverOptions
-    from graphtrack.interaction.attention import Looks, OnlineAttention
+    from graphtrack.interaction.attention import GazeTargets, OnlineAttention
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.io.formats.movement import from_movement, to_movement
@@ -45,12 +45,12 @@ __all__ = [
     "ForecastParameters",
     "Forecaster",
     "Forecasts",
+    "GazeTargets",
     "GraphtrackError",
     "GroupParameters",
     "Groups",
     "InputError",
     "InputWarning",
-    "Looks",
     "Model",
     "Observation",
     "OnlineAttention",

@@ -63,7 +63,7 @@ class Pieces:
     track: NDArray[np.int64]
 
     @property
-    def seen(self) -> BoolArray:
+    def observed(self) -> BoolArray:
         """(T, P) mask of observations."""
         return np.asarray(np.isfinite(self.value[..., 0]))
 
@@ -74,18 +74,18 @@ class Pieces:
 
 def pieces_of(tracks: Sequence[Track], channel: Channel, rng: np.random.Generator) -> Pieces | None:
     """Choose at random pieces of tracks with observations of a channel; None if there are none."""
-    places = [(m, a) for m, track in enumerate(tracks) for a in range(0, len(track), LONGEST)]
+    pieces = [(m, a) for m, track in enumerate(tracks) for a in range(0, len(track), LONGEST)]
     chosen: list[tuple[int, FloatArray, FloatArray, FloatArray]] = []
     frames = 0
-    for i in rng.permutation(len(places)).tolist():
-        m, a = places[i]
+    for i in rng.permutation(len(pieces)).tolist():
+        m, a = pieces[i]
         track, part = tracks[m], slice(a, a + LONGEST)
         values, declared = channel(track)
         if values is None:
             continue
         value = values[part].reshape(len(track.t[part]), -1)
-        seen = np.flatnonzero(np.isfinite(value).all(axis=1))
-        if len(seen) < FEWEST:
+        observed = np.flatnonzero(np.isfinite(value).all(axis=1))
+        if len(observed) < FEWEST:
             continue
         spread = np.full(len(value), np.nan) if declared is None else declared[part]
         dt = np.diff(track.t[part], prepend=track.t[a])
@@ -133,7 +133,7 @@ def position_log_density(
     begun = np.zeros(shape[1], bool)
     q, rate = wander[:, None], outliers[:, None]
     declared = np.where(np.isfinite(pieces.spread), pieces.spread, default)
-    seen = pieces.seen
+    observed = pieces.observed
     for k in range(len(pieces.dt)):
         dt = pieces.dt[k]
         x, y = x + dt * vx, y + dt * vy
@@ -141,8 +141,8 @@ def position_log_density(
         pv = pv + dt * vv + 0.5 * q * dt**2
         vv = vv + q * dt
         noise = (scale[:, None] * declared[k]) ** 2
-        here, first = seen[k] & begun, seen[k] & ~begun
-        zx, zy = np.where(seen[k], pieces.value[k].T, 0.0)
+        here, first = observed[k] & begun, observed[k] & ~begun
+        zx, zy = np.where(observed[k], pieces.value[k].T, 0.0)
         dx, dy = zx - x, zy - y
         square, spread = dx * dx + dy * dy, pp + noise
         wide = pp + WIDER**2 * noise
@@ -189,11 +189,11 @@ def angle_log_density(
     # Mean resultant vectors.
     along, across, total = np.zeros((3, *shape))
     declared = np.where(np.isfinite(pieces.spread), pieces.spread, default)
-    rate, seen = outliers[:, None], pieces.seen & (declared > 0.0)
+    rate, observed = outliers[:, None], pieces.observed & (declared > 0.0)
     for k in range(len(pieces.dt)):
         kept = np.exp(-0.5 * wander[:, None] * pieces.dt[k])
         along, across = kept * along, kept * across
-        here = seen[k]
+        here = observed[k]
         if not here.any():
             continue
         angle = np.where(here, pieces.value[k, :, 0], 0.0)
@@ -220,7 +220,7 @@ Density = Callable[[Pieces, FloatArray, FloatArray, FloatArray], FloatArray]
 
 SURE = 0.999  # Probability of the intervals against which a declaration is tested
 
-FEWEST_PIECES, FEWEST_SEEN = 4, 100
+FEWEST_PIECES, FEWEST_OBSERVED = 4, 100
 
 _PRIOR_MEAN = np.array([0.0, 0.0, np.log(0.02 / 0.98)])
 _PRIOR_STD = np.array([3.0, 2.0, 1.5])
@@ -237,20 +237,20 @@ _COARSE = [np.log(10.0) * np.linspace(-1.0, 1.0, 9), np.linspace(-4.0, 4.0, 5)]
 class Multiplier:
     """Factor for a declared 1-σ, and its interval of probability `SURE`.
 
-    It is based on ``seen`` observations in ``pieces`` stretches.
+    It is based on ``observed`` observations in ``pieces`` stretches.
     """
 
     value: float
     low: float
     high: float
-    seen: int
+    observed: int
     pieces: int
 
 
 def multiplier_of(pieces: Pieces, density: Density) -> Multiplier | None:
     """Estimate the multiplier of the declared noise jointly with the motion noise; None for too few data."""
-    count, seen = len(pieces.track), int(pieces.seen.sum())
-    if count < FEWEST_PIECES or seen < FEWEST_SEEN:
+    count, observed = len(pieces.track), int(pieces.observed.sum())
+    if count < FEWEST_PIECES or observed < FEWEST_OBSERVED:
         return None
 
     def values(points: FloatArray, some: Pieces) -> FloatArray:
@@ -281,7 +281,7 @@ def multiplier_of(pieces: Pieces, density: Density) -> Multiplier | None:
     variance = max((inverse @ scatter @ inverse)[0, 0], inverse[0, 0])
     half = min(float(special.stdtrit(blocks - 1, 0.5 + 0.5 * SURE) * np.sqrt(variance)), _WIDEST)
     low, value, high = np.exp(best[0] + np.array([-half, 0.0, half])).tolist()
-    return Multiplier(value, low, high, seen, count)
+    return Multiplier(value, low, high, observed, count)
 
 
 _STENCIL = np.vstack([np.zeros((1, 3)), np.eye(3), -np.eye(3), 1.0 - np.eye(3)])
@@ -369,12 +369,12 @@ def shared_offset(offsets: FloatArray) -> Bias:
 def offset_of(track: Track, name: str) -> float:
     """Return the circular mean of an observed orientation minus the direction of motion; NaN for few data."""
     angle = observed_angle(track, name)
-    seen = np.isfinite(angle)
+    observed = np.isfinite(angle)
     place = np.flatnonzero(np.isfinite(track.position).all(axis=1))
-    if not seen.any() or len(place) < 3:
+    if not observed.any() or len(place) < 3:
         return math.nan
     t, position = track.t[place], track.position[place]
-    at = track.t[seen]
+    at = track.t[observed]
     before = np.clip(np.searchsorted(t, at - 0.5 * BASE), 0, len(t) - 1)
     after = np.clip(np.searchsorted(t, at + 0.5 * BASE), 0, len(t) - 1)
     # The interval is centred on the frame, so that turns within it average out.
@@ -384,7 +384,7 @@ def offset_of(track: Track, name: str) -> float:
     moves &= off_centre <= 0.25 * np.maximum(seconds, BASE)
     if moves.sum() < FEWEST_FOR_BIAS:
         return math.nan
-    offsets = angle[seen][moves] - np.arctan2(apart[moves, 1], apart[moves, 0])
+    offsets = angle[observed][moves] - np.arctan2(apart[moves, 1], apart[moves, 0])
     mean = unit(offsets).mean(axis=0)
     return math.atan2(mean[1], mean[0])
 
@@ -397,9 +397,9 @@ def turned(track: Track, name: str, by: float) -> dict[str, FloatArray]:
         changes[name] = wrap(angle + by)
     if classes is not None:
         shift = by / (2.0 * math.pi) * classes.shape[1]
-        whole = math.floor(shift)
-        part = shift - whole
-        one, next_one = np.roll(classes, whole, axis=1), np.roll(classes, whole + 1, axis=1)
+        full_steps = math.floor(shift)
+        part = shift - full_steps
+        one, next_one = np.roll(classes, full_steps, axis=1), np.roll(classes, full_steps + 1, axis=1)
         changes[f"{name}_likelihood"] = (1.0 - part) * one + part * next_one
     return changes
 
@@ -449,21 +449,21 @@ class ChannelNoise:
 
     def line(self, corrected: bool) -> str | None:
         """Return a report in one line; None if there is nothing to report."""
-        said: list[str] = []
+        lines: list[str] = []
         if self.scale != 1.0 and self.multiplier is not None:
             found = self.multiplier
-            said.append(
+            lines.append(
                 f"the noise is {found.value:.2g} times ({found.low:.2g} to {found.high:.2g}) what "
                 f"{self.column} says" + ("" if self.name == "position" else " (as a 1-σ)")
             )
         if self.turn and self.bias is not None:
             degrees = math.degrees(self.turn)
             side = "left" if degrees > 0.0 else "right"
-            said.append(f"people are seen turned {abs(degrees):.0f}° to the {side} of where they go")
-        if not said:
+            lines.append(f"people are seen turned {abs(degrees):.0f}° to the {side} of where they go")
+        if not lines:
             return None
         end = "corrected" if corrected else "graphtrack smooth --trust learn corrects it"
-        return f"{self.name}: {' and '.join(said)}; {end}"
+        return f"{self.name}: {' and '.join(lines)}; {end}"
 
 
 @dataclass(frozen=True)
@@ -543,12 +543,12 @@ def _multiplier(
 ) -> Multiplier | None:
     key, _ = _DECLARED[name]
     likelihood = parameters.likelihood
-    default, stated = float(getattr(likelihood, key)), float(getattr(likelihood, f"{name}_scale"))
+    default, current = float(getattr(likelihood, key)), float(getattr(likelihood, f"{name}_scale"))
 
     def channel(track: Track) -> tuple[FloatArray | None, FloatArray | None]:
         in_image = name == "position" and likelihood.image_frame and track.pixel is not None
         given = getattr(track, key)
-        spread = None if given is None else given * stated ** _DECLARED[name][1]
+        spread = None if given is None else given * current ** _DECLARED[name][1]
         return None if in_image else getattr(track, name), spread
 
     def density(some: Pieces, scale: FloatArray, wander: FloatArray, outliers: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ def real(value: Any) -> float:
     return float(value)
 
 
-def whole(value: Any) -> int:
+def integer(value: Any) -> int:
     """Return a whole number of a saved state; TypeError for other values."""
     if type(value) is not int:
         raise TypeError(f"{str(value)[:40]!r} in place of a whole number")
@@ -41,7 +41,7 @@ def whole(value: Any) -> int:
 
 def count(value: Any) -> int:
     """Return a whole number from 0 on of a saved state; TypeError or ValueError for other values."""
-    if whole(value) < 0:
+    if integer(value) < 0:
         raise ValueError(f"{value} in place of a count")
     return int(value)
 

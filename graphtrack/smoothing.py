@@ -38,7 +38,7 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.faces_group import GROUP
 from graphtrack.model.terms.walls import without_walls
-from graphtrack.saved import DAMAGES, damaged, pack_tree, unpack_tree, whole
+from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, unpack_tree
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
 from graphtrack.tracks.scene import GivenScene
 from graphtrack.tracks.track import Track, TrackSet
@@ -84,8 +84,8 @@ def solve(
     """
     model = Model.named(model)
     solver = engine_of(model, engine)
-    given, model, said = trusted(tracks_of(tracks, scene=model.scene), model, trust)
-    for line in said:
+    given, model, verdict = trusted(tracks_of(tracks, scene=model.scene), model, trust)
+    for line in verdict:
         warnings.warn(line, InputWarning, stacklevel=2)
     area = None if walkable is None else WalkableArea.of(walkable)
     return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress, walkable=area)
@@ -318,8 +318,8 @@ def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Pr
     conversations = Conversations(model)
     people = [OnlineSmoother(model, **options) for _ in scene]
     found: list[list[Estimate]] = [[] for _ in scene]
-    seen = [((one.t, place), one) for place, track in enumerate(scene) for one in observations(track)]
-    for (_, place), observation in sorted(seen, key=itemgetter(0)):
+    observed = [((one.t, place), one) for place, track in enumerate(scene) for one in observations(track)]
+    for (_, place), observation in sorted(observed, key=itemgetter(0)):
         track_id = scene.tracks[place].track_id
         estimate = people[place].update(conversations.observed(track_id, observation))
         conversations.estimated(track_id, estimate)
@@ -422,11 +422,11 @@ class OnlineTracker(DetectionTracker):
         people = super().update(t, detections)
         # Observed positions: a forecast estimates their noise itself.
         self._present = [one.track_id for one in people]
-        seen = [(one, self.newest[one.detection]) for one in people if one.observed]
-        position = np.array([observation.position for _, observation in seen], float).reshape(-1, 2)
-        std = np.array([observation.position_std for _, observation in seen], float)  # None becomes NaN
-        heads = [one.head if one.covariance[5, 5] < _KNOWN_HEAD**2 else math.nan for one, _ in seen]
-        frame = t, [one.track_id for one, _ in seen], position, std, np.array(heads)
+        observed = [(one, self.newest[one.detection]) for one in people if one.observed]
+        position = np.array([observation.position for _, observation in observed], float).reshape(-1, 2)
+        std = np.array([observation.position_std for _, observation in observed], float)  # None becomes NaN
+        heads = [one.head if one.covariance[5, 5] < _KNOWN_HEAD**2 else math.nan for one, _ in observed]
+        frame = t, [one.track_id for one, _ in observed], position, std, np.array(heads)
         if self._forecaster is None:
             self._frames.append(frame)
         else:
@@ -488,7 +488,7 @@ class OnlineTracker(DetectionTracker):
                 tracker._conversations = tracker._groups = found
             if "forecaster" in state:
                 tracker._forecaster = Forecaster.from_state(unpack_tree(state["forecaster"]))
-                tracker._present = list(map(whole, state["present"]))
+                tracker._present = list(map(integer, state["present"]))
         except DAMAGES as error:
             raise damaged(error) from error
         return tracker

@@ -57,13 +57,13 @@ class ReportFolder:
     Attributes
     ----------
     path : the folder
-    tell : receives a message on each stage that begins or is already complete
+    emit : receives a message on each stage that begins or is already complete
     count : number of stages
     """
 
     path: Path
     count: int
-    tell: Callable[[str], object]
+    emit: Callable[[str], object]
     _done: dict[str, dict[str, Any]] = field(default_factory=dict)
     _key: str = ""
     _number: int = 0
@@ -116,13 +116,13 @@ class ReportFolder:
         known = self._done.get(name)
         label = f"[{self._number}/{self.count}] {name}"
         if known is not None and known["key"] == self._key and all(self.file(o).is_file() for o in outputs):
-            self.tell(f"{label}: done before")
+            self.emit(f"{label}: done before")
             return list(known["said"])
-        self.tell(label)
-        said = list(work(self._key))
-        self._done[name] = {"key": self._key, "said": said}
+        self.emit(label)
+        lines = list(work(self._key))
+        self._done[name] = {"key": self._key, "said": lines}
         self._save()
-        return said
+        return lines
 
     def _save(self) -> None:
         with atomic_path(self.path / STAGES) as temporary:
@@ -182,7 +182,7 @@ class _Shown:
 
     track: Track
     place: FloatArray  # (n, 4) boxes
-    seen: NDArray[np.bool_]
+    visible: NDArray[np.bool_]
     angles: FloatArray  # (n, 4) of body and head, each with its standard deviation
     pixel: FloatArray  # (n, 2) of the feet
     first: NDArray[np.int64]  # (n,) first row of the drawn path, for each row
@@ -193,7 +193,7 @@ class _Shown:
         return ShownPerson(
             self.track.track_id,
             self.place[row],
-            bool(self.seen[row]),
+            bool(self.visible[row]),
             self.track.position[row],
             body,
             body_std,
@@ -222,11 +222,11 @@ def shown_by_frame(
     observed = {track.track_id: track for track in observations}
     found = []
     for track in estimates:
-        place, seen = _boxes_of(track, observed[track.track_id], boxes, camera)
+        place, visible = _boxes_of(track, observed[track.track_id], boxes, camera)
         angles = np.column_stack([*_angle(track, "body"), *_angle(track, "head")])
         first = np.searchsorted(track.t, track.t - trail)
         pixel = camera.ground_to_image(track.position)
-        found.append(_Shown(track, place, seen, angles, pixel, first))
+        found.append(_Shown(track, place, visible, angles, pixel, first))
     return ShownPeople(found)
 
 
@@ -252,16 +252,19 @@ def _boxes_of(
     number = observation.inputs[BOX].reshape(-1)
     known = np.flatnonzero(np.isfinite(number))
     at = {int(observation.frame[k]): boxes[int(number[k])].box for k in known.tolist()}
-    seen = np.array([frame in at for frame in track.frame.tolist()])
+    visible = np.array([frame in at for frame in track.frame.tolist()])
     found = np.full((len(track), 4), np.nan)
-    if not seen.any():
-        return found, seen
-    found[seen] = [at[frame] for frame in track.frame[seen].tolist()]
+    if not visible.any():
+        return found, visible
+    found[visible] = [at[frame] for frame in track.frame[visible].tolist()]
     for side in (2, 3):
-        found[~seen, side] = np.interp(track.t[~seen], track.t[seen], found[seen, side])
-    feet = camera.ground_to_image(track.position[~seen])
-    found[~seen, 0], found[~seen, 1] = feet[:, 0] - found[~seen, 2] / 2.0, feet[:, 1] - found[~seen, 3]
-    return found, seen
+        found[~visible, side] = np.interp(track.t[~visible], track.t[visible], found[visible, side])
+    feet = camera.ground_to_image(track.position[~visible])
+    found[~visible, 0], found[~visible, 1] = (
+        feet[:, 0] - found[~visible, 2] / 2.0,
+        feet[:, 1] - found[~visible, 3],
+    )
+    return found, visible
 
 
 _PHOTOS, _PHOTO_WIDTH, _QUALITY = 6, 1100, 85
@@ -327,8 +330,8 @@ def what_they_do(estimates: TrackSet) -> Behaviour | None:
         return None
     found = groups(estimates)
     known = any(track.head is not None and np.isfinite(track.head).any() for track in estimates)
-    looks = attention(estimates, groups=found) if known else None
-    return behaviour_of(estimates, groups=found, attention=looks)
+    gaze = attention(estimates, groups=found) if known else None
+    return behaviour_of(estimates, groups=found, attention=gaze)
 
 
 _DESCRIPTION = (

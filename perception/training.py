@@ -114,12 +114,12 @@ def keypoint_figures(
         log_likelihood = layers.log_likelihoods(points)
         error = np.degrees(np.abs(difference(classes.mean_pan(log_likelihood), angle)))
         label = classes.index(angle)
-        said = log_softmax(log_likelihood, axis=1)[np.arange(len(label)), label]
+        probability = log_softmax(log_likelihood, axis=1)[np.arange(len(label)), label]
         found |= {
             f"{name}_mean_error_deg": float(error.mean()),
             f"{name}_median_error_deg": float(np.median(error)),
             f"{name}_beyond_90_percent": 100.0 * float((error > 90.0).mean()),
-            f"{name}_bits": float(-said.mean() / np.log(2.0)),
+            f"{name}_bits": float(-probability.mean() / np.log(2.0)),
             f"{name}_expected_calibration_error": reliability(
                 log_likelihood, label
             ).expected_calibration_error,
@@ -133,7 +133,7 @@ _SCENES = PedestrianVariation(
 )
 _BOXES = 40  # boxes per scene: the head's, and equally many next to it and anywhere
 _OFFSET, _SCALE = 0.25, 0.2
-_BESIDE = 0.3  # relative offset from which a box is background
+_OFF_HEAD = 0.3  # relative offset from which a box is background
 _SEARCH = 120
 _EXEMPLAR_FAILS = "heads below 16 pixels, views from above, initial boxes off by a third of the head"
 
@@ -173,13 +173,13 @@ def train_head_exemplars(
     rng = np.random.default_rng(seed)
     classes = PoseClasses.circle(16, 3)
     mean = not as_published
-    features, labels, who = _heads(classes, people, rng, advance, mean)
+    features, labels, person = _heads(classes, people, rng, advance, mean)
     model = Exemplars(classes, seed=seed, exemplars=exemplars, plain=as_published)
     model.fit_features(np.asarray(features, float), labels, rng)
     found = _of_scenes(make_pedestrians(scenes, rng, _SCENES), classes, rng, mean)
     half, rest = scenes // 2, scenes // 2 + scenes // 4
     centre, deviation, log_weight = _background(
-        found.features[:half][found.off[:half] > _BESIDE], background, rng
+        found.features[:half][found.off[:half] > _OFF_HEAD], background, rng
     )
     bare = HeadExemplars(
         classes=classes,
@@ -194,7 +194,7 @@ def train_head_exemplars(
         plain=as_published,
     )
     trained = bare if as_published else _weighed(bare, found, slice(half, rest))
-    trained = replace(trained, shared=_shared(trained, features, labels, who, people))
+    trained = replace(trained, shared=_shared(trained, features, labels, person, people))
     figures = _figures(trained, found, slice(rest, scenes))
     card = ModelCard(
         HeadExemplars.kind,
@@ -215,18 +215,20 @@ def _heads(
     subtract_mean: bool,
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
     """Return responses, labels and people of heads: every person at every pose, and mirrored."""
-    looks = [random_appearance(rng) for _ in range(people)]
-    labels, who = np.tile(np.arange(len(classes)), people), np.repeat(np.arange(people), len(classes))
+    appearances = [random_appearance(rng) for _ in range(people)]
+    labels, person = np.tile(np.arange(len(classes)), people), np.repeat(np.arange(people), len(classes))
     n = len(labels)
     pan = classes.pan[labels % classes.n_pan] + rng.uniform(-0.5, 0.5, n) * classes.step
     level = labels // classes.n_pan - 1
     middle = np.clip(rng.normal(0.0, 0.25, n), -TILT_EDGE, TILT_EDGE)
     tilt = np.where(level == 0, middle, level * rng.uniform(TILT_EDGE, TILT_EDGE + 0.33, n))
-    heads = make_heads(n, rng, _HEADS, pan=pan, tilt=tilt, people=[looks[i] for i in who], advance=advance)
+    heads = make_heads(
+        n, rng, _HEADS, pan=pan, tilt=tilt, people=[appearances[i] for i in person], advance=advance
+    )
     images = [*heads.images, *(np.ascontiguousarray(image[:, ::-1]) for image in heads.images)]
     stack = grey_stack(images, SIDE, SIDE, equalise=True)
     features = gabor_features(stack, subtract_mean=subtract_mean).astype(np.float32)
-    return features, np.concatenate([labels, classes.reflected(labels)]), np.tile(who, 2)
+    return features, np.concatenate([labels, classes.reflected(labels)]), np.tile(person, 2)
 
 
 def _of_scenes(
@@ -270,7 +272,7 @@ def _shared(
     model: HeadExemplars,
     features: NDArray[np.float32],
     labels: NDArray[np.int64],
-    who: NDArray[np.int64],
+    person: NDArray[np.int64],
     people: int,
 ) -> NDArray[np.float32]:
     """Count the people with images in both of two labels (labels, labels) (Ba & Odobez 2003, §3.3)."""
@@ -283,7 +285,7 @@ def _shared(
         else:
             ratio = model.log_ratio(features[part]).reshape(-1, len(model.classes), k)
             own = ratio[np.arange(len(ratio)), labels[part]]
-        belongs[who[part], labels[part] * k + own.argmax(axis=1)] = 1.0
+        belongs[person[part], labels[part] * k + own.argmax(axis=1)] = 1.0
     return belongs.T @ belongs
 
 
@@ -302,7 +304,7 @@ def _weighed(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> HeadExempl
     exponent = np.exp(minimize(loss, start, method="Nelder-Mead", options={"maxfev": _SEARCH}).x)
     ratio = combined(head, background, model.background_log_weight, exponent)
     of_head = logsumexp(model.pose_log_likelihood(ratio), axis=2) - np.log(len(model.classes))
-    slope, intercept = _calibration(of_head[:, 0], of_head[scenes.off[chosen] > _BESIDE])
+    slope, intercept = _calibration(of_head[:, 0], of_head[scenes.off[chosen] > _OFF_HEAD])
     return replace(model, exponent=exponent, slope=slope, intercept=intercept)
 
 
@@ -314,12 +316,12 @@ def _by_filter(
     return head.reshape(n, boxes, *head.shape[1:]), background.reshape(n, boxes, *background.shape[1:])
 
 
-def _calibration(heads: FloatArray, others: FloatArray) -> tuple[float, float]:
+def _calibration(heads: FloatArray, negatives: FloatArray) -> tuple[float, float]:
     """Fit slope and intercept of the log likelihood ratio in a score; both classes have equal weight."""
 
     def loss(p: FloatArray) -> float:
         wrong = np.logaddexp(0.0, -(p[0] * heads + p[1])).mean()
-        return float(wrong + np.logaddexp(0.0, p[0] * others + p[1]).mean())
+        return float(wrong + np.logaddexp(0.0, p[0] * negatives + p[1]).mean())
 
     slope, intercept = minimize(loss, np.array([1.0, 0.0])).x
     return float(slope), float(intercept)
@@ -499,8 +501,8 @@ def train_on_rendered(
     heads += make_heads(found, rng, FOUND, advance=advance)
     skin = None
     if name == Templates.kind:
-        seen, masks = heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES]
-        skin = SkinColours.fit(seen, masks, as_published=as_published)
+        skin_images, masks = heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES]
+        skin = SkinColours.fit(skin_images, masks, as_published=as_published)
     model = _untrained(name, seed, as_published, skin)
     model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
     calibrate_for_use(model, seed)

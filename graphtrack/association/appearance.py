@@ -215,7 +215,7 @@ def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descri
     return max(float(ratios[both].mean()), 0.0) if both.any() else 0.0
 
 
-def resemblance_of_false_ones(
+def resemblance_of_false_detections(
     chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray
 ) -> float:
     """`constancy` for online use: the mean log ratio of a false detection and a near one before, at least 0.
@@ -227,8 +227,8 @@ def resemblance_of_false_ones(
         return 0.0
     # Frames far apart on a third axis, as in `duplicates.near`.
     step = np.array([0.0, 0.0, 10.0 * _APART])
-    places = np.column_stack([chains.position[false], step[2] * chains.frame[false]])
-    distance, before = spatial.cKDTree(places).query(places - step, distance_upper_bound=_APART)
+    points = np.column_stack([chains.position[false], step[2] * chains.frame[false]])
+    distance, before = spatial.cKDTree(points).query(points - step, distance_upper_bound=_APART)
     later = np.flatnonzero(np.isfinite(distance))
     ratios = model.log_ratio(descriptors[false[before[later]]], descriptors[false[later]])
     return max(float(ratios.sum()) / (len(ratios) + _PRIOR), 0.0)
@@ -277,13 +277,13 @@ class ScoreRatio:
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class AppearanceEvidence:
     """Evidence of appearance and detection scores, learned from tracks.
 
     Attributes
     ----------
     model : of descriptors; None: no descriptors
-    constancy : see `resemblance_of_false_ones`
+    constancy : see `resemblance_of_false_detections`
     scores : ratio of detection scores
     """
 
@@ -297,14 +297,14 @@ class Looks:
         if model is None:
             return scene
         return scene._replace(
-            looks_offset=model.offset, looks_slope=model.slope, looks_outliers=model.outlier
+            appearance_offset=model.offset, appearance_slope=model.slope, appearance_outliers=model.outlier
         )
 
     def in_chains(self, chains: Chains, descriptors: FloatArray) -> Chains:
         """Chains with descriptors (n, d), whitened by the model."""
         if self.model is None:
             return chains
-        return chains._replace(looks=np.ascontiguousarray(self.model.whitened(descriptors)))
+        return chains._replace(appearance=np.ascontiguousarray(self.model.whitened(descriptors)))
 
     def gain(self, descriptors: FloatArray, score: FloatArray) -> FloatArray:
         """(n,) log gain of detections as a person's by descriptors (n, d) and scores (n,); NaN: missing."""
@@ -323,7 +323,7 @@ class Looks:
         }
 
     @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Looks:
+    def from_state(cls, state: Mapping[str, Any]) -> AppearanceEvidence:
         """The inverse of `state`."""
         model = None
         if state["model"] is not None:
@@ -332,10 +332,14 @@ class Looks:
         return cls(model, state["constancy"], ScoreRatio(*map(unpacked, state["scores"])))
 
 
-def looks_of_tracks(chains: Chains, identity: IntArray, descriptors: FloatArray, score: FloatArray) -> Looks:
+def evidence_of_tracks(
+    chains: Chains, identity: IntArray, descriptors: FloatArray, score: FloatArray
+) -> AppearanceEvidence:
     """Learn the evidence from tracks; arguments as in `constancy` and `ScoreRatio`."""
     scores = ScoreRatio.learned(score, identity)
     if not descriptors.shape[1]:
-        return Looks(scores=scores)
+        return AppearanceEvidence(scores=scores)
     model = learn_appearance(chains, identity, descriptors)
-    return Looks(model, resemblance_of_false_ones(chains, identity, model, descriptors), scores)
+    return AppearanceEvidence(
+        model, resemblance_of_false_detections(chains, identity, model, descriptors), scores
+    )

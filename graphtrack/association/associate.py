@@ -129,8 +129,8 @@ def usable(rows: Rows) -> Rows:
     if not len(rows):
         return rows
     _check_times(rows)
-    said = np.column_stack([rows.frame, rows.channels["position"]])
-    _, first = np.unique(said, axis=0, return_index=True)
+    labelled = np.column_stack([rows.frame, rows.channels["position"]])
+    _, first = np.unique(labelled, axis=0, return_index=True)
     return rows.keep(np.isin(np.arange(len(rows)), first), REPEATED)
 
 

@@ -114,40 +114,40 @@ def cells_along(low: float, high: float, corner: float, size: float, cells: int)
 
 
 @compiled
-def near_ones(
+def near_detections(
     chains: Chains,
     state: FloatArray,
     t: float,
     frame: int,
-    others: IntArray,
+    partners: IntArray,
     grid: Grid,
     bounds: FloatArray,
     scene: Scene,
     found: IntArray,
 ) -> int:
-    """Put into ``found`` the indices in ``others`` of detections within reach; return their number.
+    """Put into ``found`` the indices in ``partners`` of detections within reach; return their number.
 
     Parameters
     ----------
     state, t, frame : of a person, at a time (s) and in a frame
-    others, grid : detections, and their grid
+    partners, grid : detections, and their grid
     bounds : (groups,) greatest gain of links to each group over the gain needed, without position and gap
     """
     count = 0
     for g in range(len(grid.shape)):
         spans, shape = grid.spans[g], grid.shape[g]
-        soon, late = max(spans[0] - t, 0.0), min(spans[1] - t, scene.longest_gap)
-        if not shape[0] or late <= 0.0 or soon > scene.longest_gap:
+        soon, latest = max(spans[0] - t, 0.0), min(spans[1] - t, scene.longest_gap)
+        if not shape[0] or latest <= 0.0 or soon > scene.longest_gap:
             continue
         # The variance is a convex function of time.
-        far = max(reach(state, soon, spans[2], scene), reach(state, late, spans[2], scene))
+        far = max(reach(state, soon, spans[2], scene), reach(state, latest, spans[2], scene))
         least = spread_after(soon, state, spans[6], scene) if state[5] >= 0.0 else spans[6]
         bound = bounds[g] + missed(shape[3] - frame - 1, scene) - math.log(2.0 * math.pi * least)
         if bound <= 0.0:
             continue
         far *= min(math.sqrt(2.0 * bound) / GATE, 1.0)
         ahead_x, ahead_y = state[2] * soon, state[3] * soon
-        more_x, more_y = state[2] * (late - soon), state[3] * (late - soon)
+        more_x, more_y = state[2] * (latest - soon), state[3] * (latest - soon)
         x, y = state[0] + ahead_x, state[1] + ahead_y
         low_x, high_x = x + min(more_x, 0.0) - far, x + max(more_x, 0.0) + far
         low_y, high_y = y + min(more_y, 0.0) - far, y + max(more_y, 0.0) + far
@@ -159,7 +159,7 @@ def near_ones(
             column = shape[2] + across * shape[1]
             for place in range(grid.start[column + first_y], grid.start[column + end_y]):
                 j = grid.order[place]
-                other = chains.rows[others[j]]
+                other = chains.rows[partners[j]]
                 dt = other.t - t
                 if dt <= 0.0 or dt > scene.longest_gap:
                     continue
@@ -175,8 +175,8 @@ def near_ones(
 def most_shown(scene: Scene) -> float:
     """Greatest log likelihood ratio of appearance, angles and a given identity that a link can have."""
     most = scene.trust
-    if scene.looks_outliers < 1.0:
-        most -= math.log(scene.looks_outliers)
+    if scene.appearance_outliers < 1.0:
+        most -= math.log(scene.appearance_outliers)
     if scene.body_outliers < 1.0:
         most += max(0.5 * math.log(2.0 * math.pi / scene.body_variance), 0.0) + 1.0
     if scene.head_outliers < 1.0:
@@ -278,7 +278,7 @@ def gains_of_links(
         earlier, before = chains.rows[k], chains.state[k]
         more = head_worth(chains, k, scene)
         bounds = offered + more
-        count = near_ones(chains, before, earlier.t, earlier.frame, tails, grid, bounds, scene, near)
+        count = near_detections(chains, before, earlier.t, earlier.frame, tails, grid, bounds, scene, near)
         for j in near[:count]:
             m = tails[j]
             if math.isnan(value[j]):
@@ -336,7 +336,7 @@ def gains_of_detections(
             without = state_after(chains, k, scene)
             bounds[0] = np.inf if m >= 0 else head_worth(chains, k, scene) + most + last
             one = chains.rows[k]
-            count = near_ones(
+            count = near_detections(
                 chains, chains.state[k], one.t, one.frame, detections, grid, bounds, scene, near
             )
         else:
@@ -347,7 +347,7 @@ def gains_of_detections(
             bounds[0] += missed(later.frame - frame - 1, scene)
             back[0], back[1], back[4] = later.x, later.y, later.variance
             back[4] += dt * dt * scene.speed_variance + scene.density * dt**3 / 3.0
-            count = near_ones(
+            count = near_detections(
                 chains, back, math.nextafter(now, -math.inf), frame - 1, detections, grid, bounds, scene, near
             )
         for j in near[:count]:
@@ -387,7 +387,7 @@ def gains_of_detections(
 
 
 @allocating
-def raise_least(edges: Edges, whole: NDArray[np.bool_], worthless: float, least: FloatArray) -> None:
+def raise_least(edges: Edges, complete: NDArray[np.bool_], worthless: float, least: FloatArray) -> None:
     """Raise the gains (columns,) that matter, given all candidates of some rows (rows,).
 
     Where a row has a candidate for a column, and each other candidate of the row is worth less by some
@@ -395,14 +395,14 @@ def raise_least(edges: Edges, whole: NDArray[np.bool_], worthless: float, least:
     out if it is also worth less than the column's best candidate and ``worthless``.
     """
     rows, columns, gains = edges
-    best, second = np.zeros(len(whole)), np.zeros(len(whole))
+    best, second = np.zeros(len(complete)), np.zeros(len(complete))
     for e in range(len(rows)):
         i = rows[e]
         second[i] = max(second[i], min(best[i], gains[e]))
         best[i] = max(best[i], gains[e])
     for e in range(len(rows)):
         i, j = rows[e], columns[e]
-        if not whole[i]:
+        if not complete[i]:
             continue
         other = second[i] if gains[e] == best[i] else best[i]
         least[j] = max(least[j], min(gains[e] - other, gains[e] + worthless))
@@ -714,7 +714,7 @@ def carried(
     what that outbid may matter now. ``place``: −1 throughout, as long as there are keys
     """
     rows_before, columns_before, gains = edges
-    rows, others = np.empty(len(gains), np.int64), np.empty(len(gains), np.int64)
+    rows, partners = np.empty(len(gains), np.int64), np.empty(len(gains), np.int64)
     for i in range(len(keys)):
         place[keys[i]] = i
     for e in range(len(gains)):
@@ -725,18 +725,18 @@ def carried(
         place[columns[j]] = j
     touched = np.zeros(len(keys), np.bool_)
     for e in range(len(gains)):
-        others[e] = place[columns_before[e]]
-        if rows[e] >= 0 and (others[e] < 0 or stale_columns[others[e]]):
+        partners[e] = place[columns_before[e]]
+        if rows[e] >= 0 and (partners[e] < 0 or stale_columns[partners[e]]):
             touched[rows[e]] = True
     for e in range(len(gains)):
-        if others[e] >= 0 and (rows[e] < 0 or stale_rows[rows[e]] or touched[rows[e]]):
-            stale_columns[others[e]] = True
+        if partners[e] >= 0 and (rows[e] < 0 or stale_rows[rows[e]] or touched[rows[e]]):
+            stale_columns[partners[e]] = True
     for j in range(len(columns)):
         place[columns[j]] = -1
     n, kept = 0, gains.copy()
     for e in range(len(gains)):
-        i, j = rows[e], others[e]
+        i, j = rows[e], partners[e]
         if i >= 0 and j >= 0 and not stale_rows[i] and not stale_columns[j]:
-            rows[n], others[n], kept[n] = i, j, gains[e]
+            rows[n], partners[n], kept[n] = i, j, gains[e]
             n += 1
-    return rows[:n].copy(), others[:n].copy(), kept[:n].copy()
+    return rows[:n].copy(), partners[:n].copy(), kept[:n].copy()

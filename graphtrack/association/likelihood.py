@@ -53,9 +53,9 @@ class Scene(NamedTuple):
     head_outliers: float
     heading_variance: float
     gaze_variance: float
-    looks_offset: float = 0.0
-    looks_slope: float = 0.0
-    looks_outliers: float = 1.0
+    appearance_offset: float = 0.0
+    appearance_slope: float = 0.0
+    appearance_outliers: float = 1.0
     trust: float = 0.0  # log odds that two detections of one given identity are one person's
 
 
@@ -96,7 +96,7 @@ class Chains(NamedTuple):
 
     rows: NDArray[np.void]  # (n,) of DETECTION
     state: FloatArray  # (n, STATE) filtered there, see `STATE`
-    looks: FloatArray  # (n, d) whitened descriptors, NaN where missing; (n, 0) without appearance
+    appearance: FloatArray  # (n, d) whitened descriptors, NaN where missing; (n, 0) without appearance
 
     @property
     def t(self) -> FloatArray:
@@ -174,18 +174,18 @@ def link_by(chains: Chains, identity: IntArray) -> None:
 
 
 @compiled
-def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
+def appearance_ratio(appearance: FloatArray, k: int, m: int, scene: Scene) -> float:
     """Log likelihood ratio of the appearance of two detections; see `AppearanceModel`."""
-    if scene.looks_outliers >= 1.0:
+    if scene.appearance_outliers >= 1.0:
         return 0.0
     square = 0.0
-    for i in range(looks.shape[1]):
-        square += (looks[k, i] - looks[m, i]) ** 2
+    for i in range(appearance.shape[1]):
+        square += (appearance[k, i] - appearance[m, i]) ** 2
     if math.isnan(square):
         return 0.0
-    score = scene.looks_offset - scene.looks_slope * math.log(max(square, 1e-12))
+    score = scene.appearance_offset - scene.appearance_slope * math.log(max(square, 1e-12))
     odds = math.exp(min(max(score, -50.0), 50.0))
-    sure, unsure = 1.0 - scene.looks_outliers, scene.looks_outliers
+    sure, unsure = 1.0 - scene.appearance_outliers, scene.appearance_outliers
     return math.log((sure * odds + unsure) / (sure + unsure * odds))
 
 
@@ -330,7 +330,9 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
     earlier, later = chains.rows[k], chains.rows[m]
     density = move(earlier, before, later, scene, state)
     skipped = missed(later.frame - earlier.frame - 1, scene)
-    shown = see_facing(earlier, before, later, scene, state) + looks_ratio(chains.looks, k, m, scene)
+    shown = see_facing(earlier, before, later, scene, state) + appearance_ratio(
+        chains.appearance, k, m, scene
+    )
     trusted = scene.trust if earlier.given >= 0 and earlier.given == later.given else 0.0
     return density + later.gain + skipped + shown + trusted
 
@@ -366,12 +368,12 @@ def is_within(
 @allocating
 def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
     """Evidence of the detections after k in its chain, stored values from ``look_ahead`` detections on."""
-    total, seen, here = 0.0, 0, np.empty(STATE)
+    total, count, here = 0.0, 0, np.empty(STATE)
     m = chains.rows[k].following
-    while m >= 0 and seen < scene.look_ahead:
+    while m >= 0 and count < scene.look_ahead:
         here[:] = state
         total += follow(chains, here, k, m, scene, state)
-        k, m, seen = m, chains.rows[m].following, seen + 1
+        k, m, count = m, chains.rows[m].following, count + 1
     return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
 
 
@@ -454,26 +456,26 @@ def head_worth(chains: Chains, k: int, scene: Scene) -> float:
 def change_after(chains: Chains, k: int, scene: Scene, move: int) -> None:
     """Mark the link of detection k as changed: for it, and for earlier detections that look so far ahead."""
     chains.rows[k].changed_before = move
-    seen = 0
-    while k >= 0 and seen < scene.look_ahead:
+    count = 0
+    while k >= 0 and count < scene.look_ahead:
         chains.rows[k].changed_after = move
-        k, seen = chains.rows[k].preceding, seen + 1
+        k, count = chains.rows[k].preceding, count + 1
 
 
 @allocating
 def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
     """Filter all linked detections; return the log densities of places and of angles, and their number."""
-    places, angles, count = 0.0, 0.0, 0
+    position_cost, angles, count = 0.0, 0.0, 0
     for m in range(len(chains.rows)):
         k = chains.rows[m].preceding
         if k < 0:
             begin(chains.rows[m], scene, chains.state[m])
             continue
         here = chains.state[k].copy()
-        places += move(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
+        position_cost += move(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
         angles += see_facing(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
         count += 1
-    return places, angles, count
+    return position_cost, angles, count
 
 
 @compiled
@@ -531,8 +533,8 @@ def learn_orientation(
         outliers = f"{names[0][:4]}_outliers"
         kept = {name: known[name] for name in (*names, outliers) if name in known}
         if both[:, column].sum() >= _LEAST and len(kept) <= len(names):
-            others = replace(scene, **neutral)
-            scene = replace(scene, **_fitted(chains, others, names, outliers, seconds, kept))
+            candidates = replace(scene, **neutral)
+            scene = replace(scene, **_fitted(chains, candidates, names, outliers, seconds, kept))
     return scene
 
 
@@ -554,15 +556,15 @@ def _fitted(
         return dict(zip(names, spreads, strict=True)) | {outliers: share} | dict(kept)
 
     # Angles turn the velocity too, and so change the predicted position.
-    before, others, _ = innovations(chains, Scene(*scene.packed(seconds)))
+    before, candidates, _ = innovations(chains, Scene(*scene.packed(seconds)))
 
     def cost(given: FloatArray) -> float:
         found = parameters(given)
         share = found[outliers]
         # A weak prior, worth a few angles.
         doubt = 0.0 if outliers in kept else 2.0 * np.log(share) + 2.0 * np.log1p(-share)
-        places, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
-        return before + others - places - angles - float(doubt)
+        position_cost, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
+        return before + candidates - position_cost - angles - float(doubt)
 
     start = [*np.log([getattr(SceneParameters(), name) for name in names]), 0.2]
     found = optimize.minimize(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.appearance import Looks, ScoreRatio, constancy, learn_appearance
+from graphtrack.association.appearance import AppearanceEvidence, ScoreRatio, constancy, learn_appearance
 from graphtrack.association.candidates import (
     WORTHLESS,
     Edges,
@@ -49,7 +49,7 @@ from graphtrack.association.scene import (
     first_guess,
     learn_duplicates,
     learn_scene,
-    seen_from_within,
+    own_rates,
 )
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import APPEARANCE, Detections
@@ -322,7 +322,7 @@ class _Search(Moves):
         self._end = np.append(self._first[1:], n)
         self._duplicates, self._score = np.zeros(n), channels.get("score", np.full(n, np.nan))
         self._descriptors = channels.get(APPEARANCE, np.empty((n, 0)))
-        self._looks = Looks()
+        self._appearance = AppearanceEvidence()
         self._trust = 0.0
         self.adopt(scene)
 
@@ -341,27 +341,27 @@ class _Search(Moves):
             detections = self.detections
             self._duplicates = duplicate_density(detections.step, detections.position, identity, scene)
         packed = Scene(*scene.packed(self.detections.step_seconds))
-        self.packed = self._looks.in_scene(packed._replace(trust=self._trust))
-        self.chains = self._looks.in_chains(self.chains, self._descriptors)
+        self.packed = self._appearance.in_scene(packed._replace(trust=self._trust))
+        self.chains = self._appearance.in_chains(self.chains, self._descriptors)
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
-        births, deaths, clutter = seen_from_within(self.chains, identity)
+        births, deaths, clutter = own_rates(self.chains, identity)
         self.chains.rows["birth"], self.chains.rows["death"] = np.log(births), np.log(deaths)
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
-        model, each = self._looks.model, 0.0
+        model, each = self._appearance.model, 0.0
         if model is not None:
             each = constancy(self.chains, identity, model, self._descriptors)
         scores = ScoreRatio.learned(self._score, identity) if (identity >= 0).any() else ScoreRatio()
-        self._looks = Looks(model, each, scores)
-        self.chains.gain[:] += self._looks.gain(self._descriptors, self._score)
+        self._appearance = AppearanceEvidence(model, each, scores)
+        self.chains.gain[:] += self._appearance.gain(self._descriptors, self._score)
         self.filter_from(0)
 
     def learned(self) -> SceneParameters:
         """Learn the parameters from the current tracks."""
-        identity, seen = self.identities(), self.detections
-        scene = learn_duplicates(seen.step, seen.position, identity, self.scene, self._known)
+        identity, detections = self.identities(), self.detections
+        scene = learn_duplicates(detections.step, detections.position, identity, self.scene, self._known)
         if self._descriptors.shape[1]:
-            self._looks = Looks(learn_appearance(self.chains, identity, self._descriptors))
+            self._appearance = AppearanceEvidence(learn_appearance(self.chains, identity, self._descriptors))
         seconds = self.packed.frame_seconds
         scene = learn_orientation(self.chains, scene, seconds, self._known)
         return learn_scene(self.chains, identity, scene, self._std, seconds, self._known)

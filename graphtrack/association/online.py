@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association.appearance import Looks, looks_of_tracks, widened
+from graphtrack.association.appearance import AppearanceEvidence, evidence_of_tracks, widened
 from graphtrack.association.likelihood import (
     DETECTION,
     Chains,
@@ -30,18 +30,19 @@ from graphtrack.association.likelihood import (
 from graphtrack.association.offline import Moves
 from graphtrack.association.scene import (
     AHEAD,
+    GroundRates,
     Pairs,
-    Places,
     duplicate_density_of,
     duplicate_pairs,
     first_guess,
     learn_duplicates,
-    learn_places,
+    learn_ground_rates,
     learn_scene,
 )
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import (
+    integer,
     pack_records,
     pack_tree,
     packed,
@@ -49,7 +50,6 @@ from graphtrack.saved import (
     unpack_records,
     unpack_tree,
     unpacked,
-    whole,
 )
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
@@ -63,7 +63,7 @@ class Notes:
 
     std: FloatArray  # declared noise, metres, or NaN
     place: IntArray  # index in its update
-    said: IntArray  # track id that was last reported
+    reported: IntArray  # track id that was last reported
     number: IntArray  # track id of the track that begins with it, 0 before it has an id
     before: IntArray  # detections of its track that were dropped
     clutter: FloatArray  # density of false detections there, over its mean
@@ -138,7 +138,7 @@ class History:
 
     def learned(
         self, scene: SceneParameters, step_seconds: float, known: Known
-    ) -> tuple[SceneParameters, Places, Looks]:
+    ) -> tuple[SceneParameters, GroundRates, AppearanceEvidence]:
         """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
@@ -151,9 +151,9 @@ class History:
         scene = learn_scene(chains, identity, scene, self.std, step_seconds, known)
         scene = learn_orientation(chains, scene, step_seconds, known)
         scene = self._with_guess(scene, known)
-        shown = looks_of_tracks(chains, identity, self.descriptor, self.score)
+        shown = evidence_of_tracks(chains, identity, self.descriptor, self.score)
         refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)), 0)
-        return scene, learn_places(chains, identity), shown
+        return scene, learn_ground_rates(chains, identity), shown
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
         """Weight the parameters of turning between prior and estimate by time."""
@@ -166,11 +166,11 @@ class History:
         return replace(scene, **mean | dict(known))
 
 
-TOLD = 0.45
+REPORTED_FROM = 0.45
 """Least probability of existence, and of presence where hidden, of a reported person: half the greatest
 F-measure maximises it (Lipton et al. 2014, ECML PKDD), and IDF1 of synthetic crowds is 0.9."""
 
-_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))  # the same as a track's value
+_LEAST_VALUE = float(np.log(REPORTED_FROM / (1.0 - REPORTED_FROM)))  # the same as a track's value
 
 REVISED_FRAMES = 8
 """Frames of the revision window: enough detections to decide their identities."""
@@ -220,8 +220,8 @@ class OnlineAssociation(Moves):
         self._notes = Notes.of(empty, empty, empty, np.zeros((0, 0)))
         self._first: list[int] = []  # first detection of each frame that can be revised, oldest first
         self._history = History()
-        self._places: Places | None = None
-        self._looks = Looks()
+        self._ground_rates: GroundRates | None = None
+        self._appearance = AppearanceEvidence()
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
         self._pairs: Pairs  # of the frames that can be revised
@@ -242,15 +242,19 @@ class OnlineAssociation(Moves):
             "known": dict(self.known),
             "scene": asdict(self.scene),
             "lag": self.lag if np.isfinite(self.lag) else None,
-            "chains": [pack_records(self.chains.rows), packed(self.chains.state), packed(self.chains.looks)],
+            "chains": [
+                pack_records(self.chains.rows),
+                packed(self.chains.state),
+                packed(self.chains.appearance),
+            ],
             "link_p": packed(self.link_p),
             "notes": pack_tree(vars(self._notes)),
             "first": self._first,
             "history": self._history.state(),
             "places": None
-            if self._places is None
-            else [packed(grid) for grid in vars(self._places).values()],
-            "looks": self._looks.state(),
+            if self._ground_rates is None
+            else [packed(grid) for grid in vars(self._ground_rates).values()],
+            "looks": self._appearance.state(),
             "counts": [self._next, self.updates],
             "last": self._last if self.updates else None,
             "intervals": self._intervals,
@@ -264,17 +268,17 @@ class OnlineAssociation(Moves):
         """
         found = cls(state["known"], np.inf if state["lag"] is None else state["lag"])
         found.scene = SceneParameters(**state["scene"])
-        rows, *others = state["chains"]
-        found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in others))
+        rows, *remaining = state["chains"]
+        found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in remaining))
         found.link_p = unpacked(state["link_p"])
         found._notes = Notes(**unpack_tree(state["notes"]))
-        found._first = list(map(whole, state["first"]))
+        found._first = list(map(integer, state["first"]))
         found._intervals = list(map(real, state["intervals"]))
         found._history = History.from_state(state["history"])
         if state["places"] is not None:
-            found._places = Places(*(unpacked(grid) for grid in state["places"]))
-        found._looks = Looks.from_state(state["looks"])
-        found._next, found.updates = map(whole, state["counts"])
+            found._ground_rates = GroundRates(*(unpacked(grid) for grid in state["places"]))
+        found._appearance = AppearanceEvidence.from_state(state["looks"])
+        found._next, found.updates = map(integer, state["counts"])
         found._last = -np.inf if state["last"] is None else real(state["last"])
         found._pack()
         return found
@@ -282,10 +286,10 @@ class OnlineAssociation(Moves):
     def open_detections(self) -> list[tuple[tuple[int, int], int]]:
         """Detections that can still be revised, oldest first: (update, index in it), and their track ids."""
         first = self._first[0] if self._first else len(self.chains.t)
-        frame, place, said = (
-            values[first:].tolist() for values in (self.chains.frame, self._notes.place, self._notes.said)
+        frame, place, reported = (
+            values[first:].tolist() for values in (self.chains.frame, self._notes.place, self._notes.reported)
         )
-        return list(zip(zip(frame, place, strict=True), said, strict=True))
+        return list(zip(zip(frame, place, strict=True), reported, strict=True))
 
     def hidden(self) -> list[int]:
         """Track ids without a detection in the newest frame whose people probably are still there."""
@@ -294,7 +298,7 @@ class OnlineAssociation(Moves):
         number = self._notes.number[root]
         believed = (number != NOBODY) & (value[root] > _LEAST_VALUE)
         last = np.flatnonzero((chains.following < 0) & (chains.frame < now) & believed)
-        return sorted(number[last[self._still_there(last, now) > TOLD]].tolist())
+        return sorted(number[last[self._still_there(last, now) > REPORTED_FROM]].tolist())
 
     def _still_there(self, last: IntArray, now: int) -> FloatArray:
         """Return the probability (n,) that the people last detected at these have not left by a frame."""
@@ -305,8 +309,8 @@ class OnlineAssociation(Moves):
         seconds = self.step_seconds * np.minimum(since, frames - 1) + AHEAD
         goal = chains.position[last] + seconds[:, :, None] * chains.state[last, 2:4]
         rate = np.ones(seconds.shape)
-        if self._places is not None:
-            rate = self._places.leaving_for(goal.reshape(-1, 2)).reshape(rate.shape)
+        if self._ground_rates is not None:
+            rate = self._ground_rates.leaving_for(goal.reshape(-1, 2)).reshape(rate.shape)
         leaves = np.where(since < frames, np.minimum(np.exp(self.packed.log_death) * rate, 1.0), 0.0)
         stays = np.cumprod(np.vstack([np.ones(len(last)), 1.0 - leaves]), axis=0)
         left = (stays[:-1] * leaves * often[:longest, None]).sum(axis=0)
@@ -316,7 +320,7 @@ class OnlineAssociation(Moves):
 
     def remembered(self) -> set[int]:
         """The track ids that may be detected again."""
-        return set(self._notes.said.tolist())
+        return set(self._notes.reported.tolist())
 
     def update(
         self,
@@ -386,9 +390,9 @@ class OnlineAssociation(Moves):
         """Append a frame's detections; return the index of the first."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
         new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
-        new = self._looks.in_chains(new, notes.descriptor)
-        if self._places is not None:
-            births, deaths, notes.clutter = self._places.at(position)
+        new = self._appearance.in_chains(new, notes.descriptor)
+        if self._ground_rates is not None:
+            births, deaths, notes.clutter = self._ground_rates.at(position)
             new.rows["birth"], new.rows["death"] = np.log(births), np.log(deaths)
         self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
         self.link_p = np.concatenate([self.link_p, np.ones(n)])
@@ -440,7 +444,7 @@ class OnlineAssociation(Moves):
         self._weigh_duplicates()
 
     def _pack(self) -> None:
-        self.packed = self._looks.in_scene(Scene(*self.scene.packed(self.step_seconds)))
+        self.packed = self._appearance.in_scene(Scene(*self.scene.packed(self.step_seconds)))
 
     def _weigh_duplicates(self) -> None:
         """Set the gains of detections: lower near a person who is detected already."""
@@ -452,7 +456,7 @@ class OnlineAssociation(Moves):
         near = duplicate_density_of(self._pairs, track[first:], self.scene, times)
         false = self.scene.clutter_density * notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
-        chains.gain[first:] += self._looks.gain(notes.descriptor[first:], notes.score[first:])
+        chains.gain[first:] += self._appearance.gain(notes.descriptor[first:], notes.score[first:])
         self.filter_from(first)
 
     def _times(self) -> IntArray:
@@ -467,13 +471,13 @@ class OnlineAssociation(Moves):
             if value[k] > _LEAST_VALUE and self._notes.number[k] == NOBODY:
                 self._notes.number[k], self._next = self._next, self._next + 1
         owner = np.where(value[root] > _LEAST_VALUE, self._notes.number[root], NOBODY)
-        changed = np.flatnonzero(owner[:first] != self._notes.said[:first])
+        changed = np.flatnonzero(owner[:first] != self._notes.reported[:first])
         changed = changed[changed >= (self._first[0] if self._first else 0)]
         chains = self.chains
-        columns = chains.t, chains.frame, self._notes.place, self._notes.said, owner
+        columns = chains.t, chains.frame, self._notes.place, self._notes.reported, owner
         rows = zip(*(values[changed].tolist() for values in columns), strict=True)
         revised = tuple(Revision(*row) for row in rows)
-        self._notes.said = owner
+        self._notes.reported = owner
         sure = np.where(chains.preceding < 0, 1.0, self.link_p)
         return Decision(owner[first:], sure[first:], revised)
 
@@ -486,8 +490,8 @@ class OnlineAssociation(Moves):
             return
         if history.is_due():
             found = history.learned(self.scene, self.step_seconds, self.known)
-            self.scene, self._places, self._looks = found
-            self.chains = self._looks.in_chains(chains, self._notes.descriptor)
+            self.scene, self._ground_rates, self._appearance = found
+            self.chains = self._appearance.in_chains(chains, self._notes.descriptor)
         elif not history.times:
             guess = first_guess(Detections(chains.frame, chains.t, chains.position))
             self.scene = replace(guess, **self.known)

@@ -155,7 +155,7 @@ def learn_scene(
     if not (identity >= 0).any():
         return scene
     events = _Events.of(chains, identity, seconds)
-    some, seen = events.gaps, float(events.seen)
+    some, detected = events.gaps, float(events.detected)
     for _ in range(20):
         chance = (1.0 - scene.detection_probability) ** some
         occluded = scene.occlusion_probability * np.exp(-some * seconds / scene.occlusion_seconds)
@@ -163,14 +163,14 @@ def learn_scene(
         missed = float(((1.0 - share) * some).sum())
         hidden = ((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0)
         gap = {
-            "detection_probability": np.clip((seen + 9.0) / (seen + missed + 10.0), 0.02, 0.995),
+            "detection_probability": np.clip((detected + 9.0) / (detected + missed + 10.0), 0.02, 0.995),
             "occlusion_probability": np.clip(
-                (share.sum() + 0.01 * _PRIOR_EVENTS) / (seen + _PRIOR_EVENTS), 1e-6, 0.3
+                (share.sum() + 0.01 * _PRIOR_EVENTS) / (detected + _PRIOR_EVENTS), 1e-6, 0.3
             ),
             "occlusion_seconds": np.clip(hidden, 0.2, 20.0),
         }
         scene = replace(scene, **{name: float(value) for name, value in gap.items()} | dict(known))
-    false = len(identity) - events.seen
+    false = len(identity) - events.detected
     rates = {
         "clutter_density": _per_exposure(false, events.exposure, scene.clutter_density, 1e-9, 100.0),
         "birth_density": _per_exposure(events.born, events.open_exposure, scene.birth_density, 1e-9, 100.0),
@@ -196,12 +196,12 @@ def scene_log_density(
     between += (events.links - len(gaps)) * np.log1p(-hide)
     around = duplicate_density(chains.frame, chains.position, identity, scene)[identity < 0]
     false = np.log(scene.clutter_density + around).sum() - scene.clutter_density * events.exposure
-    false -= scene.duplicate_rate * events.seen
+    false -= scene.duplicate_rate * events.detected
     came = events.born * np.log(scene.birth_density) - scene.birth_density * events.open_exposure
     went = events.left * np.log(scene.death_rate) - scene.death_rate * events.in_view
-    places, angles, _ = innovations(chains, Scene(*scene.packed(seconds)))
-    detected = events.seen * np.log(scene.detection_probability)
-    return float(places + angles + detected + between + false + came + went)
+    positions, angles, _ = innovations(chains, Scene(*scene.packed(seconds)))
+    detected = events.detected * np.log(scene.detection_probability)
+    return float(positions + angles + detected + between + false + came + went)
 
 
 def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
@@ -215,7 +215,7 @@ class _Events:
     """Counts of births, deaths, gaps and exposure in a recording."""
 
     gaps: FloatArray  # frames of each gap within a track
-    seen: int  # detections of people
+    detected: int  # detections of people
     links: int  # pairs of consecutive detections
     born: int  # people who came into view
     left: int  # people who left
@@ -229,7 +229,7 @@ class _Events:
         person = identity >= 0
         gaps = gaps_of(chains, identity)
         frames, square = int(chains.frame[-1]) + 1, area(chains.position)
-        people, seen = int(identity.max()) + 1, int(person.sum())
+        people, detected = int(identity.max()) + 1, int(person.sum())
         first, last = np.full(people, frames), np.zeros(people, np.int64)
         np.minimum.at(first, identity[person], chains.frame[person])
         np.maximum.at(last, identity[person], chains.frame[person])
@@ -237,11 +237,11 @@ class _Events:
         edge = edge_of(frames)
         return cls(
             gaps[gaps > 0],
-            seen,
+            detected,
             len(gaps),
             int((first > edge).sum()),
             int((last < frames - 1 - edge).sum()),
-            (seen + float(gaps.sum())) * seconds,
+            (detected + float(gaps.sum())) * seconds,
             square * frames,
             square * ((frames - edge) * seconds),
         )
@@ -305,7 +305,7 @@ _PRIOR = 2.0 * _PEAK  # pseudo-count per square metre of the mean rate: two at t
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class GroundRates:
     """Rates over the ground, on a grid.
 
     Attributes
@@ -351,7 +351,7 @@ def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> Floa
     return rate
 
 
-def learn_places(chains: Chains, identity: IntArray) -> Places:
+def learn_ground_rates(chains: Chains, identity: IntArray) -> GroundRates:
     """Learn the maps from the filtered tracks of a recording.
 
     ``identity`` (n,) is of each detection, from 0; −1: false.
@@ -359,21 +359,21 @@ def learn_places(chains: Chains, identity: IntArray) -> Places:
     return _counted(chains, identity >= 0, *_events(chains, identity))
 
 
-def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> Places:
+def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> GroundRates:
     position, goal = chains.position, chains.position + AHEAD * chains.state[:, 2:4]
     low, high = position.min(axis=0) - _REACH, position.max(axis=0) + _REACH
     shape = np.minimum(np.ceil((high - low) / _CELL).astype(int) + 1, _LARGEST)
 
-    def blurred(places: FloatArray, weight: float = 1.0) -> FloatArray:
+    def blurred(positions: FloatArray, weight: float = 1.0) -> FloatArray:
         counts = np.zeros(shape)
-        cell = np.clip(np.rint((places - low) / _CELL).astype(int), 0, shape - 1)
+        cell = np.clip(np.rint((positions - low) / _CELL).astype(int), 0, shape - 1)
         np.add.at(counts, (cell[:, 0], cell[:, 1]), weight)
         return ndimage.gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
 
     square = area(position)
     # Deaths are exposed where people are; births and clutter everywhere.
     each = len(last) / max(int(person.sum()), 1)
-    return Places(
+    return GroundRates(
         low,
         np.stack([blurred(position[first]), np.full(shape, len(first) / square)]),
         np.stack([blurred(position[last]), blurred(position[person], each)]),
@@ -382,8 +382,8 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
     )
 
 
-def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rates of `learn_places` at its own detections, (n,) each, without the events of their own tracks."""
+def own_rates(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rates of `learn_ground_rates` at its own detections, (n,) each, without events of their own tracks."""
     position, person = chains.position, identity >= 0
     first, last = _events(chains, identity)
     came, left = (_of_own(position, identity, events) for events in (first, last))

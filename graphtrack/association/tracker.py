@@ -26,7 +26,7 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.model.terms.faces_group import Group, with_group_at
 from graphtrack.model.terms.walls import with_walls_at
-from graphtrack.saved import DAMAGES, damaged, whole
+from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows
@@ -34,28 +34,28 @@ from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import APPEARANCE, INPUT
 
 
-def facing_of(seen: Sequence[Observation]) -> FloatArray:
+def facing_of(observations: Sequence[Observation]) -> FloatArray:
     """Observed body and head, (n, 2) radians; NaN where missing."""
     channels: dict[str, FloatArray] = {}
     for name in ("body", "head"):
-        angles = [getattr(one, name) for one in seen]
+        angles = [getattr(one, name) for one in observations]
         channels[name] = np.array(angles, float)  # None becomes NaN
-        classes = [getattr(one, f"{name}_likelihood") for one in seen]
+        classes = [getattr(one, f"{name}_likelihood") for one in observations]
         size = next((len(one) for one in classes if one is not None), 0)
         if size:
             none = (math.nan,) * size
             channels[f"{name}_likelihood"] = np.array([none if one is None else one for one in classes])
-    return observed_angles(channels, len(seen))
+    return observed_angles(channels, len(observations))
 
 
-def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
+def descriptors_of(observations: Sequence[Observation], size: int = 0) -> FloatArray:
     """Return the descriptors of observations, (n, d): their input `APPEARANCE`.
 
     Raise InputError for a descriptor that has another size.
 
     ``size``: d as it was before; 0: that of the first descriptor
     """
-    given = [one.inputs.get(APPEARANCE) for one in seen]
+    given = [one.inputs.get(APPEARANCE) for one in observations]
     rows = [None if one is None else np.atleast_1d(np.asarray(one, float)) for one in given]
     size = size or next((len(row) for row in rows if row is not None), 0)
     found = np.full((len(rows), size), np.nan)
@@ -69,12 +69,12 @@ def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
     return found
 
 
-def to_smooth(seen: Observation, noise: float) -> Observation:
+def to_smooth(observations: Observation, noise: float) -> Observation:
     """An observation without identity and appearance; with that noise (m) where it declares none."""
-    if seen.position_std is not None and seen.score is None and not seen.inputs:
-        return seen
-    inputs = {name: value for name, value in seen.inputs.items() if name != APPEARANCE}
-    return replace(seen, score=None, inputs=inputs, position_std=seen.position_std or noise)
+    if observations.position_std is not None and observations.score is None and not observations.inputs:
+        return observations
+    inputs = {name: value for name, value in observations.inputs.items() if name != APPEARANCE}
+    return replace(observations, score=None, inputs=inputs, position_std=observations.position_std or noise)
 
 
 Key = tuple[int, int]
@@ -145,7 +145,7 @@ class DetectionTracker:
         self._association = OnlineAssociation(known, math.inf if lag is None else lag)
         self._people: dict[int, _Person] = {}
         self._groups = groups
-        self._seen: dict[Key, Observation] = {}
+        self._observations: dict[Key, Observation] = {}
         self.revised: tuple[Revision, ...] = ()
         self.newest: list[Observation] = []
 
@@ -176,25 +176,28 @@ class DetectionTracker:
         detections : observations, whose own times are not read, or positions (n, 2) in metres; may be empty.
             Their appearance is their input ``appearance``, of one size in all frames
         """
-        seen = [self.on_the_ground(one, t) for one in detections]
-        position = np.array([one.position for one in seen], float).reshape(-1, 2)
-        descriptors = descriptors_of(seen, self.descriptor_size)
+        observations = [self.on_the_ground(one, t) for one in detections]
+        position = np.array([one.position for one in observations], float).reshape(-1, 2)
+        descriptors = descriptors_of(observations, self.descriptor_size)
         std, score = (
-            np.array([getattr(one, name) for one in seen], float) for name in ("position_std", "score")
+            np.array([getattr(one, name) for one in observations], float)
+            for name in ("position_std", "score")
         )
         association, noise = self._association, self.scene.position_std
-        decision = association.update(t, position, std, facing_of(seen), score, descriptors)
+        decision = association.update(t, position, std, facing_of(observations), score, descriptors)
         number = association.updates - 1
         # The tracks show the noise of the positions best.
-        self._seen |= {(number, place): to_smooth(one, noise) for place, one in enumerate(seen)}
+        self._observations |= {
+            (number, place): to_smooth(one, noise) for place, one in enumerate(observations)
+        }
         owners, hidden = association.open_detections(), association.hidden()
         # A hidden person gets an empty frame, in which the model predicts.
-        self._seen[number, UNSEEN] = Observation(t=t)
+        self._observations[number, UNSEEN] = Observation(t=t)
         settled = owners[0][0][0] if owners else number
-        self._seen = {key: one for key, one in self._seen.items() if key[0] >= settled}
-        self.revised, self.newest = decision.revised, seen
+        self._observations = {key: one for key, one in self._observations.items() if key[0] >= settled}
+        self.revised, self.newest = decision.revised, observations
         self._follow(owners, hidden, number, settled)
-        people = self._told(decision, hidden)
+        people = self._reported(decision, hidden)
         if self._groups is not None:
             for one in people:
                 self._groups.estimated(one.track_id, one)
@@ -204,11 +207,11 @@ class DetectionTracker:
         """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
         people = [
             {"track_id": track_id, "smoother": person.smoother.state(), "keys": person.keys}
-            | ({"told": list(person.told.items())} if person.told else {})
+            | ({"told": list(person.groups_by_update.items())} if person.groups_by_update else {})
             for track_id, person in self._people.items()
         ]
-        seen = [[*key, pack_observation(one)] for key, one in self._seen.items()]
-        return {"association": self._association.state(), "people": people, "seen": seen}
+        observations = [[*key, pack_observation(one)] for key, one in self._observations.items()]
+        return {"association": self._association.state(), "people": people, "seen": observations}
 
     @classmethod
     def from_state(
@@ -221,14 +224,16 @@ class DetectionTracker:
         tracker = cls(model, **options)
         try:
             tracker._association = OnlineAssociation.from_state(state["association"])
-            tracker._seen = {
-                (whole(k), whole(place)): unpack_observation(one) for k, place, one in state["seen"]
+            tracker._observations = {
+                (integer(k), integer(place)): unpack_observation(one) for k, place, one in state["seen"]
             }
             for saved in state["people"]:
                 smoother = OnlineSmoother.from_state(saved["smoother"], tracker.model, **tracker._options)
-                keys = [(whole(k), whole(place)) for k, place in saved["keys"]]
-                told = {whole(update): tuple(group) for update, group in saved.get("told", ())}
-                tracker._people[whole(saved["track_id"])] = _Person(smoother, smoother.last, keys, told)
+                keys = [(integer(k), integer(place)) for k, place in saved["keys"]]
+                groups_by_update = {integer(update): tuple(group) for update, group in saved.get("told", ())}
+                tracker._people[integer(saved["track_id"])] = _Person(
+                    smoother, smoother.last, keys, groups_by_update
+                )
         except DAMAGES as error:
             raise damaged(error) from error
         return tracker
@@ -251,7 +256,7 @@ class DetectionTracker:
         """Feed every person's smoother the detections now assigned to the person."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
         if self._groups is not None:
-            self._groups.begin(self._seen[number, UNSEEN].t, number)
+            self._groups.begin(self._observations[number, UNSEEN].t, number)
         for key, track_id in owners:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
@@ -262,13 +267,15 @@ class DetectionTracker:
             if person is None:
                 person = self._people[track_id] = _Person(self._smoother())
             person.keys = [key for key in person.keys if key[0] >= settled]
-            person.told = {update: group for update, group in person.told.items() if update >= settled}
+            person.groups_by_update = {
+                update: group for update, group in person.groups_by_update.items() if update >= settled
+            }
             if self._groups is not None:
                 group = self._groups.group(track_id)
-                person.told |= {} if group is None else {number: group}
+                person.groups_by_update |= {} if group is None else {number: group}
             if keys or track_id in living:
-                seen_in = {update for update, _ in keys}
-                unseen = [key for key in person.keys if key[1] == UNSEEN and key[0] not in seen_in]
+                observed_updates = {update for update, _ in keys}
+                unseen = [key for key in person.keys if key[1] == UNSEEN and key[0] not in observed_updates]
                 unseen += [(number, UNSEEN)] if track_id in hiding else []
                 fed.append((person, sorted(keys + unseen)))
             else:
@@ -282,15 +289,15 @@ class DetectionTracker:
     def _feed_all(self, people: list[tuple[_Person, list[Key]]]) -> None:
         """Feed a chunk of people; all smoothers with only new observations are updated together."""
         ahead: list[_Person] = []
-        seen: list[Observation] = []
+        observations: list[Observation] = []
         for person, keys in people:
             if len(keys) == len(person.keys) + 1 and keys[:-1] == person.keys:
                 ahead.append(person)
-                seen.append(person.smoother.usable(self._seen_by(person, keys[-1])))
+                observations.append(person.smoother.usable(self._observation_of(person, keys[-1])))
                 person.keys = keys
             else:
                 self._feed(person, keys)
-        estimates = OnlineSmoother.update_together([person.smoother for person in ahead], seen)
+        estimates = OnlineSmoother.update_together([person.smoother for person in ahead], observations)
         for person, estimate in zip(ahead, estimates, strict=True):
             person.estimate = estimate
 
@@ -298,30 +305,30 @@ class DetectionTracker:
         same = 0
         while same < min(len(keys), len(person.keys)) and keys[same] == person.keys[same]:
             same += 1
-        new = [self._seen_by(person, key) for key in keys[same:]]
+        new = [self._observation_of(person, key) for key in keys[same:]]
         if same < len(person.keys):
-            since = min(self._seen[key].t for key in (person.keys[same], *keys[same : same + 1]))
+            since = min(self._observations[key].t for key in (person.keys[same], *keys[same : same + 1]))
             person.estimate = person.smoother.revise(since, new)
             if person.estimate is None:
                 person.smoother = self._smoother()
         if same == len(person.keys) or person.estimate is None:
-            again = new if same == len(person.keys) else [self._seen_by(person, key) for key in keys]
+            again = new if same == len(person.keys) else [self._observation_of(person, key) for key in keys]
             for one in again:
                 person.estimate = person.smoother.update(one)
         person.keys = keys
 
-    def _seen_by(self, person: _Person, key: Key) -> Observation:
+    def _observation_of(self, person: _Person, key: Key) -> Observation:
         """An observation, with the person's group of its time."""
-        return with_group_at(self._seen[key], person.told.get(key[0]))
+        return with_group_at(self._observations[key], person.groups_by_update.get(key[0]))
 
-    def _told(self, decision: Decision, hidden: list[int]) -> list[PersonEstimate]:
-        told = {int(one): place for place, one in enumerate(decision.identity.tolist()) if one > 0}
+    def _reported(self, decision: Decision, hidden: list[int]) -> list[PersonEstimate]:
+        detection_of = {int(one): place for place, one in enumerate(decision.identity.tolist()) if one > 0}
         found = []
-        for track_id in sorted({*told, *hidden}):
+        for track_id in sorted({*detection_of, *hidden}):
             person = self._people.get(track_id)
             if person is None or person.estimate is None or person.estimate.status == "waiting":
                 continue
-            place = told.get(track_id, UNSEEN)
+            place = detection_of.get(track_id, UNSEEN)
             sure = math.nan if place == UNSEEN else float(decision.probability[place])
             found.append(
                 PersonEstimate(**vars(person.estimate), track_id=track_id, detection=place, identity_p=sure)
@@ -356,7 +363,7 @@ class _Person:
     smoother: OnlineSmoother
     estimate: Estimate | None = None
     keys: list[Key] = field(default_factory=list)
-    told: dict[int, Group] = field(default_factory=dict)
+    groups_by_update: dict[int, Group] = field(default_factory=dict)
 
 
 UNSAID = "not reported online"
@@ -377,25 +384,25 @@ def track_rows(
     order = np.lexsort((np.arange(len(rows)), times))
     starts = np.flatnonzero(np.diff(times[order], prepend=-np.inf))
     identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
-    told: dict[int, list[tuple[int, PersonEstimate]]] = {}
+    estimates: dict[int, list[tuple[int, PersonEstimate]]] = {}
     revised = 0
     for group in np.split(order, starts[1:]):
-        places, t, frame = group.tolist(), float(times[group[0]]), int(rows.frame[group[0]])
-        seen = [observation_at(k, t, frame, channels, inputs) for k in places]
-        for person in tracker.update(t, seen):
-            told.setdefault(person.track_id, []).append((frame, person))
+        rows_of_frame, t, frame = group.tolist(), float(times[group[0]]), int(rows.frame[group[0]])
+        observations = [observation_at(k, t, frame, channels, inputs) for k in rows_of_frame]
+        for person in tracker.update(t, observations):
+            estimates.setdefault(person.track_id, []).append((frame, person))
             if person.observed:
-                row = places[person.detection]
+                row = rows_of_frame[person.detection]
                 identity[row], probability[row] = person.track_id, person.identity_p
         revised += len(tracker.revised)
-        advance(len(places))
-    note = f"associated {len(rows)} detections online: {len(told)} people; {revised} identities revised"
+        advance(len(rows_of_frame))
+    note = f"associated {len(rows)} detections online: {len(estimates)} people; {revised} identities revised"
     rows = replace(rows, track_id=identity, has_identity=True, labels={})
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     tracks = TrackSet.from_rows(rows.keep(identity > 0, UNSAID).with_notes(note))
-    return tracks.map(lambda one: _estimated(one, told[one.track_id], tracker))
+    return tracks.map(lambda one: _estimated(one, estimates[one.track_id], tracker))
 
 
-def _estimated(track: Track, told: list[tuple[int, PersonEstimate]], tracker: DetectionTracker) -> Track:
-    frame, t = np.array([frame for frame, _ in told]), np.array([person.t for _, person in told])
-    return as_track(with_rows(track, frame, t), [person for _, person in told], tracker.model)
+def _estimated(track: Track, estimates: list[tuple[int, PersonEstimate]], tracker: DetectionTracker) -> Track:
+    frame, t = np.array([frame for frame, _ in estimates]), np.array([person.t for _, person in estimates])
+    return as_track(with_rows(track, frame, t), [person for _, person in estimates], tracker.model)

@@ -63,14 +63,14 @@ class Reported:
     people : (m,) identities of all who are reported, seen or not
     mean : (m, 4) their x, y, vx, vy
     covariance : (m, 4, 4)
-    seen : (m,) whether they were detected
+    detected : (m,) whether they were detected
     """
 
     identity: IntArray
     people: IntArray
     mean: FloatArray
     covariance: FloatArray
-    seen: NDArray[np.bool_]
+    detected: NDArray[np.bool_]
 
 
 class HungarianTracker:
@@ -108,9 +108,9 @@ class HungarianTracker:
             self._mean, self._spread = predict(self._mean, self._spread, step)
         track_of = self._assign(position, variance)
         hit = np.flatnonzero(track_of >= 0)
-        own, seen = track_of[hit], np.ones(len(hit), bool)
+        own, detected = track_of[hit], np.ones(len(hit), bool)
         self._mean[own], self._spread[own], _ = update(
-            self._mean[own], self._spread[own], position[hit], variance[hit], seen
+            self._mean[own], self._spread[own], position[hit], variance[hit], detected
         )
         self._age += 1
         self._hits[track_of[hit]] += 1
@@ -186,9 +186,9 @@ def track_detections(detections: Detections, parameters: HungarianParameters | N
         prediction. Ids count from 0 in the order of confirmation.
     """
     tracker = HungarianTracker(parameters)
-    seen, first = np.unique(detections.frame, return_index=True)
-    frames = with_those_between(seen)
-    times = np.interp(frames, seen, detections.t[first])
+    detected, first = np.unique(detections.frame, return_index=True)
+    frames = with_those_between(detected)
+    times = np.interp(frames, detected, detections.t[first])
     std = detections.channels.get("position_std")
     rows: list[Reported] = []
     ends = np.searchsorted(detections.frame, [frames, frames + 1]).T.tolist()
@@ -200,7 +200,7 @@ def track_detections(detections: Detections, parameters: HungarianParameters | N
     frame, t = np.repeat(frames, counts), np.repeat(times, counts)
     mean = np.concatenate([found.mean for found in rows])
     spread = np.concatenate([found.covariance for found in rows])
-    observed = np.concatenate([found.seen for found in rows]).astype(float)
+    observed = np.concatenate([found.detected for found in rows]).astype(float)
     tracks = []
     for identity in np.unique(people).tolist():
         own = np.flatnonzero(people == identity)

@@ -260,10 +260,10 @@ def steer(
         raise InputError(f"rate = {rate!r}", "numbers in 1/s, at least 0")
 
     def transition(k: int, mean: FloatArray) -> Transition:
-        seen = head[:, k - 1]
-        own = np.where(np.isfinite(seen), rates[:, k], 0.0)
+        observed = head[:, k - 1]
+        own = np.where(np.isfinite(observed), rates[:, k], 0.0)
         dt = float(t[k] - t[k - 1])
-        return intentional_transition(dt, own, mean[:, 2:], seen, motion.acceleration_density)
+        return intentional_transition(dt, own, mean[:, 2:], observed, motion.acceleration_density)
 
     return filter_tracks(position, variance, motion.initial_speed_std**2, transition)
 
@@ -298,12 +298,12 @@ def mean_deviation(track: Track, seconds: float) -> FloatArray:
     without one, or without an observed head, counts as no deviation.
     """
     head = observed_angle(track, "head")
-    n, seen = len(track), np.asarray(np.isfinite(track.position).all(axis=1))
+    n, observed = len(track), np.asarray(np.isfinite(track.position).all(axis=1))
     # Frames in (t − seconds, t], with a margin for times that are not a step apart to the last bit.
     begins = np.searchsorted(track.t, track.t - seconds + 1e-6, side="right")
     deviation = np.zeros(n)
     for k in range(n):
-        rows = begins[k] + np.flatnonzero(seen[begins[k] : k + 1])
+        rows = begins[k] + np.flatnonzero(observed[begins[k] : k + 1])
         if len(rows) > 1 and np.isfinite(head[k]):
             t = track.t[rows] - track.t[rows].mean()
             course = t @ track.position[rows]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.observation import require_position
-from graphtrack.model.parameters import MotionParameters, Parameters, swaying
+from graphtrack.model.parameters import MotionParameters, Parameters, with_oscillation
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
 
@@ -89,16 +89,16 @@ def filter_tracks(
     mean, spread = np.full((m, n, 4), np.nan), np.full((m, n, 3), np.nan)
     predicted_mean, predicted_spread = mean.copy(), spread.copy()
     log_likelihood = np.full((m, n), np.nan)
-    seen = np.asarray(np.isfinite(position).all(axis=2))
+    has_position = np.asarray(np.isfinite(position).all(axis=2))
     begun = np.zeros(m, dtype=bool)
     for k in range(n):
         if k and begun.any():
             ahead, ahead_spread = predict(mean[:, k - 1], spread[:, k - 1], transition(k, mean[:, k - 1]))
             predicted_mean[:, k], predicted_spread[:, k] = ahead, ahead_spread
             mean[:, k], spread[:, k], log_likelihood[:, k] = update(
-                ahead, ahead_spread, position[:, k], variance[:, k], seen[:, k]
+                ahead, ahead_spread, position[:, k], variance[:, k], has_position[:, k]
             )
-        starts = seen[:, k] & ~begun
+        starts = has_position[:, k] & ~begun
         if starts.any():
             mean[starts, k, :2], mean[starts, k, 2:] = position[starts, k], 0.0
             spread[starts, k, 0], spread[starts, k, 1] = variance[starts, k], 0.0
@@ -129,9 +129,13 @@ def predict(mean: FloatArray, spread: FloatArray, step: Transition) -> tuple[Flo
 
 
 def update(
-    mean: FloatArray, spread: FloatArray, observed: FloatArray, variance: FloatArray, seen: NDArray[np.bool_]
+    mean: FloatArray,
+    spread: FloatArray,
+    observed: FloatArray,
+    variance: FloatArray,
+    has_position: NDArray[np.bool_],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return means, spreads and log-likelihoods (m,) with positions (m, 2) where they were ``seen`` (m,)."""
+    """Return means, spreads and log-likelihoods (m,) after positions (m, 2), where there are any."""
     a, b, c = spread.T
     innovation, total = observed - mean[:, :2], a + variance
     log_likelihood = -np.log(2.0 * np.pi * total) - 0.5 * np.sum(innovation**2, axis=1) / total
@@ -148,11 +152,11 @@ def update(
         ],
         axis=1,
     )
-    here = seen[:, None]
+    here = has_position[:, None]
     return (
         np.where(here, updated, mean),
         np.where(here, narrowed, spread),
-        np.where(seen, log_likelihood, np.nan),
+        np.where(has_position, log_likelihood, np.nan),
     )
 
 
@@ -214,7 +218,7 @@ def as_track(track: Track, states: GaussianStates, motion: MotionParameters | No
     covariance = np.full((len(track), 6, 6), np.nan)
     covariance[:, :4, :4] = states.covariance
     if motion is not None:
-        swaying(covariance, motion)
+        with_oscillation(covariance, motion)
     return track.with_estimates(
         position=states.mean[:, :2], velocity=states.mean[:, 2:], body=None, head=None, covariance=covariance
     )

@@ -262,10 +262,10 @@ def _filter(
     keep: bool,
 ) -> _FilterOutput:
     job = prepare(track, model, camera, options.pose, options.image_pose)
-    seen = np.flatnonzero(job.position.kind)
-    if not len(seen):
+    observed = np.flatnonzero(job.position.kind)
+    if not len(observed):
         raise SolveError(track.track_id, NO_POSITION)
-    n, count, start = len(track), options.particles, int(seen[0])
+    n, count, start = len(track), options.particles, int(observed[0])
     found = _FilterOutput(
         job,
         start,

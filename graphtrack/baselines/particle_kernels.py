@@ -68,12 +68,12 @@ def draw_modes(
 
 
 @compiled
-def steering_share(mode: NDArray[np.int64], is_seen: bool, modes: PackedModes) -> float:
+def steering_share(mode: NDArray[np.int64], is_observed: bool, modes: PackedModes) -> float:
     """Share of its rate at which the head steers: as far as it points where the motion goes."""
     body, head = mode[BODY_MODE], mode[HEAD_MODE]
     forth = modes.table.held_cos[BODY_MODE, body] * modes.table.held_cos[HEAD_MODE, head]
     forth -= modes.table.held_sin[BODY_MODE, body] * modes.table.held_sin[HEAD_MODE, head]
-    return (modes.seen_share if is_seen else 1.0) * max(forth, 0.0)
+    return (modes.observed_share if is_observed else 1.0) * max(forth, 0.0)
 
 
 @compiled

@@ -145,7 +145,7 @@ class PackedModes(NamedTuple):
     """The m modes and offsets of body and head, as a table of arrays (2, m). Without modes m is 1.
 
     ``transitions`` (2, q, m, m) has the cumulative probabilities of where each leads to in a step, that to
-    frame k the one of the place ``step`` (n,); ``initial`` is cumulative, too. ``seen_share`` is that of the
+    frame k the one of the place ``step`` (n,); ``initial`` is cumulative, too. ``observed_share``: of the
     steering where a position is seen. The leads (2,) in seconds loosen the couplings as the chain loosens
     those of its newest frame: ``weight`` (n,) and ``diffusion`` as in `coupling_modes.loosened`.
     """
@@ -155,7 +155,7 @@ class PackedModes(NamedTuple):
     step: NDArray[np.int64]
     table: ModeTable
     lead: FloatArray
-    seen_share: float
+    observed_share: float
     weight: FloatArray
     diffusion: float
 
@@ -262,13 +262,13 @@ def _modes(track: Track, model: Model) -> PackedModes:
     weight = parameters.coupling.weights(track.dt)
     diffusion = parameters.orientation.body_diffusion
     if not model.has_modes:
-        tables, lead, seen_share = (ALWAYS, ALWAYS), np.zeros(2), 1.0
+        tables, lead, observed_share = (ALWAYS, ALWAYS), np.zeros(2), 1.0
         transitions, step = np.ones((2, 1, 1, 1)), np.zeros(len(track), dtype=np.int64)
     else:
         gait = gait_of(parameters.gait)
         both = gait.body, gait.head if track.head_likelihood is None else gait.classified_head
         tables = mode_table(both[0]), mode_table(both[1])
-        lead, seen_share = np.array([modes.lead for modes in both]), gait.head_rate_seen
+        lead, observed_share = np.array([modes.lead for modes in both]), gait.head_rate_observed
         # To the millisecond: rounding of times would make each step one of its own.
         times, step = np.unique(np.round(track.dt, 3), return_inverse=True)
         transitions = np.array([[transition(modes, dt) for dt in times.tolist()] for modes in both])
@@ -279,7 +279,7 @@ def _modes(track: Track, model: Model) -> PackedModes:
         step.astype(np.int64),
         table,
         lead,
-        seen_share,
+        observed_share,
         weight,
         diffusion,
     )
@@ -291,8 +291,8 @@ def _position(track: Track, model: Model, camera: GroundCamera | None) -> Packed
     kind = np.array(np.isfinite(value).all(axis=1), dtype=np.int64)
     if likelihood.image_frame and track.pixel is not None and camera is not None:
         ideal = camera.undistort(track.pixel)
-        seen = np.isfinite(ideal).all(axis=1)
-        kind[seen], value[seen], std[seen] = 2, ideal[seen], likelihood.pixel_std
+        known = np.isfinite(ideal).all(axis=1)
+        kind[known], value[known], std[known] = 2, ideal[known], likelihood.pixel_std
     return PackedPosition(kind, value, std, ROBUST[likelihood.robust], likelihood.robust_threshold)
 
 
@@ -312,9 +312,9 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
     angle, kappa = getattr(track, name), getattr(track, f"{name}_kappa")
     if angle is not None:
         own = likelihood.kappas(name, kappa, n)
-        seen = np.isfinite(angle) & (own > 0.0)
-        weights, outliers = np.ones((seen.sum(), 1)), likelihood.outlier_probability
-        _fill(found, seen, weights, angle[seen, None], own[seen], outliers)
+        known = np.isfinite(angle) & (own > 0.0)
+        weights, outliers = np.ones((known.sum(), 1)), likelihood.outlier_probability
+        _fill(found, known, weights, angle[known, None], own[known], outliers)
     if classes is not None:
         usable = np.isfinite(classes).all(axis=1)
         usable[usable] = classes[usable].sum(axis=1) > 0.0
@@ -402,7 +402,7 @@ def add_position_log_density(
     kind = position.kind[k]
     if kind == 0:
         return
-    seen_x, seen_y = position.value[k]
+    x_observed, y_observed = position.value[k]
     scale = 1.0 / position.std[k]
     peak = math.log(scale * scale / (2.0 * math.pi))
     robust, threshold = position.robust, position.threshold
@@ -418,7 +418,7 @@ def add_position_log_density(
                 (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / depth,
                 (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / depth,
             )
-        dx, dy = scale * (x - seen_x), scale * (y - seen_y)
+        dx, dy = scale * (x - x_observed), scale * (y - y_observed)
         squared = dx * dx + dy * dy
         loss = 0.5 * squared
         if robust == 1 and squared > threshold * threshold:

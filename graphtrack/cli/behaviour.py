@@ -152,8 +152,8 @@ def attention(
     from graphtrack.interaction.attention import attention as find
     from graphtrack.interaction.attention import attention_columns, make_behaviour_ready, summary_of
     from graphtrack.interaction.places import read_places
-    from graphtrack.interaction.scores import score_looks
-    from graphtrack.interaction.tables import load_attention, read_looks
+    from graphtrack.interaction.scores import score_gaze
+    from graphtrack.interaction.tables import load_attention, read_gaze
     from graphtrack.io.groups import write_columns
     from graphtrack.tracks.table import with_names
 
@@ -174,11 +174,11 @@ def attention(
     check_csv(output)
     known = [] if places is None else read_places(places)
     chosen = None if parameters is None else load_attention(parameters)
-    labels = None if truth is None else read_looks(truth)
+    labels = None if truth is None else read_gaze(truth)
     tracks = estimated(reading.tracks(inputs), model)
     make_behaviour_ready()
     found = find(tracks, known, chosen, online=online)
-    score = None if labels is None else score_looks(found, labels)
+    score = None if labels is None else score_gaze(found, labels)
     columns = attention_columns(found)
     write_columns(with_names(columns, tracks.as_read), output)
     emit(
@@ -190,10 +190,10 @@ def attention(
     summary = summary_of(found)
     write_json(json_path, summary.to_dict())
     if pictures is not None:
-        from graphtrack.report.plots.interaction import draw_looks
+        from graphtrack.report.plots.interaction import draw_gaze
 
         options.make_folder(pictures)
-        draw_looks(tracks, known, found, summary, [pictures / name for name in PICTURES])
+        draw_gaze(tracks, known, found, summary, [pictures / name for name in PICTURES])
         emit(f"wrote {pictures}")
 
 
@@ -245,7 +245,7 @@ def forecast(
     write_table(with_names(found.columns, tracks.as_read), output)
     if found.too_short:
         needed = "two frames" if history is None else f"{history:g} s"
-        who = counted(len(found.too_short), "track")
-        emit(f"  note: no forecast of {who} observed for less than {needed}")
+        count = counted(len(found.too_short), "track")
+        emit(f"  note: no forecast of {count} observed for less than {needed}")
     of = counted(found.people, "track")
     emit(f"forecast {of}, {len(found)} rows\nwrote {output}")

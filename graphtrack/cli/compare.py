@@ -69,8 +69,8 @@ def print_trackers(found: TrackerComparison) -> None:
 
     rows = []
     for one in found.results:
-        told = one.to_dict()
-        figures = {HEADINGS.get(name, name): told[name] for name in told if name != "information"}
+        record = one.to_dict()
+        figures = {HEADINGS.get(name, name): record[name] for name in record if name != "information"}
         rows.append({"method": one.method, "": one.group} | figures)
     for row in rows:
         row.pop("group")
@@ -188,8 +188,8 @@ def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSe
     from graphtrack.model import Model
 
     given = Model.named(model)
-    tracks, learned, said = trusted(tracks, given, trust)
-    for line in said:
+    tracks, learned, verdict = trusted(tracks, given, trust)
+    for line in verdict:
         emit(f"  note: {line}")
     if model is None and learned.parameters != given.parameters:
         raise InputError(

@@ -150,20 +150,20 @@ def quiet_input_warnings() -> Iterator[None]:
 @contextmanager
 def input_warnings_as_notes() -> Iterator[None]:
     """Collect warnings about the input, and print each once at the end, like the readers' notes."""
-    told: dict[str, None] = {}
+    printed: dict[str, None] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)
         show = warnings.showwarning
 
         def collect(message: Warning | str, category: type[Warning], *rest: Any) -> None:
             if issubclass(category, InputWarning):
-                told[str(message)] = None
+                printed[str(message)] = None
             else:
                 show(message, category, *rest)
 
         warnings.showwarning = collect  # type: ignore[assignment]
         yield
-    for message in told:
+    for message in printed:
         emit(f"  note: {message}")
 
 
@@ -281,10 +281,10 @@ def run_app(program: typer.Typer, name: str) -> None:
 
 def _is_interrupt(error: BaseException | None) -> bool:
     """Return True if an error was raised because of Ctrl-C."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
+    visited: set[int] = set()
+    while error is not None and id(error) not in visited:
         if isinstance(error, KeyboardInterrupt):
             return True
-        seen.add(id(error))
+        visited.add(id(error))
         error = error.__cause__ or error.__context__
     return False

@@ -80,8 +80,8 @@ def _speeds(track: Track) -> Any:
     """
     import numpy as np
 
-    seen = np.isfinite(track.position).all(axis=1)
-    t, position = track.t[seen] - track.t[0], track.position[seen]
+    has_position = np.isfinite(track.position).all(axis=1)
+    t, position = track.t[has_position] - track.t[0], track.position[has_position]
     begin = np.searchsorted(t, t - _WINDOW - 1e-6)
     end = np.searchsorted(t, t + _WINDOW + 1e-6)
     columns = np.column_stack([np.ones(len(t)), t, t * t, position, t[:, None] * position])
@@ -97,7 +97,7 @@ def describe(track: Track) -> dict[str, Any]:
     """Return a track's row: extent, rate, gaps, observed channels, median speed of the smoothed path."""
     import numpy as np
 
-    seen = np.isfinite(track.position).all(axis=1)
+    has_position = np.isfinite(track.position).all(axis=1)
     steps = np.diff(track.t)
     usual = float(np.median(steps)) if len(steps) else float("nan")
     step_frames = np.diff(track.frame)
@@ -117,7 +117,7 @@ def describe(track: Track) -> dict[str, Any]:
         "seconds": float(track.t[-1] - track.t[0]),
         "rate_hz": 1.0 / usual if usual > 0 else None,
         "gaps": int(np.sum(step_frames > frames)),
-        "positions": int(seen.sum()),
+        "positions": int(has_position.sum()),
         "body": count("body"),
         "head": count("head"),
         "speed_m_s": float(np.median(speeds)) if len(speeds) else None,

@@ -132,7 +132,7 @@ def _labelled(
     tracks: TrackSet, truth: Path, what: str, hold_out: float, output: Path, json_path: Path | None
 ) -> None:
     """Learn from labelled groups or gaze, report the accuracy, and write the parameters."""
-    from graphtrack.interaction.tables import read_looks, save_parameters
+    from graphtrack.interaction.tables import read_gaze, save_parameters
     from graphtrack.learning.interaction import fit_attention, fit_groups
 
     with console.status("learning"), quiet_input_warnings():
@@ -141,7 +141,7 @@ def _labelled(
             found = fit_groups(tracks, read_quietly(truth), hold_out=hold_out)
             parameters = found.parameters.to_dict()
         else:
-            found = fit_attention(tracks, read_looks(truth), hold_out=hold_out)
+            found = fit_attention(tracks, read_gaze(truth), hold_out=hold_out)
             parameters = asdict(found.parameters)
     save_parameters(found.parameters, output)
     title, counted_by = ("Groups", "frame") if what == "groups" else ("Looks", "look")

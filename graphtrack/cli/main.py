@@ -39,7 +39,7 @@ def run(module: str, name: str) -> None:
             app = import_module(module).app
         run_app(app, name)
     except KeyboardInterrupt:
-        _say_interrupted()
+        _report_interrupt()
         raise SystemExit(INTERRUPTED) from None
 
 
@@ -69,10 +69,10 @@ def ended_at_once() -> Iterator[None]:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    _say_interrupted()
+    _report_interrupt()
     os._exit(INTERRUPTED)
 
 
-def _say_interrupted() -> None:
+def _report_interrupt() -> None:
     with contextlib.suppress(OSError):
         os.write(2, b"interrupted\n")

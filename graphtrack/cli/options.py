@@ -142,13 +142,13 @@ class Reading:
         paths : files with tracks, or folders of them
         model : a preset's name, or a model file
         """
-        from graphtrack.io.registry import files_beside
+        from graphtrack.io.registry import companion_files
         from graphtrack.io.source import table_in
 
         paths, given = [table_in(path) for path in paths], self.given()
         named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
         named |= {option_name(name): given[name] for name in _CAMERA_FILES if name in given}
-        named["a companion file of the input"] = [place for path in paths for place in files_beside(path)]
+        named["a companion file of the input"] = [place for path in paths for place in companion_files(path)]
         return named
 
     def given(self) -> dict[str, Any]:
@@ -159,15 +159,15 @@ class Reading:
         """Return the fields of `ReadOptions` among these options."""
         from graphtrack.io.options import ReadOptions
 
-        told = {name: value for name, value in self.given().items() if name not in ("format", "select")}
-        return ReadOptions(**{"associate": self._associate, **told})
+        named = {name: value for name, value in self.given().items() if name not in ("format", "select")}
+        return ReadOptions(**{"associate": self._associate, **named})
 
     def tracks(
         self,
         paths: list[Path],
         rows: Rows | None = None,
         scene: GivenScene = None,
-        beside: TrackSet | None = None,
+        reference: TrackSet | None = None,
     ) -> TrackSet:
         """Read and select tracks, and print the summary.
 
@@ -176,16 +176,18 @@ class Reading:
         paths : paths of the files
         rows : rows of the single file, if already read
         scene : scene model, for people without identities
-        beside : tracks to compare with; times and local metres share its origin
+        reference : tracks to compare with; times and local metres share its origin
         """
         from graphtrack.association.associate import tracks_of_rows
         from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
         from graphtrack.io.read_write import read_with
 
-        told = replace(self.options(), beside=None if beside is None else beside.as_read)
+        named = replace(self.options(), reference=None if reference is None else reference.as_read)
         to_tracks = partial(tracks_of_rows, scene=scene)
         with quiet_input_warnings():
-            tracks = read_with(paths, self.format, told, to_tracks) if rows is None else to_tracks(rows, told)
+            tracks = (
+                read_with(paths, self.format, named, to_tracks) if rows is None else to_tracks(rows, named)
+            )
         print_summary(tracks, ", ".join(str(path) for path in paths))
         unused = [option_name(name) for name in CAMERA if name in self.given()]
         if unused and tracks.camera is None:
@@ -284,8 +286,8 @@ def documented(*texts: str | None) -> tuple[str, dict[str, tuple[str, str]]]:
         about = about or before
         for title, body in zip(parts[::2], parts[1::2], strict=True):
             entries = re.split(r"^(\w+) : ", body, flags=re.MULTILINE)[1:]
-            for name, said in zip(entries[::2], entries[1::2], strict=True):
-                found[name] = title, " ".join(said.split())
+            for name, help_text in zip(entries[::2], entries[1::2], strict=True):
+                found[name] = title, " ".join(help_text.split())
     return about, found
 
 
@@ -301,11 +303,11 @@ def _parts(hint: Any) -> tuple[Any, Any]:
 
 def _parameters(given: Mapping[str, tuple[Any, Any]], *texts: str | None) -> Iterator[inspect.Parameter]:
     """Return parameters for typer, from name → hint and default, and the docstrings that describe them."""
-    _, said = documented(*texts)
+    _, help_text = documented(*texts)
     for name, (hint, default) in given.items():
         kind, info = _parts(hint)
         info = copy(info or typer.Option())
-        title, info.help = said.get(name, ("Parameters", info.help))
+        title, info.help = help_text.get(name, ("Parameters", info.help))
         info.rich_help_panel = None if title == "Parameters" else title
         info.show_default = default not in (None, False, inspect.Parameter.empty)
         if isinstance(info, typer.models.OptionInfo) and not isinstance(info.default, str):

@@ -52,11 +52,11 @@ def report(
         {"--output": output}, {**reading.inputs(inputs), "--observations": observations, **tables}
     )
     tracks = reading.tracks(inputs)
-    seen = None if not observations else reading.tracks(observations)
+    observed = None if not observations else reading.tracks(observations)
     write_report(
         output,
         tracks,
-        seen,
+        observed,
         groups=groups,
         attention=attention,
         forecast=forecast,

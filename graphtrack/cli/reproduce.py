@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from graphtrack.experiments.harness import Table
 
 
-BESIDE = Path("..") / "shared" / "data"
+DATA_FOLDER = Path("..") / "shared" / "data"
 """Folder of recordings when none is given."""
 
 
@@ -54,7 +54,7 @@ def reproduce(
         raise InputError(f"experiment {name!r}", f"one of {', '.join(experiments)}, or all")
     if data is not None and not data.is_dir():
         raise InputError("no such folder", "a folder of recordings", path=data)
-    folder = data if data is not None else BESIDE if BESIDE.is_dir() else None
+    folder = data if data is not None else DATA_FOLDER if DATA_FOLDER.is_dir() else None
     chosen = experiments if name == "all" else {name: experiments[name]}
     options.check_outputs(
         {

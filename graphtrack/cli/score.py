@@ -193,7 +193,7 @@ def _read(
             yield name, boxes(_boxes(estimates, reading)), boxes(_boxes(truth, reading))
         else:
             found = reading.tracks([estimates])
-            estimated, true = estimated_detections(found), reading.tracks([truth], beside=found)
+            estimated, true = estimated_detections(found), reading.tracks([truth], reference=found)
             if len(pairs) == 1:
                 kept.append((found, true))
             errors += track_errors(found, true)

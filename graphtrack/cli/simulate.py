@@ -57,7 +57,7 @@ def simulate(
     scenario: bool = False,
     scene: Literal["party"] | None = None,
     groups: Path | None = None,
-    looks: Path | None = None,
+    gaze: Path | None = None,
     seed: options.Seed = 0,
 ) -> None:
     """Simulate people from the model, with their truth, and write the table.
@@ -74,7 +74,7 @@ def simulate(
     scenario : The demo's six scripted people instead, without a model.
     scene : A party instead: people in conversations and alone, with gaze between them, without noise.
     groups : Write the conversation groups of the party (.csv).
-    looks : Write the gaze targets of the party (.csv); -1: nobody.
+    gaze : Write the gaze targets of the party (.csv); -1: nobody.
     """
     import numpy as np
 
@@ -82,9 +82,9 @@ def simulate(
     from graphtrack.simulation.sampling import simulate as sample
     from graphtrack.simulation.scenario import scenario as scripted
 
-    outputs = {"--output": output, "--groups": groups, "--looks": looks}
+    outputs = {"--output": output, "--groups": groups, "--looks": gaze}
     options.check_outputs(outputs, {"--model": options.model_file(model)}, table=output)
-    if scene is None and (groups is not None or looks is not None):
+    if scene is None and (groups is not None or gaze is not None):
         raise InputError("--groups or --looks without --scene party", "that scene, which has them")
     if scene is not None and scenario:
         raise InputError("--scene and --scenario", "one of them")
@@ -95,7 +95,7 @@ def simulate(
 
         made = party(rng, people=tracks, steps=steps, fps=fps)
         what, found = "a party", made.tracks
-        for path, columns in ((groups, made.group_columns()), (looks, made.look_columns())):
+        for path, columns in ((groups, made.group_columns()), (gaze, made.look_columns())):
             if path is not None:
                 write_columns(columns, path)
     elif scenario:

@@ -160,8 +160,8 @@ def smooth(
         tracks = _without_gaps(tracks)
     if resample is not None:
         tracks = with_times_at(tracks, resample)
-    observed, chosen, said = trusted(tracks, chosen, trust or "check")
-    for line in said:
+    observed, chosen, verdict = trusted(tracks, chosen, trust or "check")
+    for line in verdict:
         emit(f"  note: {line}")
     in_lanes = fit_lanes(observed.tracks, chosen)
     make_solver_ready(chosen, solver, tracks.camera, in_lanes)
@@ -205,8 +205,8 @@ def _without_gaps(tracks: TrackSet) -> TrackSet:
     if inserted:
         share = 100.0 * tracks.n_frames / found.n_frames
         there = f"{tracks.n_frames:,} of {found.n_frames:,} frames have rows ({share:.1f} %)"
-        said = f"{there}; the others are filled"
-        emit(f"  note: {said}")
+        verdict = f"{there}; the others are filled"
+        emit(f"  note: {verdict}")
     if left:
         emit(f"  note: {counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled")
     return found

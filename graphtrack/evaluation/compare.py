@@ -234,10 +234,10 @@ def scored_frames(track: Track, window: BoolArray | None = None) -> BoolArray:
     """
     if track.true_position is None:
         return np.zeros(len(track), dtype=bool)
-    seen = np.isfinite(track.position).all(axis=1)
+    observed = np.isfinite(track.position).all(axis=1)
     if track.pixel is not None:
-        seen = seen | np.isfinite(track.pixel).all(axis=1)
-    known = np.logical_or.accumulate(seen) & np.isfinite(track.true_position).all(axis=1)
+        observed = observed | np.isfinite(track.pixel).all(axis=1)
+    known = np.logical_or.accumulate(observed) & np.isfinite(track.true_position).all(axis=1)
     return np.asarray(known if window is None else known & window)
 
 
@@ -472,8 +472,8 @@ def _make(methods: Sequence[str | Method], model: Model | None) -> tuple[Method,
 
 def _located(track: Track) -> bool:
     """Return True if any position was observed, on the ground or in the image."""
-    seen = bool(np.isfinite(track.position).all(axis=1).any())
-    return seen or (track.pixel is not None and bool(np.isfinite(track.pixel).all(axis=1).any()))
+    observed = bool(np.isfinite(track.position).all(axis=1).any())
+    return observed or (track.pixel is not None and bool(np.isfinite(track.pixel).all(axis=1).any()))
 
 
 def _require_room(hidden: Occlusion, seconds: float) -> None:

@@ -239,15 +239,15 @@ def _references(
         position = track.true_position if track.has_truth else track.position
         assert position is not None
         known = np.isfinite(position).all(axis=1)
-        seen = np.isfinite(track.position).all(axis=1)
-        if known.sum() < 2 or seen.sum() < 2:
+        has_position = np.isfinite(track.position).all(axis=1)
+        if known.sum() < 2 or has_position.sum() < 2:
             continue
         at = (made[rows, None] + ahead).ravel()
         true[rows] = _between(track.t[known], position[known], at).reshape(len(rows), -1, 2)
         informed[rows] = _straight_on(track.t[known], position[known], made[rows], ahead)
-        t, position = track.t[seen], track.position[seen]
+        t, position = track.t[has_position], track.position[has_position]
         straight[rows] = _straight_on(t, position, made[rows], ahead)
-        alone = Track(one, np.flatnonzero(seen), t, position)
+        alone = Track(one, np.flatnonzero(has_position), t, position)
         states, _ = filter_states(alone, parameters)
         last = np.clip(np.searchsorted(t, made[rows] + 1e-6) - 1, 0, len(t) - 1)
         mean, spread = states.mean[last], states.covariance[last]

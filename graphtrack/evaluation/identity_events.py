@@ -86,10 +86,10 @@ def judge_events(estimates: Given, truth: Given, *, metres: float | None = None)
             )
             for i in np.flatnonzero(switched | again).tolist()
         ]
-    return JudgedTracks(_beside_the_truth(tracks, rows), tuple(events))
+    return JudgedTracks(_matched_truth(tracks, rows), tuple(events))
 
 
-def _beside_the_truth(tracks: TrackSet, rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> TrackSet:
+def _matched_truth(tracks: TrackSet, rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> TrackSet:
     """Return the tracks with the true positions (k, 2) of the matched people, by frame and track."""
     if not rows:
         return tracks

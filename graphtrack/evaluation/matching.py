@@ -115,11 +115,11 @@ def _detections(tracks: TrackSet, channel: str) -> Detections:
     return known_detections(
         np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]),
         np.concatenate([track.frame for track in tracks]),
-        np.concatenate([_places(track, channel) for track in tracks]),
+        np.concatenate([_positions(track, channel) for track in tracks]),
     )
 
 
-def _places(track: Track, channel: str) -> FloatArray:
+def _positions(track: Track, channel: str) -> FloatArray:
     values: FloatArray | None = getattr(track, channel)
     return np.full((len(track), 2), np.nan) if values is None else values
 
@@ -227,8 +227,8 @@ class SharedFrames:
         pair, place = np.unique(
             self.truth[self.row] * tracks + self.estimates[self.column], return_inverse=True
         )
-        people, others = np.divmod(pair, tracks)
-        return people, others, np.asarray(np.bincount(place, weight, minlength=len(pair)), float), place
+        people, remaining = np.divmod(pair, tracks)
+        return people, remaining, np.asarray(np.bincount(place, weight, minlength=len(pair)), float), place
 
 
 class Summed:

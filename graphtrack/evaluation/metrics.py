@@ -345,11 +345,11 @@ def summary(parts: Iterable[TrackErrors]) -> StateScore:
             "mae": float(np.mean(np.abs(every))),
             "median": float(np.median(np.abs(every))),
         }
-        stated = [track.calibration[quantity] for track in tracks if quantity in track.calibration]
+        calibrated = [track.calibration[quantity] for track in tracks if quantity in track.calibration]
         row |= dict.fromkeys(("coverage_95", "nees", "nees_low", "nees_high"))
-        if stated:
-            low, high = chi_square_band(degrees, len(stated))
-            row |= {name: pooled(stated)[name] for name in ("coverage_95", "nees")}
+        if calibrated:
+            low, high = chi_square_band(degrees, len(calibrated))
+            row |= {name: pooled(calibrated)[name] for name in ("coverage_95", "nees")}
             row |= {"nees_low": low / degrees, "nees_high": high / degrees}
         else:
             notes.append(f"{quantity}: no uncertainty in the estimates; only errors are scored")

@@ -148,9 +148,9 @@ def track_boxes(
     identity = np.full(len(detections), -1)
     frames = with_those_between(np.unique(detections.frame))
     for start, stop in np.searchsorted(detections.frame, [frames, frames + 1]).T.tolist():
-        told = tracker.update(boxes_of(corners[start:stop]))
-        if len(told.tracker_id):
-            identity[start + np.asarray(told.data["row"])] = told.tracker_id
+        record = tracker.update(boxes_of(corners[start:stop]))
+        if len(record.tracker_id):
+            identity[start + np.asarray(record.data["row"])] = record.tracker_id
     tracks = []
     for one in np.unique(identity[identity >= 0]).tolist():
         own = np.flatnonzero(identity == one)
@@ -160,13 +160,13 @@ def track_boxes(
 
 Parameters = TypeVar("Parameters")
 
-PLACES = (
+CROWDS = (
     Place(),
     Place(arrivals=0.25, stops=0.3),
     Place(width=20.0, depth=10.0, arrivals=0.8, pairs=0.5),
-    Place(speed=1.0, sway=0.25, stops=0.3),
+    Place(speed=1.0, velocity_std=0.25, stops=0.3),
 )
-"""Scenes of the crowds of `made_up_scenes`."""
+"""Scenes of the crowds of `synthetic_scenes`."""
 
 FAULTS = Detector(missed=0.15, occluded_share=0.5, occluded_seconds=2.0, clutter=1.0, clutter_count="fixed")
 
@@ -201,10 +201,10 @@ class Scene:
     truth: TrackSet
 
 
-def made_up_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[Scene, ...]:
-    """Simulate a crowd in each of `PLACES` at 2.5 Hz, detected with a noise of 0.1 m and `FAULTS`."""
+def synthetic_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[Scene, ...]:
+    """Simulate a crowd in each of `CROWDS` at 2.5 Hz, detected with a noise of 0.1 m and `FAULTS`."""
     scenes = []
-    for k, place in enumerate(PLACES):
+    for k, place in enumerate(CROWDS):
         rng = np.random.default_rng([seed, k])
         found = detect(crowd(rng, place=place, seconds=seconds), FAULTS, position_std=0.1, rng=rng)
         table = found.anonymous(rng)
@@ -275,7 +275,7 @@ def _runner(name: str) -> tuple[Any, Callable[[Any, Detections], TrackSet]]:
 
 def main(names: Sequence[str]) -> None:
     """Print the best parameters of methods, and their scores on held-out crowds."""
-    scenes, others = made_up_scenes(0), made_up_scenes(1)
+    scenes, held_out = synthetic_scenes(0), synthetic_scenes(1)
     for name in names:
         start, run = _runner(name)
 
@@ -283,7 +283,7 @@ def main(names: Sequence[str]) -> None:
             return worth(judged(partial(run, parameters), scenes))
 
         best = tuned(start, GRIDS[name], value, lambda found, worth: print(f"{worth:.4f} {found}"))
-        other = judged(partial(run, best), others)
+        other = judged(partial(run, best), held_out)
         print(f"{name}: {best}")
         print(f"  other crowds: HOTA {other.hota:.3f}, IDF1 {other.idf1:.3f}, MOTA {other.mota:.3f}")
 
@@ -376,7 +376,7 @@ def _peer(name: PeerName) -> FunctionTracker:
 
 def _rows(detections: Detections) -> Rows:
     """Return detections in the form of a reader."""
-    seen = {"t": detections.t, "position": detections.position}
+    detected = {"t": detections.t, "position": detections.position}
     channels = {name: values for name, values in detections.channels.items() if name != "box"}
     nobody = np.full(len(detections), -1)
     return Rows(
@@ -384,7 +384,7 @@ def _rows(detections: Detections) -> Rows:
         "memory",
         nobody,
         detections.frame,
-        channels | seen,
+        channels | detected,
         line_of=lambda row: row + 1,
         has_identity=False,
     )
@@ -457,9 +457,9 @@ class TrackerResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures in plain types."""
-        told = {"method": self.method, "group": self.group, "information": self.information}
+        record = {"method": self.method, "group": self.group, "information": self.information}
         figures = {name: getattr(self.score, name) for name in FIGURES}
-        return told | figures | {"tracks": self.score.tracks, "seconds": self.seconds}
+        return record | figures | {"tracks": self.score.tracks, "seconds": self.seconds}
 
 
 @dataclass(frozen=True)

@@ -89,11 +89,11 @@ def labelled_stretch(track: Track) -> Track | None:
 
 def detected(track: Track, rate: float, rng: np.random.Generator) -> Track:
     """Return a person observed at a share of the frames, including the first, with the head."""
-    seen = rng.random(len(track)) < rate
-    seen[0] = True
-    position = np.where(seen[:, None], track.position, np.nan)
-    head = None if track.head is None else np.where(seen, track.head, np.nan)
-    pixel = None if track.pixel is None else np.where(seen[:, None], track.pixel, np.nan)
+    labelled = rng.random(len(track)) < rate
+    labelled[0] = True
+    position = np.where(labelled[:, None], track.position, np.nan)
+    head = None if track.head is None else np.where(labelled, track.head, np.nan)
+    pixel = None if track.pixel is None else np.where(labelled[:, None], track.pixel, np.nan)
     return replace(track, position=position, head=head, pixel=pixel)
 
 
@@ -423,7 +423,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     detail = _detail(found, everyone)
     return Reproduction(
         "baxter-caviar",
-        (_people(everyone), detail, _controls(controls), _beside(found)),
+        (_people(everyone), detail, _controls(controls), _published_table(found)),
         page(_panels(detail, controls), columns=2),
         (
             "Labelled positions, in metres, are observations and truth; MSE is of one-step predictions. "
@@ -500,7 +500,7 @@ def _controls(controls: Sequence[ControlGain]) -> Records:
 
 
 @tabulated("Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video")
-def _beside(found: Outcomes) -> Records:
+def _published_table(found: Outcomes) -> Records:
     for rate in RATES:
         for method in METHODS:
             error, likelihood = (spread(ratios)[0] for ratios in gains(found, rate, method))

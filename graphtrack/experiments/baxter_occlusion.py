@@ -118,8 +118,8 @@ def error_of(predictor: Predictor, pairs: WithheldWindows) -> FloatArray:
 
 def unseen(track: Track) -> NDArray[np.intp]:
     """The frames without a position, after the first one with."""
-    seen = np.asarray(np.isfinite(track.position).all(axis=1))
-    return np.flatnonzero(~seen & np.logical_or.accumulate(seen))
+    has_position = np.asarray(np.isfinite(track.position).all(axis=1))
+    return np.flatnonzero(~has_position & np.logical_or.accumulate(has_position))
 
 
 def kalman(density: float) -> Predictor:
@@ -309,7 +309,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     detail = _detail(found, rng)
     return Reproduction(
         "baxter-occlusion",
-        (detail, trajectories(found), _beside(found, rng)),
+        (detail, trajectories(found), _published_table(found, rng)),
         page(_panels(detail), columns=2),
         (
             "Position and body are withheld in the window, the head as in the table. The body is unobserved.",
@@ -397,7 +397,7 @@ def _turn(track: Track, window: BoolArray) -> float:
 
 
 @tabulated("Paper / ours: reduction of the MSE in the window, head visible")
-def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
+def _published_table(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
     """Baxter et al.'s mean over seven trajectories next to our reductions, head visible."""
     for errors in found:
         if errors.head == "hidden":

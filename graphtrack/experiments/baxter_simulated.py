@@ -191,7 +191,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     joint, steered = (fitted.graphs[method].parameters.motion for method in GRAPHS)
     return Reproduction(
         "baxter-simulated",
-        (detail, *paired(found, names, settings.rng(98)), _beside(found)),
+        (detail, *paired(found, names, settings.rng(98)), _published_table(found)),
         page(panels),
         (
             "MSE: one-step predictions against true positions. CLL: cumulative log-likelihood of the "
@@ -270,10 +270,10 @@ def _counted(method: str, cells: Sequence[Mapping[str, Cell]]) -> dict[str, Cell
 
 
 @tabulated("Paper / ours: medians over the tracks of a behaviour, the least and greatest of them")
-def _beside(found: Sequence[Gain]) -> Records:
+def _published_table(found: Sequence[Gain]) -> Records:
     """Statements of Baxter et al. (2014), and the least and greatest of our medians over the
     behaviours."""
-    said = {
+    published = {
         1.0: "above 1 on all seven trajectories, both measures",
         0.8: "above 1 (Fig. 5, simulated)",
         0.6: "above 1 (Fig. 5, simulated); video + 12 %",
@@ -285,7 +285,7 @@ def _beside(found: Sequence[Gain]) -> Records:
             sums = [float(np.median(gain.likelihood)) for gain in own]
             yield {
                 "detection %": round(100 * rate),
-                "paper (intentional tracker)": said[rate],
+                "paper (intentional tracker)": published[rate],
                 "ours": method,
                 "MSE gain, least": min(errors),
                 "MSE gain, greatest": max(errors),

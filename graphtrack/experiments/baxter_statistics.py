@@ -77,7 +77,7 @@ class DeviationStatistics:
     future: float
 
     @property
-    def tells_the_future(self) -> bool:
+    def leaks_the_future(self) -> bool:
         """True if the head column was probably computed from the future path."""
         return self.future > SUSPICIOUS_SHARE
 
@@ -185,7 +185,7 @@ def deviation_statistics(
         density=counts / (counts.sum() * np.diff(HISTOGRAM_EDGES)),
         future=future_share(tracks),
     )
-    if found.tells_the_future:
+    if found.leaks_the_future:
         warnings.warn(
             f"{name}: {found.future:.0%} of the heads are exactly the direction to a later position; "
             "they were computed from the path and reveal its future to a tracker",
@@ -237,7 +237,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     notes.append(
         "UCY is left out on purpose: most of its gaze is the direction to the next control point, the future."
     )
-    return Reproduction("baxter-statistics", (_detail(found), _beside(found)), _figure(found), tuple(notes))
+    return Reproduction(
+        "baxter-statistics", (_detail(found), _published_table(found)), _figure(found), tuple(notes)
+    )
 
 
 def _detail(found: list[DeviationStatistics]) -> Table:
@@ -264,7 +266,7 @@ def _within(one: DeviationStatistics, reach: float) -> float:
 
 
 @tabulated("Paper / ours: the same statistic; only CAVIAR is the same source")
-def _beside(found: list[DeviationStatistics]) -> Records:
+def _published_table(found: list[DeviationStatistics]) -> Records:
     paper: dict[str, tuple[str, int]] = {
         "CAVIAR mws1gt": ("CAVIAR", 37),
         "mocap, walking": ("Benfold", 154),

@@ -47,7 +47,7 @@ ENDS = {weight: (f"{weight}: low", f"{weight}: high") for weight in (GROWS, FALL
 GRAPH = "graph, joint-intentional"
 METHODS = ("intentional", GRAPH)
 
-SEEN_EVERY = 5
+OBSERVED_EVERY = 5
 """Positions of motion capture are observed twice a second, so that a prediction is one over half a second."""
 
 GROWTH, OFFSET = 1.5, 0.5
@@ -108,14 +108,14 @@ def sources(settings: Settings) -> list[Source]:
     for i, (name, patterns) in enumerate(GAITS.items()):
         chosen = evenly(clips.select(*patterns).map(thinned), 6 if settings.quick else 80, 2.5)
         noisy = list(add_noise(chosen, position_std=0.05, head_kappa=4.0, rng=settings.rng(3, i)))
-        rare = [_seldom_seen(track) for track in noisy]
+        rare = [_thinned(track) for track in noisy]
         found.append(Source(name, 1.0, rare[::2], rare[1::2]))
     return found
 
 
-def _seldom_seen(track: Track) -> Track:
+def _thinned(track: Track) -> Track:
     """The track with a position in every so many-th frame, and the head in all."""
-    position = np.where((np.arange(len(track)) % SEEN_EVERY == 0)[:, None], track.position, np.nan)
+    position = np.where((np.arange(len(track)) % OBSERVED_EVERY == 0)[:, None], track.position, np.nan)
     return replace(track, position=position, body=None, true_body=None)
 
 
@@ -146,8 +146,8 @@ def graph_nats(
         if every == 1:
             estimate = track_online(given, model, engine="chain", lag=LAG)
         else:
-            seen = np.flatnonzero(np.isfinite(track.position).all(axis=1))
-            estimate = from_the_past(given, model, seen[2::every] - 1)
+            has_position = np.flatnonzero(np.isfinite(track.position).all(axis=1))
+            estimate = from_the_past(given, model, has_position[2::every] - 1)
         found.append(_mean(one_step_ahead(estimate, given, model)[1]))
     return np.array(found)
 
@@ -201,11 +201,11 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         for source in sources(settings)
         for method in METHODS
     }
-    beside = _beside(results, settings.rng(99))
+    published = _published_table(results, settings.rng(99))
     panels = [
         Panel(
             f"{weight} − constant",
-            beside.records(),
+            published.records(),
             *("ours: data", f"{weight} − constant (nats)", "ours: method"),
             ends=ends,
             level=0.0,
@@ -214,7 +214,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     ]
     return Reproduction(
         "baxter-weight",
-        (_detail(results), beside),
+        (_detail(results), published),
         page(panels),
         (
             "λ_t = 2λ/(1 + exp(−ρ(ŝ_t − τ))), ŝ the mean deviation of the observed head from the direction "
@@ -253,7 +253,9 @@ def _detail(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Records:
 
 
 @tabulated("Paper / ours: log-likelihood of held-out tracks, paired with a constant weight")
-def _beside(results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.random.Generator) -> Records:
+def _published_table(
+    results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.random.Generator
+) -> Records:
     for (data, method), by_weight in results.items():
         record: dict[str, Cell] = {
             "paper": "the weight grows with the deviation",

@@ -19,7 +19,6 @@ from graphtrack.experiments.chen_joint import (
     PRESETS,
     Methods,
     Scores,
-    beside,
     by_angle,
     default_models,
     detail,
@@ -27,6 +26,7 @@ from graphtrack.experiments.chen_joint import (
     errors_of,
     estimated_errors,
     most_likely_error,
+    published_table,
 )
 from graphtrack.experiments.harness import (
     GAITS,
@@ -73,12 +73,12 @@ def image_scores(data: str, tracks: TrackSet, classify: Callable[[TrackSet], Tra
     """
     camera = camera_before(tracks)
     answered = classify(tracks.map(lambda track: in_image(track, camera)))
-    turned = [turned_to_world(seen, camera) for seen in answered]
+    turned = [turned_to_world(observed_errors, camera) for observed_errors in answered]
     pairs = list(zip(turned, tracks, strict=True))
-    seen = [[most_likely_error(one, truth, angle) for angle in ANGLES] for one, truth in pairs]
-    found = by_angle(("observation", ""), seen)
-    for method, (as_seen, options) in OPTIONS.items():
-        given = answered.tracks if as_seen else turned
+    observed_errors = [[most_likely_error(one, truth, angle) for angle in ANGLES] for one, truth in pairs]
+    found = by_angle(("observation", ""), observed_errors)
+    for method, (by_image, options) in OPTIONS.items():
+        given = answered.tracks if by_image else turned
         for preset in PRESETS:
             estimates = [particle_filter(one, preset, camera=camera, options=options).track for one in given]
             errors = [errors_of(*pair) for pair in zip(estimates, tracks, strict=True)]
@@ -121,8 +121,10 @@ def _turned(likelihood: FloatArray | None, position: FloatArray, camera: GroundC
     if likelihood is None:
         return None
     count = likelihood.shape[1]
-    seen = np.stack([camera.image_angle(np.full(len(likelihood), c), position) for c in class_centres(count)])
-    place = np.mod(seen.T, 2.0 * np.pi) * count / (2.0 * np.pi)
+    observed_errors = np.stack(
+        [camera.image_angle(np.full(len(likelihood), c), position) for c in class_centres(count)]
+    )
+    place = np.mod(observed_errors.T, 2.0 * np.pi) * count / (2.0 * np.pi)
     lower = np.floor(place).astype(int)
     share = place - lower
     first, second = (np.take_along_axis(likelihood, (lower + k) % count, axis=1) for k in (0, 1))
@@ -136,7 +138,7 @@ LAG = 2.0
 KNOWN = {"chain": "graph, chain", "isam2": "graph, isam2", "chain, offline": "smoother"}
 """Engine → method of the experiment that it is already."""
 
-OTHERS: Methods = {
+OTHER_ENGINES: Methods = {
     "isam2, full history": ("online", partial(track_online, engine="isam2", lag=None)),
     "fixed-lag": ("online", partial(track_online, engine="fixed-lag", lag=LAG)),
     "gtsam, offline": ("offline", lambda track, model: smooth_track(track, model, engine="gtsam").track),
@@ -147,7 +149,7 @@ _PRESET = "joint"
 
 
 def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, progress: Progress) -> Table:
-    """Errors of `KNOWN` and `OTHERS` on people of one source.
+    """Errors of `KNOWN` and `OTHER_ENGINES` on people of one source.
 
     Parameters
     ----------
@@ -160,9 +162,9 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
         errors["observation", "", angle] = known.errors["observation", "", angle]
         for name, method in KNOWN.items():
             errors[_PRESET, name, angle] = known.errors[_PRESET, method, angle]
-    models = {(_PRESET, name): Model(_PRESET) for name in OTHERS}
-    errors |= estimated_errors(tracks, OTHERS, models, progress)
-    groups = {name: "offline" if name.endswith("offline") else "online" for name in (*KNOWN, *OTHERS)}
+    models = {(_PRESET, name): Model(_PRESET) for name in OTHER_ENGINES}
+    errors |= estimated_errors(tracks, OTHER_ENGINES, models, progress)
+    groups = {name: "offline" if name.endswith("offline") else "online" for name in (*KNOWN, *OTHER_ENGINES)}
     table = detail([Scores(known.data, known.people, errors)], groups, rng)
     return replace(table, title="Every engine, with joint")
 
@@ -170,7 +172,9 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
 FLIPPED, AT_RANDOM = 0.2, 0.1
 """Shares of the answers that take front for back, and that are any class."""
 
-BESIDE = "Paper / ours: mean error in degrees (Chen et al.'s classifiers on CHIL, ours as the notes say)"
+PUBLISHED_TITLE = (
+    "Paper / ours: mean error in degrees (Chen et al.'s classifiers on CHIL, ours as the notes say)"
+)
 
 METHODS: Methods = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
@@ -219,9 +223,9 @@ def classified(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
 
 def scores(data: str, tracks: TrackSet, progress: Progress) -> Scores:
     """Every method on every person, with each of the presets that it knows."""
-    seen = [[most_likely_error(track, track, angle) for angle in ANGLES] for track in tracks]
+    observed_errors = [[most_likely_error(track, track, angle) for angle in ANGLES] for track in tracks]
     estimates = estimated_errors(tracks, METHODS, default_models(METHODS, WITH_MODES), progress)
-    return Scores(data, len(tracks), by_angle(("observation", ""), seen) | estimates)
+    return Scores(data, len(tracks), by_angle(("observation", ""), observed_errors) | estimates)
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
@@ -252,7 +256,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     pictured_table = replace(
         detail(pictured, IMAGE_GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
     )
-    whole = detail(found, GROUPS, rng)
+    details = detail(found, GROUPS, rng)
     figure = new_figure(4.2 * len(found) + 1.0, 7.2)
     grid = figure.subplots(2, len(found), sharex=True, sharey="row", squeeze=False)
     draw_errors(grid, found, GROUPS, rng)
@@ -260,7 +264,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     engines = engine_table(found[0], next(iter(everyone.values())), settings.rng(98), progress)
     return Reproduction(
         "chen-classes",
-        (whole, pictured_table, engines, beside(found, GROUPS, BESIDE)),
+        (details, pictured_table, engines, published_table(found, GROUPS, PUBLISHED_TITLE)),
         figure,
         notes,
     )
@@ -270,7 +274,7 @@ def work(settings: Settings) -> int:
     """Return estimates, and the people of each source who are visible in the image."""
     everyone = people(settings)
     estimates = len(default_models(METHODS, WITH_MODES)) * sum(len(tracks) for tracks in everyone.values())
-    return estimates + len(everyone) + len(OTHERS) * len(next(iter(everyone.values())))
+    return estimates + len(everyone) + len(OTHER_ENGINES) * len(next(iter(everyone.values())))
 
 
 EXPERIMENT = Experiment(

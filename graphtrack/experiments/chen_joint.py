@@ -163,7 +163,7 @@ def detail(found: Iterable[Scores], groups: Mapping[str, str], rng: np.random.Ge
                     }
 
 
-def beside(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:
+def published_table(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:
     """Chen et al.'s Table 2 next to the errors of some methods, grouped by ``groups`` as
     online."""
     records: list[dict[str, Cell]] = []
@@ -337,7 +337,9 @@ def pair_table(
 
 PATHS = ParticleOptions(paths=40)
 
-BESIDE = "Paper / ours: mean error in degrees (Chen et al. 2011: on CHIL, with its own particle filter)"
+PUBLISHED_TITLE = (
+    "Paper / ours: mean error in degrees (Chen et al. 2011: on CHIL, with its own particle filter)"
+)
 
 WALKERS = "mocap, walking"
 
@@ -386,7 +388,7 @@ def people(settings: Settings) -> dict[str, TrackSet]:
     return {name: _noisy(tracks, settings.rng(2, i)) for i, (name, tracks) in enumerate(found.items())}
 
 
-def others(settings: Settings, reported: Mapping[str, TrackSet]) -> TrackSet:
+def simulated_walkers(settings: Settings, reported: Mapping[str, TrackSet]) -> TrackSet:
     """Noisy people who walk ahead and are not reported, for parameters to be fitted on."""
     count = 3 if settings.quick else 24
     clips = settings.tracks(*MOCAP)
@@ -410,10 +412,10 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     everyone = people(settings)
     found = []
     for name, tracks in everyone.items():
-        seen = by_angle(("observation", ""), [errors_of(track, track) for track in tracks])
+        observed = by_angle(("observation", ""), [errors_of(track, track) for track in tracks])
         estimates = estimated_errors(tracks, METHODS, default_models(METHODS, WITH_MODES), progress)
-        found.append(Scores(name, len(tracks), seen | estimates))
-    models = fitted_models(others(settings, everyone), METHODS, _evaluations(settings), progress)
+        found.append(Scores(name, len(tracks), observed | estimates))
+    models = fitted_models(simulated_walkers(settings, everyone), METHODS, _evaluations(settings), progress)
     fitted = {name: estimated_errors(tracks, METHODS, models, progress) for name, tracks in everyone.items()}
     by_default = {one.data: one.errors for one in found}
     rng = settings.rng(99)
@@ -451,7 +453,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             parameter_table(models),
             fitted_table(by_default, fitted, METHODS, settings.rng(98)),
             pair_table(by_default, fitted, settings.rng(97)),
-            beside(found, GROUPS, BESIDE),
+            published_table(found, GROUPS, PUBLISHED_TITLE),
         ),
         page(_panels(found, rng), columns=len(found)),
         tuple(notes),
@@ -533,7 +535,7 @@ def work(settings: Settings) -> int:
     """Estimates: with default parameters, at each evaluation of the fits, and with the fitted parameters."""
     everyone = people(settings)
     reported = sum(len(tracks) for tracks in everyone.values())
-    fitting = _evaluations(settings) * len(others(settings, everyone))
+    fitting = _evaluations(settings) * len(simulated_walkers(settings, everyone))
     known = len(default_models(METHODS, WITH_MODES)) + len(FITTED) * len(METHODS)
     return known * reported + fits(METHODS) * fitting
 

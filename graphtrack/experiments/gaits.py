@@ -54,10 +54,10 @@ Errors = Mapping[tuple[str, str, str], FloatArray]
 
 def people(settings: Settings) -> dict[str, TrackSet]:
     """The clips that nothing was fitted to, those of odd place; nothing without the recording."""
-    whole = settings.tracks(*MOCAP)
-    if whole is None:
+    recording = settings.tracks(*MOCAP)
+    if recording is None:
         return {}
-    held = whole.with_tracks(whole.tracks[1::2])
+    held = recording.with_tracks(recording.tracks[1::2])
     askance = held.select(*ASKANCE)
     known = {track.track_id for track in askance}
     ordinary = held.with_tracks(track for track in held if track.track_id not in known)
@@ -70,10 +70,10 @@ def _parts(settings: Settings) -> list[tuple[str, str, TrackSet, int]]:
     """People, way, clips and draws of the noise."""
     draws = 1 if settings.quick else DRAWS
     found = []
-    for who, clips in people(settings).items():
-        some = clips.with_tracks(clips.tracks[::2]) if who == ORDINARY else clips
-        found += [(who, "offline", clips, draws), (who, CHAIN, some, draws)]
-        found += [(who, "online, isam2", some, 1), (who, PARTICLES, some, draws)]
+    for people_kind, clips in people(settings).items():
+        some = clips.with_tracks(clips.tracks[::2]) if people_kind == ORDINARY else clips
+        found += [(people_kind, "offline", clips, draws), (people_kind, CHAIN, some, draws)]
+        found += [(people_kind, "online, isam2", some, 1), (people_kind, PARTICLES, some, draws)]
     return found
 
 
@@ -93,14 +93,14 @@ def _noisy(clips: TrackSet, settings: Settings, draw: int) -> TrackSet:
 def errors(settings: Settings, progress: Progress) -> Errors:
     """Everybody's errors by every way with every model."""
     found: dict[tuple[str, str, str], FloatArray] = {}
-    for who, way, clips, draws in _parts(settings):
+    for people_kind, way, clips, draws in _parts(settings):
         for draw in range(draws):
-            seen = _noisy(clips, settings, draw)
+            observed = _noisy(clips, settings, draw)
             for preset in PRESETS:
-                estimates = ESTIMATORS[way](seen, preset)
-                values = [_errors_of(one, truth) for one, truth in zip(estimates, seen, strict=True)]
+                estimates = ESTIMATORS[way](observed, preset)
+                values = [_errors_of(one, truth) for one, truth in zip(estimates, observed, strict=True)]
                 empty = np.empty((draws, len(clips), len(MEASURES)))
-                found.setdefault((who, way, preset), empty)[draw] = values
+                found.setdefault((people_kind, way, preset), empty)[draw] = values
                 progress(1)
     return found
 
@@ -126,17 +126,23 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     tables = _detail(found), _differences(found, rng), _rivals(found, rng)
     rows = tables[0].records()
     panels = [
-        Panel(f"{who}: {measure}", [row for row in rows if row["people"] == who], "model", measure, "")
+        Panel(
+            f"{people_kind}: {measure}",
+            [row for row in rows if row["people"] == people_kind],
+            "model",
+            measure,
+            "",
+        )
         for measure in MEASURES[:2]
-        for who in (ORDINARY, SIDEWAYS)
+        for people_kind in (ORDINARY, SIDEWAYS)
     ]
     return Reproduction("gaits", tables, page(panels, columns=2), notes)
 
 
 @tabulated("Errors by model")
 def _detail(found: Errors) -> Records:
-    for (who, way, preset), values in found.items():
-        record: dict[str, Cell] = {"people": who, "": way, "model": preset}
+    for (people_kind, way, preset), values in found.items():
+        record: dict[str, Cell] = {"people": people_kind, "": way, "model": preset}
         record |= {"clips": values.shape[1], "draws": len(values)}
         for k, measure in enumerate(MEASURES):
             record[measure] = float(values[..., k].mean())
@@ -146,18 +152,20 @@ def _detail(found: Errors) -> Records:
 
 @tabulated("The error of full less another's")
 def _differences(found: Errors, rng: np.random.Generator) -> Records:
-    for who, way in dict.fromkeys(key[:2] for key in found):
+    for people_kind, way in dict.fromkeys(key[:2] for key in found):
         for other in PRESETS[:-1]:
-            record: dict[str, Cell] = {"people": who, "": way, "full less": other}
-            yield record | _paired(found[who, way, "full"], found[who, way, other], rng)
+            record: dict[str, Cell] = {"people": people_kind, "": way, "full less": other}
+            yield record | _paired(found[people_kind, way, "full"], found[people_kind, way, other], rng)
 
 
 @tabulated("The error of the graph (online, chain) less that of the particle filter")
 def _rivals(found: Errors, rng: np.random.Generator) -> Records:
-    for who in dict.fromkeys(key[0] for key in found):
+    for people_kind in dict.fromkeys(key[0] for key in found):
         for preset in PRESETS:
-            record: dict[str, Cell] = {"people": who, "model": preset}
-            yield record | _paired(found[who, CHAIN, preset], found[who, PARTICLES, preset], rng)
+            record: dict[str, Cell] = {"people": people_kind, "model": preset}
+            yield record | _paired(
+                found[people_kind, CHAIN, preset], found[people_kind, PARTICLES, preset], rng
+            )
 
 
 def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dict[str, Cell]:

@@ -315,11 +315,11 @@ def page(panels: Sequence[Panel], columns: int = 3) -> Figure:
 def draw_panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
     """Draw a panel, and add its series to the handles of the legend."""
     known = [row for row in panel.rows if row[panel.y] is not None]
-    places = list(dict.fromkeys(str(row[panel.x]) for row in known))
+    ticks = list(dict.fromkeys(str(row[panel.x]) for row in known))
     series = list(dict.fromkeys(str(row[panel.by]) for row in known))
     for k, name in enumerate(series):
         own = [row for row in known if str(row[panel.by]) == name]
-        x = np.array([places.index(str(row[panel.x])) for row in own]) + 0.6 * ((k + 0.5) / len(series) - 0.5)
+        x = np.array([ticks.index(str(row[panel.x])) for row in own]) + 0.6 * ((k + 0.5) / len(series) - 0.5)
         y = np.array([row[panel.y] for row in own], dtype=float)
         whiskers = None
         if panel.ends is not None:
@@ -340,8 +340,8 @@ def draw_panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
         axes.set_ylim(bottom=0.0)
     elif panel.least is not None and axes.dataLim.y0 < panel.least:
         axes.set_ylim(bottom=panel.least)
-    turned = 30.0 if len("".join(places)) > 40 else 0.0
-    axes.set_xticks(range(len(places)), places, rotation=turned, ha="right" if turned else "center")
+    turned = 30.0 if len("".join(ticks)) > 40 else 0.0
+    axes.set_xticks(range(len(ticks)), ticks, rotation=turned, ha="right" if turned else "center")
     axes.set_title(panel.title, fontsize=10, loc="left")
     axes.set_xlabel(panel.x, fontsize=8)
     tidy(axes, grid="y")

@@ -90,12 +90,12 @@ def judged(setting: Setting, preset: str, estimator: str) -> list[dict[str, Trac
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment; nothing without the recording."""
-    whole = settings.tracks(*MOCAP)
-    if whole is None:
+    recording = settings.tracks(*MOCAP)
+    if recording is None:
         return Reproduction("honesty", (), None, (NO_MOCAP,))
     # The clips of even place are those that parameters were fitted to.
-    held = [replace(track, track_id=i) for i, track in enumerate(whole.tracks[1::2])]
-    clips = evenly(whole.with_tracks(held), FEW if settings.quick else CLIPS)
+    held = [replace(track, track_id=i) for i, track in enumerate(recording.tracks[1::2])]
+    clips = evenly(recording.with_tracks(held), FEW if settings.quick else CLIPS)
     rows: list[dict[str, Any]] = []
     for setting in settings_of(clips, settings.rng(0)):
         for preset in PRESETS:
@@ -115,7 +115,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         for columns in (("of model", "nees", "at"),)
         for quantity in DEGREES
     ]
-    return Reproduction("honesty", (_grid(rows), _beside(rows)), page(panels, columns=2), notes)
+    return Reproduction("honesty", (_grid(rows), _published_table(rows)), page(panels, columns=2), notes)
 
 
 @tabulated("NEES a degree of freedom, and how often intervals hold the truth")
@@ -132,7 +132,7 @@ def _grid(rows: Sequence[Mapping[str, Any]]) -> Records:
 
 
 @tabulated("Paper / ours: what a covariance promises, and all cells of the grid")
-def _beside(rows: Sequence[Mapping[str, Any]]) -> Records:
+def _published_table(rows: Sequence[Mapping[str, Any]]) -> Records:
     for quantity in DEGREES:
         own = [row for row in rows if row["of"] == quantity]
         nees, wide = [row["nees"] for row in own], [100.0 * row["coverage_95"] for row in own]

@@ -70,15 +70,15 @@ def meetings(clips: TrackSet, pairs: int, rng: np.random.Generator) -> TrackSet:
     clips : people who are never missing, by the frame
     pairs : how many; two people each, whose clips differ, from any side
     """
-    known = [(track, places) for track in clips if len(places := turns(track))]
+    known = [(track, turning_points) for track in clips if len(turning_points := turns(track))]
     seconds = float(np.median(np.diff(clips.tracks[0].t)))
     reach, columns = round(SECONDS / seconds), int(np.ceil(np.sqrt(pairs)))
     people = []
     for pair in range(pairs):
         place = _APART * np.array([pair % columns, pair // columns])
         for one, chosen in enumerate(rng.choice(len(known), 2, replace=False)):
-            track, places = known[chosen]
-            angle, meeting = rng.uniform(-np.pi, np.pi), int(rng.choice(places))
+            track, turning_points = known[chosen]
+            angle, meeting = rng.uniform(-np.pi, np.pi), int(rng.choice(turning_points))
             if one:
                 away, far = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, CLOSEST)
                 place = place + far * np.array([np.cos(away), np.sin(away)])
@@ -110,26 +110,26 @@ def detected(people: TrackSet, position_std: float, rng: np.random.Generator) ->
     )
     whose = np.repeat([one.track_id for one in noisy], [len(one) for one in noisy])
     kept = rng.permutation(np.flatnonzero(rng.random(len(whose)) >= MISSED))
-    seen = Detections(frame[kept], t[kept], position[kept], {"body": body[kept], "head": head[kept]})
-    return seen, whose[kept][seen.row]
+    detections = Detections(frame[kept], t[kept], position[kept], {"body": body[kept], "head": head[kept]})
+    return detections, whose[kept][detections.row]
 
 
-def offline(seen: Detections) -> IntArray:
+def offline(detections: Detections) -> IntArray:
     """Return the identity of each detection, from the whole recording; −1: none."""
-    return associate_detections(seen).identity
+    return associate_detections(detections).identity
 
 
-def online(seen: Detections) -> IntArray:
+def online(detections: Detections) -> IntArray:
     """Return the identity of each detection as reported online; below 1: none yet."""
-    association, identity = OnlineAssociation({}, 2.0), np.zeros(len(seen), np.int64)
-    facing = observed_angles(seen.channels, len(seen))
-    for frame in np.unique(seen.frame):
-        rows = np.flatnonzero(seen.frame == frame)
+    association, identity = OnlineAssociation({}, 2.0), np.zeros(len(detections), np.int64)
+    facing = observed_angles(detections.channels, len(detections))
+    for frame in np.unique(detections.frame):
+        rows = np.flatnonzero(detections.frame == frame)
         nothing = np.full(len(rows), np.nan)
-        told = association.update(
-            float(seen.t[rows[0]]), seen.position[rows], nothing, facing[rows], nothing, None
+        decision = association.update(
+            float(detections.t[rows[0]]), detections.position[rows], nothing, facing[rows], nothing, None
         )
-        identity[rows] = told.identity
+        identity[rows] = decision.identity
     return np.where(identity > 0, identity, -1)
 
 
@@ -162,11 +162,11 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     for seed in _seeds(settings):
         people = meetings(clips, FEW if settings.quick else PAIRS, settings.rng(seed))
         for std in POSITION_STDS:
-            seen, whose = detected(people, std, settings.rng(seed, 1))
+            detections, whose = detected(people, std, settings.rng(seed, 1))
             for way, tracker in TRACKERS.items():
                 for evidence, names in EVIDENCE.items():
-                    given = {name: seen.channels[name] for name in names}
-                    found = tracker(replace(seen, channels=given))
+                    given = {name: detections.channels[name] for name in names}
+                    found = tracker(replace(detections, channels=given))
                     counts.setdefault((std, way, evidence), []).append(switches(whose, found))
                     progress(1)
     notes = (

@@ -49,7 +49,7 @@ QUANTITIES = ("position", *ANGLES)
 
 FITTED = (
     *("motion.acceleration_density", "motion.head_rate"),
-    *(f"gait.{name}" for name in ("head_rate_seen", "body_lead", "head_lead", "head_evidence")),
+    *(f"gait.{name}" for name in ("head_rate_observed", "body_lead", "head_lead", "head_evidence")),
     *(f"gait.body_{name}" for name in ("aligned", "switching", "spread", "strength", "free_strength")),
     *(f"gait.head_{name}" for name in ("aligned", "switching", "spread", "strength", "free_strength")),
     *(f"gait.glance_{name}" for name in ("share", "time", "kappa", "strength")),
@@ -124,10 +124,10 @@ def simulated(habits: StrollerParameters, number: int, settings: Settings, strea
 
 def motion_capture(settings: Settings, stream: int) -> People:
     """Clips that walk, turn and run, at 30 and 10 Hz, and odd gaits; those of even place to fit on."""
-    whole = settings.tracks(*MOCAP)
-    if whole is None:
+    recording = settings.tracks(*MOCAP)
+    if recording is None:
         return {}
-    half = whole.with_tracks(whole.tracks[stream::2])
+    half = recording.with_tracks(recording.tracks[stream::2])
     odd = half.select(*ASKANCE)
     known = {track.track_id for track in odd}
     few = 2 if settings.quick else 1
@@ -141,10 +141,10 @@ def motion_capture(settings: Settings, stream: int) -> People:
 
 def party(settings: Settings, stream: int) -> People:
     """People who stand and talk; the first 1,000 s to fit on."""
-    whole = settings.tracks(*SALSA)
-    if whole is None:
+    recording = settings.tracks(*SALSA)
+    if recording is None:
         return {}
-    kept = whole.map(lambda track: track[np.flatnonzero((track.t < 1000.0) == (stream == 0))])
+    kept = recording.map(lambda track: track[np.flatnonzero((track.t < 1000.0) == (stream == 0))])
     noisy = add_noise(kept, position_std=0.1, body_kappa=1.2, head_kappa=3.4, rng=settings.rng(43, stream))
     return {"1/3 Hz": noisy, "1/3 Hz, no body": noisy.map(lambda t: replace(t, body=None, body_kappa=None))}
 
@@ -258,8 +258,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     rows: list[dict[str, Cell]] = []
     constants: list[dict[str, Cell]] = []
     for source in there:
-        others = [to_fit[other.name] for other in there if other is not source]
-        fitted = fit(others, _rounds(settings), progress)
+        training = [to_fit[other.name] for other in there if other is not source]
+        fitted = fit(training, _rounds(settings), progress)
         models: dict[str, Model | str] = {name: name for name in PRESETS}
         models["full, fitted without it"] = fitted
         rows += _rows(source.name, source.people(settings, 1), models)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, MotionFilters, standing
-from graphtrack.forecasting.paths import EVERY, LAGS, Places, Seen, kernel_means
+from graphtrack.forecasting.paths import EVERY, LAGS, NearbyDeviations, PathMemory, kernel_means
 from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.saved import real, whole
+from graphtrack.saved import integer, real
 
 _WALKING = 0.3  # speed, m/s, at which people half count as walking
 
@@ -34,12 +34,15 @@ class Expected:
 
 
 def together(
-    position: ComplexArray, velocity: ComplexArray, others: NDArray[np.int64], parameters: ForecastParameters
+    position: ComplexArray,
+    velocity: ComplexArray,
+    neighbours: NDArray[np.int64],
+    parameters: ForecastParameters,
 ) -> ComplexArray:
-    """Return velocities (n,), averaged with those of ``others`` (m,) nearby with similar velocities."""
+    """Return velocities (n,), averaged with those of ``neighbours`` (m,) nearby with similar velocities."""
     near, alike = parameters.companion_distance, parameters.companion_velocity
     points, ways = (np.ascontiguousarray(one).view(float).reshape(-1, 2) for one in (position, velocity))
-    found = kernel_means(points, ways, others, near, alike, parameters.companion_weight)
+    found = kernel_means(points, ways, neighbours, near, alike, parameters.companion_weight)
     return np.asarray(found.view(complex)[:, 0])
 
 
@@ -159,7 +162,7 @@ class Forecaster:
         self._area = None if walkable is None else WalkableArea.of(walkable)
         self.parameters = ForecastParameters() if parameters is None else parameters
         self._calibration = Calibration(self.parameters)
-        self._places = Places(self.parameters, self._calibration.see)
+        self._paths = PathMemory(self.parameters, self._calibration.see)
         self._of: dict[int, int] = {}
         self._free: list[int] = []
         self._filters = MotionFilters(0)
@@ -173,7 +176,7 @@ class Forecaster:
         # Cached predictions of each slot, and their time.
         self._moved, self._looked = np.zeros(0), np.zeros(0)
         self._now, self._variance = np.zeros((0, 2), complex), np.zeros((0, 3))
-        self._seen = np.zeros((0, 3, len(LAGS)), complex)
+        self._nearby = np.zeros((0, 3, len(LAGS)), complex)
 
     def update(
         self,
@@ -214,7 +217,7 @@ class Forecaster:
         at = self._at(ids[known])
         if len(at):
             before = self._last[at]
-            self._places.see(self._number[at], before, t, self._position[at], points[known])
+            self._paths.see(self._number[at], before, t, self._position[at], points[known])
             self._filters.update(at, t - before, points[known], spread[known])
             self._position[at], self._last[at] = points[known], t
             self._count[at] += 1
@@ -231,7 +234,7 @@ class Forecaster:
             "free": np.array(self._free, np.int64),
             "people": {name: getattr(self, name).copy() for name in _OF_A_PLACE},
             "filters": self._filters.state(),
-            "places": self._places.state(),
+            "places": self._paths.state(),
             "calibration": self._calibration.state(),
         }
 
@@ -246,13 +249,13 @@ class Forecaster:
         """
         found = cls(parameters)
         found.t = -math.inf if state["t"] is None else real(state["t"])
-        found._numbers = whole(state["numbers"])
+        found._numbers = integer(state["numbers"])
         found._of = dict(state["of"].tolist())
         found._free = state["free"].tolist()
         for name in _OF_A_PLACE:
             setattr(found, name, state["people"][name])
         found._filters.restore(state["filters"])
-        found._places.restore(state["places"])
+        found._paths.restore(state["places"])
         found._calibration.restore(state["calibration"])
         return found
 
@@ -377,8 +380,8 @@ class Forecaster:
             return
         steps = (self._last - self._first)[at] / np.maximum(self._count[at] - 1, 1)
         keep = np.where(self._count[at] > 1, np.exp(-steps / _HEAD_SECONDS), 0.0)
-        seen = np.isfinite(angles)
-        now = np.where(seen, np.exp(1j * np.where(seen, angles, 0.0)), 0.0)
+        nearby = np.isfinite(angles)
+        now = np.where(nearby, np.exp(1j * np.where(nearby, angles, 0.0)), 0.0)
         self._head[at] = keep * self._head[at] + (1.0 - keep) * now
 
     def _anchor(self, t: float, at: NDArray[np.int64]) -> None:
@@ -394,7 +397,7 @@ class Forecaster:
         deviation = expected.mean - position[:, None] - LAGS * velocity[:, None]
         spread = np.sqrt((along**2 + across**2) / 2)
         spread[t - self._first[at] < JUDGED] = np.nan
-        self._places.add(t, self._number[at], position, velocity, deviation, spread)
+        self._paths.add(t, self._number[at], position, velocity, deviation, spread)
 
     def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         if (self._moved[at] != self.t).any():
@@ -402,20 +405,22 @@ class Forecaster:
             old = np.union1d(here, at)
             motion = self._filters.motion(old, self.t - self._last[old])
             own = standing(motion.velocity, self.parameters.stop_speed)
-            others = np.searchsorted(old, here)
-            velocity = together(motion.position, own, others, self.parameters)
+            neighbours = np.searchsorted(old, here)
+            velocity = together(motion.position, own, neighbours, self.parameters)
             self._now[old] = np.stack([motion.position, velocity], axis=1)
             self._variance[old], self._moved[old] = motion.variance, self.t
         return self._now[at, 0], self._now[at, 1], self._variance[at]
 
-    def _near(self, at: NDArray[np.int64], position: ComplexArray, velocity: ComplexArray) -> Seen:
+    def _near(
+        self, at: NDArray[np.int64], position: ComplexArray, velocity: ComplexArray
+    ) -> NearbyDeviations:
         old = self._looked[at] != self.t
         if old.any():
-            seen, places = self._places.near(position[old], velocity[old]), at[old]
-            self._seen[places] = np.stack([seen.weight, seen.deviation, seen.square], axis=1)
-            self._looked[places] = self.t
-        weight, deviation, square = np.moveaxis(self._seen[at], 1, 0)
-        return Seen(weight.real, deviation, square.real)
+            nearby, rows = self._paths.near(position[old], velocity[old]), at[old]
+            self._nearby[rows] = np.stack([nearby.weight, nearby.deviation, nearby.square], axis=1)
+            self._looked[rows] = self.t
+        weight, deviation, square = np.moveaxis(self._nearby[at], 1, 0)
+        return NearbyDeviations(weight.real, deviation, square.real)
 
     def _expected(self, at: NDArray[np.int64], ahead: FloatArray) -> Expected:
         position, velocity, variance = self._going(at)
@@ -425,10 +430,10 @@ class Forecaster:
         led = lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
         turned = np.exp(1j * led[:, None] * mean_turn(ahead, self.parameters))
         straight = velocity[:, None] * ahead * turned
-        seen = self._near(at, position, velocity)
-        prior = seen.weight / (seen.weight + self.parameters.place_prior)
-        shift = prior * seen.deviation
-        about = seen.square - 2.0 * (shift.conj() * seen.deviation).real + np.abs(shift) ** 2
+        nearby = self._near(at, position, velocity)
+        prior = nearby.weight / (nearby.weight + self.parameters.place_prior)
+        shift = prior * nearby.deviation
+        about = nearby.square - 2.0 * (shift.conj() * nearby.deviation).real + np.abs(shift) ** 2
         interpolate, growth = between_lags(ahead)
         correction = (shift @ interpolate.T) * growth
         estimate = variance[:, :1] + 2.0 * ahead * variance[:, 1:2] + ahead**2 * variance[:, 2:]
@@ -437,7 +442,7 @@ class Forecaster:
             direction=direction,
             speed=speed,
             estimate=estimate,
-            weight=seen.weight @ interpolate.T,
+            weight=nearby.weight @ interpolate.T,
             square=(np.maximum(about, 0.0) / 2 / LAGS**2) @ interpolate.T * ahead**2,
         )
 

@@ -123,16 +123,16 @@ def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:
 class MotionFilters:
     """Filters of people in numbered slots; the caller assigns the slots."""
 
-    def __init__(self, places: int) -> None:
-        size = (places, len(BELIEFS))
+    def __init__(self, capacity: int) -> None:
+        size = (capacity, len(BELIEFS))
         self._position, self._velocity = np.zeros(size, complex), np.zeros(size, complex)
         self._variance = np.zeros((*size, 3))
         self._evidence = np.zeros(size)
         self._habit = np.zeros(len(BELIEFS))
 
-    def grow(self, places: int) -> None:
+    def grow(self, capacity: int) -> None:
         """Allocate slots for this many people."""
-        more = places - len(self._position)
+        more = capacity - len(self._position)
         for name in ("_position", "_velocity", "_variance", "_evidence"):
             values = getattr(self, name)
             wider = np.zeros((more, *values.shape[1:]), values.dtype)

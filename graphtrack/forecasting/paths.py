@@ -57,7 +57,7 @@ def kernel_sums(
 def kernel_means(
     position: FloatArray,
     velocity: FloatArray,
-    others: NDArray[np.int64],
+    neighbours: NDArray[np.int64],
     near: float,
     alike: float,
     most: float,
@@ -67,14 +67,14 @@ def kernel_means(
     Parameters
     ----------
     position, velocity : (n, 2)
-    others : (m,) indices of the other people
+    neighbours : (m,) indices of the other people
     near, alike : widths of the kernels, of positions and velocities
     most : weight of a person with the same position and velocity, relative to one's own
     """
     found = np.empty((len(position), 2))
     for i in range(len(position)):
         x, y, weight = velocity[i, 0], velocity[i, 1], 1.0
-        for j in others:
+        for j in neighbours:
             apart = (position[j, 0] - position[i, 0]) ** 2 + (position[j, 1] - position[i, 1]) ** 2
             unlike = (velocity[j, 0] - velocity[i, 0]) ** 2 + (velocity[j, 1] - velocity[i, 1]) ** 2
             log = -0.5 * (apart / (near * near) + unlike / (alike * alike))
@@ -98,7 +98,7 @@ _LONGEST_GAP = 1.0  # longest gap in seconds that is interpolated
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class NearbyDeviations:
     """Deviations of earlier people near n people, at each of `LAGS`."""
 
     weight: FloatArray  # (n, G) effective number of anchors
@@ -106,7 +106,7 @@ class Seen:
     square: FloatArray  # (n, G) their mean squared deviation, m²
 
 
-class Places:
+class PathMemory:
     """The anchors of a scene.
 
     Parameters
@@ -228,11 +228,11 @@ class Places:
         judged = np.isfinite(error)
         self._judge(lag[judged], error[judged])
 
-    def near(self, position: ComplexArray, velocity: ComplexArray) -> Seen:
+    def near(self, position: ComplexArray, velocity: ComplexArray) -> NearbyDeviations:
         """Return the deviations of earlier people near those positions and velocities (n,)."""
         here = self._scaled(position, velocity)
         sums = kernel_sums(here, self._where, self._outcome, len(self))
         real, imaginary, square, weight = np.split(sums, 4, axis=1)
         total = np.maximum(weight, 1e-12)
         deviation: ComplexArray = np.asarray((real + 1j * imaginary) / total, dtype=complex)
-        return Seen(weight, deviation, square / total)
+        return NearbyDeviations(weight, deviation, square / total)

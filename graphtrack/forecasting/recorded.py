@@ -18,7 +18,7 @@ from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import AreaLike
-from graphtrack.io.formats.native import damage_told
+from graphtrack.io.formats.native import arrow_errors
 from graphtrack.io.source import Source
 from graphtrack.tracks.track import STATE, Track, TrackSet
 from graphtrack.tracks.validation import check_positive
@@ -34,7 +34,7 @@ _MOST_ROWS = 20_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class SeenFrame:
+class PeopleOfFrame:
     """Observed people of a frame at ``t`` seconds, as for `Forecaster.update`."""
 
     t: float
@@ -80,32 +80,32 @@ class Forecasts:
         write_table(self.columns, path)
 
 
-def frames_of(tracks: TrackSet | list[Track]) -> Iterator[SeenFrame]:
+def frames_of(tracks: TrackSet | list[Track]) -> Iterator[PeopleOfFrame]:
     """Return the observed people, time by time; rows without a position are left out."""
     parts: list[tuple[FloatArray, ...]] = []
     for track in tracks:
-        seen = np.isfinite(track.position).all(axis=1)
+        has_position = np.isfinite(track.position).all(axis=1)
         if track.observed is not None:
-            seen &= ~(track.observed == 0.0)
+            has_position &= ~(track.observed == 0.0)
         unknown = np.full(len(track), np.nan)
         std = unknown if track.position_std is None else track.position_std
         if track.covariance is not None:
-            places = [STATE.index("x"), STATE.index("y")]
-            std = np.sqrt(track.covariance[:, places, places].mean(axis=1))
+            columns = [STATE.index("x"), STATE.index("y")]
+            std = np.sqrt(track.covariance[:, columns, columns].mean(axis=1))
         head = unknown if track.head is None else track.head
-        who = np.full(len(track), track.track_id)
-        values = (track.t, track.frame, who, *track.position.T, std, head)
-        parts.append(tuple(np.asarray(one)[seen] for one in values))
+        track_ids = np.full(len(track), track.track_id)
+        values = (track.t, track.frame, track_ids, *track.position.T, std, head)
+        parts.append(tuple(np.asarray(one)[has_position] for one in values))
     if not parts:
         return
-    t, frame, who, x, y, std, head = (np.concatenate(one) for one in zip(*parts, strict=True))
-    order = np.lexsort((who, np.round(t, 6)))
+    t, frame, track_ids, x, y, std, head = (np.concatenate(one) for one in zip(*parts, strict=True))
+    order = np.lexsort((track_ids, np.round(t, 6)))
     edges = np.flatnonzero(np.diff(np.round(t[order], 6), prepend=-np.inf))
     for rows in np.split(order, edges[1:]) if len(order) else []:
-        yield SeenFrame(
+        yield PeopleOfFrame(
             t=float(t[rows[0]]),
             frame=int(frame[rows[0]]),
-            track_id=who[rows].astype(np.int64),
+            track_id=track_ids[rows].astype(np.int64),
             position=np.stack([x[rows], y[rows]], axis=1),
             std=std[rows],
             head=head[rows],
@@ -155,25 +155,25 @@ def forecast(
     forecaster, random = Forecaster(parameters, walkable), np.random.default_rng(seed)
     made: list[tuple[int, Forecast]] = []
     last, rows = -math.inf, 0
-    for seen in frames_of(tracks):
-        forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
-        if every is not None and seen.t - last < every - 1e-6:
+    for present in frames_of(tracks):
+        forecaster.update(present.t, present.track_id, present.position, present.std, present.head)
+        if every is not None and present.t - last < every - 1e-6:
             continue
-        last = seen.t
+        last = present.t
         people = forecaster.people(history or 0.0)
         if len(people):
-            made.append((seen.frame, forecaster.forecast(ahead, people, samples=samples, random=random)))
+            made.append((present.frame, forecaster.forecast(ahead, people, samples=samples, random=random)))
             rows += len(people) * len(ahead)
             if rows > _MOST_ROWS:
                 raise InputError(
                     f"more than {_MOST_ROWS} rows", "forecasts less often (every), or longer steps"
                 )
-    told = set(np.concatenate([one.track_id for _, one in made]).tolist()) if made else set()
-    short = tuple(track.track_id for track in tracks if track.track_id not in told)
+    reported = set(np.concatenate([one.track_id for _, one in made]).tolist()) if made else set()
+    short = tuple(track.track_id for track in tracks if track.track_id not in reported)
     if not made:
         needed = "two frames" if history is None else f"{history:g} s, the history"
         raise InputError(f"none of {len(tracks)} people observed for {needed}", "longer tracks")
-    return Forecasts(columns_of(made), len(told), short)
+    return Forecasts(columns_of(made), len(reported), short)
 
 
 def columns_of(made: list[tuple[int, Forecast]]) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
@@ -231,7 +231,7 @@ def read_forecasts(path: Path) -> dict[str, FloatArray]:
     if missing:
         raise InputError(f"no column {missing[0]}", f"the columns {', '.join(COLUMNS)}", path=path)
     if source.head.startswith(_PARQUET):
-        with damage_told(path):
+        with arrow_errors(path):
             table = pd.read_parquet(io.BytesIO(source.data))
     else:
         try:
@@ -268,7 +268,7 @@ def _names(source: Source) -> list[str]:
     if source.head.startswith(_PARQUET):
         import pyarrow.parquet as pq
 
-        with damage_told(source.path):
+        with arrow_errors(source.path):
             return list(pq.read_schema(io.BytesIO(source.data)).names)
     first = next((line for line in source.head.decode("utf-8", "replace").splitlines() if line.strip()), "")
     if _is_json(source):

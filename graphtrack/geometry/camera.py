@@ -466,7 +466,7 @@ def _bent_by_fisheye(point: FloatArray, distortion: FloatArray) -> FloatArray:
     angle = np.arctan(radius)
     k1, k2, k3, k4 = distortion
     a2 = angle**2
-    seen = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    distorted = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.where(radius > 1e-12, seen / radius, 1.0)
+        factor = np.where(radius > 1e-12, distorted / radius, 1.0)
     return np.asarray(point * factor[..., None])

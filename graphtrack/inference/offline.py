@@ -148,7 +148,7 @@ def _solve_chains(
         model,
         max_iterations=options.max_iterations,
         tolerance=1e-3 * options.relative_tolerance,
-        restart=options.restart,
+        basin_search=options.basin_search,
         in_lanes=in_lanes,
         calibration=calibration_of(model.parameters),
     )

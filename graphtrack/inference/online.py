@@ -22,7 +22,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine
-from graphtrack.inference.graph.coupling_modes import Guided
+from graphtrack.inference.graph.coupling_modes import CouplingModeSmoother
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
 from graphtrack.inference.result import with_extreme_of
@@ -136,7 +136,7 @@ class OnlineSmoother:
         check_lag(lag, self.engine)
         self.lag = math.inf if lag is None else float(lag)
         self.camera = camera
-        self._smoother: ChainWindow | Guided
+        self._smoother: ChainWindow | CouplingModeSmoother
         if self.engine == "chain":
             make_online_ready(self.model, self.engine)
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
@@ -148,7 +148,7 @@ class OnlineSmoother:
                 if self.engine == "isam2"
                 else FixedLag(self.model, self.lag, *ends)
             )
-            self._smoother = Guided(graph, self.model, self.lag, couplings)
+            self._smoother = CouplingModeSmoother(graph, self.model, self.lag, couplings)
         self._next_index = 0
         self._last: Estimate | None = None
 
@@ -192,18 +192,22 @@ class OnlineSmoother:
     ) -> list[Estimate]:
         """Make each smoother's `update` in few calls into compiled code; observations as from `usable`."""
         estimates: list[Estimate | None] = [None] * len(smoothers)
-        places: list[int] = []
+        indices: list[int] = []
         windows: list[ChainWindow] = []
         steps: list[Step] = []
-        for k, (smoother, seen) in enumerate(zip(smoothers, observations, strict=True)):
+        for k, (smoother, newest_observation) in enumerate(zip(smoothers, observations, strict=True)):
             window = smoother._smoother
-            if isinstance(window, ChainWindow) and window.steps and seen.t > window.steps[-1].observation.t:
-                places.append(k)
+            if (
+                isinstance(window, ChainWindow)
+                and window.steps
+                and newest_observation.t > window.steps[-1].observation.t
+            ):
+                indices.append(k)
                 windows.append(window)
-                steps.append(smoother._next_step(seen, window.steps[-1]))
+                steps.append(smoother._next_step(newest_observation, window.steps[-1]))
             else:
-                estimates[k] = smoother._take(seen)
-        for k, found in zip(places, extend_together(windows, steps), strict=True):
+                estimates[k] = smoother._take(newest_observation)
+        for k, found in zip(indices, extend_together(windows, steps), strict=True):
             estimates[k] = smoothers[k]._extended(found, observations[k])
         return estimates  # type: ignore[return-value]  # none is left out
 
@@ -226,13 +230,13 @@ class OnlineSmoother:
             return None
         known = {step.observation.t: window.values[step.index] for step in window.steps}
         values = {step.index: window.values[step.index] for step in steps}
-        for seen in map(self.usable, observations):
+        for newest_observation in map(self.usable, observations):
             previous = steps[-1].alone()
-            dt = seconds_between(previous, seen)
-            steps.append(Step(self._next_index, seen, previous, dt, False, self.camera))
+            dt = seconds_between(previous, newest_observation)
+            steps.append(Step(self._next_index, newest_observation, previous, dt, False, self.camera))
             state = np.array(values[previous.index])
             state[:2] += dt * state[2:4]
-            values[self._next_index] = known.get(seen.t, tuple(state.tolist()))
+            values[self._next_index] = known.get(newest_observation.t, tuple(state.tolist()))
             self._next_index += 1
         latest = steps[-1].observation
         try:
@@ -385,8 +389,8 @@ class OnlineSmoother:
 
     def _failed(self, observation: Observation, error: Exception) -> Estimate:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        seen = [*(step.observation for step in self._smoother.steps), observation]
-        reason = with_extreme_of(reason, seen, self.model)
+        newest_observation = [*(step.observation for step in self._smoother.steps), observation]
+        reason = with_extreme_of(reason, newest_observation, self.model)
         return replace(self._unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:

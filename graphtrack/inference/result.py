@@ -31,14 +31,14 @@ class SolverOptions:
     relative_tolerance : of the cost. GTSAM stops after a smaller decrease; the chain engine, whose steps
         converge quadratically, when the predicted decrease is less than a thousandth of it.
     step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
-    restart : basin search: where observations contradict each other, search a grid of orientations for a
+    basin_search : basin search: where observations contradict each other, search a grid of orientations for a
         better basin, and descend from there (with GTSAM too, where every term has compiled kernels)
     """
 
     max_iterations: int = 100
     relative_tolerance: float = 1e-9
     step_tolerance: float = 1e-6
-    restart: bool = True
+    basin_search: bool = True
 
     def __post_init__(self) -> None:
         check_count("max_iterations", self.max_iterations)
@@ -111,16 +111,16 @@ def estimated_tracks(
     not copied.
     """
     position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
-    others = {
+    optional = {
         "body": states[:, 4],
         "head": states[:, 5],
         "aligned_p": modes[:, 0],
         "gait_offset": modes[:, 1],
         "glance_p": modes[:, 2],
     }
-    has = {name: np.isfinite(other[offsets[:-1]]) for name, other in others.items()}
-    others = {name: other.copy() for name, other in others.items() if has[name].any()}
-    there = [(name, other, has[name].tolist()) for name, other in others.items()]
+    has = {name: np.isfinite(other[offsets[:-1]]) for name, other in optional.items()}
+    optional = {name: other.copy() for name, other in optional.items() if has[name].any()}
+    there = [(name, other, has[name].tolist()) for name, other in optional.items()]
     starts, found = offsets.tolist(), []
     for m, track in enumerate(tracks):
         rows = slice(starts[m], starts[m + 1])
@@ -159,13 +159,15 @@ def with_extreme(reason: str, track: Track, model: Model) -> str:
     return _joined(reason, _extremes(track.t, track.frame, track.position, channels, model))
 
 
-def with_extreme_of(reason: str, seen: Sequence[Observation], model: Model) -> str:
+def with_extreme_of(reason: str, observations: Sequence[Observation], model: Model) -> str:
     """`with_extreme` of the observations of a window and the newest."""
-    t = np.array([one.t for one in seen], dtype=float)
-    frame = np.array([one.frame for one in seen])
-    position = np.array([(math.nan, math.nan) if one.position is None else one.position for one in seen])
+    t = np.array([one.t for one in observations], dtype=float)
+    frame = np.array([one.frame for one in observations])
+    position = np.array(
+        [(math.nan, math.nan) if one.position is None else one.position for one in observations]
+    )
     channels = {
-        name: np.array([getattr(one, name) for one in seen], dtype=float)  # None becomes NaN
+        name: np.array([getattr(one, name) for one in observations], dtype=float)  # None becomes NaN
         for name in _USUAL
     }
     return _joined(reason, _extremes(t, frame, position, channels, model))

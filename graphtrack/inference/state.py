@@ -14,12 +14,12 @@ import numpy as np
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.layout import BODY, HEAD, PLACES, TIME_TOLERANCE, N
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, TIME_TOLERANCE, N
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import variable_dimension
 from graphtrack.model.observation import CHANNELS
 from graphtrack.packages import gtsam
-from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text, whole
+from graphtrack.saved import DAMAGES, damaged, from_text, integer, real, to_text
 from graphtrack.tracks.display import html_pairs
 from graphtrack.tracks.schema import INPUT_NAME, is_input_name
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
@@ -47,7 +47,7 @@ def checked(observation: Observation) -> Observation:
             return observation
     except (TypeError, ValueError):  # no numbers at all
         pass
-    return _mended(observation)
+    return _repaired(observation)
 
 
 def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float, ...]]:
@@ -97,7 +97,7 @@ def _wrong(observation: Observation) -> str | None:
     return None
 
 
-def _mended(observation: Observation) -> Observation:
+def _repaired(observation: Observation) -> Observation:
     changed: dict[str, Any] = {}
     for name in ("t", *CHANNELS):
         value, bounds, size = getattr(observation, name), FIELDS[name], _SIZES.get(name, 0)
@@ -228,11 +228,11 @@ def on_state(prior: MarginalPrior, step: Step, model: Model) -> StatePrior:
 
 def on_variables(prior: StatePrior, step: Step, model: Model) -> MarginalPrior:
     """The inverse of `on_state`."""
-    places = variables(step, model)
-    rows = np.concatenate([np.arange(N)[part] for _, part in places])
+    variables_of_step = variables(step, model)
+    rows = np.concatenate([np.arange(N)[part] for _, part in variables_of_step])
     return MarginalPrior(
-        tuple(key for key, _ in places),
-        tuple(tuple(prior.point[part].tolist()) for _, part in places),
+        tuple(key for key, _ in variables_of_step),
+        tuple(tuple(prior.point[part].tolist()) for _, part in variables_of_step),
         prior.information[np.ix_(rows, rows)],
         prior.linear[rows],
         0.0,
@@ -241,7 +241,7 @@ def on_variables(prior: StatePrior, step: Step, model: Model) -> MarginalPrior:
 
 def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
     """GTSAM keys of a step's variables, and their indices in the state."""
-    found = [(step.position_key, PLACES["position"]), (step.velocity_key, PLACES["velocity"])]
+    found = [(step.position_key, STATE_SLICES["position"]), (step.velocity_key, STATE_SLICES["velocity"])]
     if model.has_body:
         found.append((step.body_key, slice(BODY, BODY + 1)))
     if model.has_head:
@@ -361,17 +361,17 @@ def leaving(steps: Sequence[Step], lag: float, newest: Step | None = None) -> in
 
 def predicted(step: Step, state_of: Callable[[Step], tuple[float, ...]]) -> tuple[float, ...]:
     """Initial values of a new step: constant velocity, angles constant or as observed."""
-    seen = step.observation
+    observation = step.observation
     if step.previous is None or step.dt is None:
-        x, y = seen.position if seen.position is not None else (math.nan, math.nan)
+        x, y = observation.position if observation.position is not None else (math.nan, math.nan)
         vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
     else:
         x, y, vx, vy, body, head = state_of(step.previous)
         x, y = x + step.dt * vx, y + step.dt * vy
     if not math.isfinite(body):
-        body = next((a for a in (seen.body, seen.head) if a is not None), 0.0)
+        body = next((a for a in (observation.body, observation.head) if a is not None), 0.0)
     if not math.isfinite(head):
-        head = seen.head if seen.head is not None else body
+        head = observation.head if observation.head is not None else body
     return x, y, vx, vy, body, head
 
 
@@ -467,7 +467,7 @@ def pack_observation(observation: Observation) -> dict[str, Any]:
 
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:
     """The inverse of `pack_observation`; an error of `DAMAGES` if a value has another type."""
-    whole(saved["frame"])
+    integer(saved["frame"])
     for value in saved.values():
         _check_numbers(value)
     return checked(Observation(**{name: _tuples(value) for name, value in saved.items()}))
@@ -483,7 +483,7 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
             _window(state, camera),
             {name: from_text(text) for name, text in state["arrays"].items()},
             None if state["last"] is None else _estimate(state["last"]),
-            whole(state["next_index"]),
+            integer(state["next_index"]),
         )
     except DAMAGES as error:
         raise damaged(error) from error
@@ -500,13 +500,13 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
             raise TypeError(f"starts = {entry['starts']!r}")
         if steps and not observation.t > steps[-1].observation.t:
             raise ValueError("steps that are not in order")
-        steps.append(Step(whole(entry["index"]), observation, previous, dt, entry["starts"], camera))
+        steps.append(Step(integer(entry["index"]), observation, previous, dt, entry["starts"], camera))
         values[entry["index"]] = tuple(_nans(entry["values"]).reshape(6).tolist())
     prior = None
     if state["prior"] is not None:
         saved = state["prior"]
         prior = MarginalPrior(
-            tuple(map(whole, saved["keys"])),
+            tuple(map(integer, saved["keys"])),
             tuple(tuple(map(real, point)) for point in saved["point"]),
             _matrix(saved["information"]),
             _nans(saved["linear"]),
@@ -543,7 +543,7 @@ def _estimate(saved: dict[str, Any]) -> Estimate:
     aligned, offset, glance = _nans(saved["modes"]).tolist()
     return Estimate(
         real(saved["t"]),
-        whole(saved["frame"]),
+        integer(saved["frame"]),
         state[:2],
         state[2:4],
         float(state[4]),

@@ -21,7 +21,7 @@ from graphtrack.model.observation import observations, seconds_between
 if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine
 
-WHOLE = "the offline solver"
+OFFLINE = "the offline solver"
 
 
 def make_all_ready(
@@ -32,7 +32,7 @@ def make_all_ready(
     ``large``: also the solver of many tracks in lanes, where the model has it.
     """
     if not is_chain(model):
-        make_ready(WHOLE, _graph_rehearsal(None))
+        make_ready(OFFLINE, _graph_rehearsal(None))
     elif engine == "gtsam":
         make_solver_ready(model, engine)
     elif engine in ("fixed-lag", "isam2"):
@@ -56,10 +56,10 @@ def make_solver_ready(
     terms.
     """
     if engine == "chain":
-        make_ready(WHOLE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
+        make_ready(OFFLINE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
         return
     own = has_own_kernels(model) and not model.has_modes
-    make_ready(WHOLE, _graph_rehearsal(None if own and not complete else model))
+    make_ready(OFFLINE, _graph_rehearsal(None if own and not complete else model))
 
 
 def make_online_ready(model: Model, engine: OnlineEngine) -> None:

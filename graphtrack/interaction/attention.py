@@ -12,10 +12,10 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, direction
-from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, looks_of_frame, looks_over_time
+from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, gaze_of_frame, gaze_over_time
 from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.groups import groups as find_groups
-from graphtrack.interaction.people import IntArray, People, Told, people_told
+from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of_estimates
 from graphtrack.interaction.places import Place
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
@@ -120,28 +120,28 @@ def _of_one(
     parameters: AttentionParameters,
     online: bool,
 ) -> Attention:
-    others, where, fellow = _others(one, everybody, number)
-    n, people = len(one), len(others)
+    neighbours, where, fellow = _neighbours(one, everybody, number)
+    n, people = len(one), len(neighbours)
     bearing, half, far = (np.empty((n, people + len(places))) for _ in range(3))
     for k, place in enumerate(places, people):
-        bearing[:, k], half[:, k], far[:, k] = place.seen_from(one.position)
+        bearing[:, k], half[:, k], far[:, k] = place.viewed_from(one.position)
     gap = one.dt.copy()
     gap[:1] = np.inf
     weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(one))
     scene = (one.position, where, fellow, bearing, half, far)
-    probability = looks_over_time(*scene, weights, means, kappas, gap, not online, parameters.to_array())
+    probability = gaze_over_time(*scene, weights, means, kappas, gap, not online, parameters.to_array())
     probability[~np.isfinite(one.position).all(axis=1)] = np.nan
     return Attention(
         one.track_id,
         one.frame,
         one.t,
-        tuple(other.track_id for other in others),
+        tuple(other.track_id for other in neighbours),
         tuple(place.name for place in places),
         probability,
     )
 
 
-def _others(
+def _neighbours(
     one: Track, everybody: Sequence[Track], number: Mapping[int, IntArray]
 ) -> tuple[list[Track], FloatArray, np.ndarray]:
     """Return other people who are near at any time, their positions (n, p, 2), and shared groups (n, p)."""
@@ -296,7 +296,7 @@ _FORGOTTEN = 40.0  # mean gaze durations after which a person's last target is d
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class GazeTargets:
     """Gaze targets of the people of a frame.
 
     Attributes
@@ -319,26 +319,26 @@ class Looks:
     places: tuple[str, ...]
     place: FloatArray
 
-    def told(self) -> dict[int, list[tuple[str, int | str | None, float]]]:
+    def by_person(self) -> dict[int, list[tuple[str, int | str | None, float]]]:
         """Map observers to kind, target and probability of targets of at least `LEAST`."""
         found: dict[int, list[tuple[str, int | str | None, float]]] = {}
         likely = np.flatnonzero(self.person >= LEAST)
         ends = np.searchsorted(likely, self.first).tolist()
         target, person = self.target[likely].tolist(), self.person[likely].tolist()
         for row, (one, place) in enumerate(zip(self.track_id.tolist(), self.place.tolist(), strict=True)):
-            looks: list[tuple[str, int | str | None, float]] = [
+            targets: list[tuple[str, int | str | None, float]] = [
                 ("person", target[k], person[k]) for k in range(ends[row], ends[row + 1])
             ]
-            looks += [
+            targets += [
                 ("place", name, p) for name, p in zip(self.places, place[:-1], strict=True) if p >= LEAST
             ]
-            found[one] = [*looks, ("nothing", None, place[-1])]
+            found[one] = [*targets, ("nothing", None, place[-1])]
         return found
 
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """State of p people at their last observation; see also `Looks`."""
+    """State of p people at their last observation; see also `GazeTargets`."""
 
     track_id: IntArray
     t: FloatArray  # (p,) seconds
@@ -362,7 +362,7 @@ class _Known:
             }
         )
 
-    def with_others(self, other: _Known) -> _Known:
+    def with_neighbours(self, other: _Known) -> _Known:
         """Merge two disjoint sets of people, by identity."""
         joined = {name: np.concatenate([values, getattr(other, name)]) for name, values in vars(self).items()}
         joined["first"] = np.append(self.first, self.first[-1] + other.first[1:])
@@ -412,7 +412,7 @@ class OnlineAttention:
     def __repr__(self) -> str:
         return f"OnlineAttention({len(self.places)} places, {len(self._known.track_id)} people known)"
 
-    def update(self, t: float, people: Told, groups: Groups) -> Looks:
+    def update(self, t: float, people: PeopleEstimates, groups: Groups) -> GazeTargets:
         """Process the people of a frame, and return the gaze targets of each.
 
         Parameters
@@ -425,9 +425,9 @@ class OnlineAttention:
         InputError
             If time does not increase, a person is given twice, or the groups are of other people.
         """
-        return self.take(people_told(t, people), groups)
+        return self.take(people_of_estimates(t, people), groups)
 
-    def take(self, people: People, groups: Groups) -> Looks:
+    def take(self, people: People, groups: Groups) -> GazeTargets:
         """As `update`, for the `People` of one frame, or of none."""
         names = tuple(place.name for place in self.places)
         ids = people.ids[people.person]
@@ -435,7 +435,7 @@ class OnlineAttention:
             raise InputError("groups of other people", "groups of the people of this frame")
         if not len(people):
             none = _nobody(len(self.places))
-            return Looks(0, math.nan, ids, none.first, none.target, none.person, names, none.place)
+            return GazeTargets(0, math.nan, ids, none.first, none.target, none.person, names, none.place)
         t = float(people.t[0])
         if not t > self.t:
             raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
@@ -445,10 +445,12 @@ class OnlineAttention:
         length = np.linalg.norm(people.head, axis=1)
         kappa = concentration(-2.0 * np.log(np.maximum(length, 1e-300)))
         angle = direction(people.head)
-        seen = np.array([place.seen_from(people.position) for place in self.places]).reshape(-1, 3, len(ids))
-        bearing, half, far = np.ascontiguousarray(seen.transpose(1, 2, 0))
+        geometry = np.array([place.viewed_from(people.position) for place in self.places]).reshape(
+            -1, 3, len(ids)
+        )
+        bearing, half, far = np.ascontiguousarray(geometry.transpose(1, 2, 0))
         before = list(vars(known).values())[1:]  # in the order of the step's arguments
-        head, first, target, bearing_now, person, place = looks_of_frame(
+        head, first, target, bearing_now, person, place = gaze_of_frame(
             *(t, ids, people.position, angle, kappa, length > 0.0, groups.group),
             *(bearing, half, far, was, *before, parameters),
         )
@@ -456,15 +458,15 @@ class OnlineAttention:
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
         away = np.flatnonzero(gone & (parameters[SWITCHING] * (t - known.t) <= _FORGOTTEN))
-        self._known = kept.with_others(known.of(away)) if len(away) else kept
+        self._known = kept.with_neighbours(known.of(away)) if len(away) else kept
         self.t = t
-        return Looks(int(people.frame[0]), t, ids, first, target, person, names, place)
+        return GazeTargets(int(people.frame[0]), t, ids, first, target, person, names, place)
 
     def state(self) -> dict[str, Any]:
         """Return the state to resume from, as JSON-able data; see `from_state`."""
-        whole = ("track_id", "first", "target")
+        integers = ("track_id", "first", "target")
         numbers = {
-            name: values.tolist() if name in whole else to_text(values)
+            name: values.tolist() if name in integers else to_text(values)
             for name, values in vars(self._known).items()
         }
         return {"t": None if math.isinf(self.t) else self.t, "known": numbers}

@@ -25,7 +25,7 @@ from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
 from graphtrack.model import Model, Observation
 from graphtrack.model.terms.faces_group import GROUP, Group, with_group_at
-from graphtrack.saved import from_text, real, to_text, whole
+from graphtrack.saved import from_text, integer, real, to_text
 from graphtrack.tracks.track import STATE, Track, TrackSet
 
 ROUNDS = 4  # times that groups and states are found at most
@@ -80,14 +80,14 @@ def with_neighbours(
     values[values[:, 2] == 0.0] = np.nan
     frame, identity = people.frame[people.frame_of], people.ids[people.person]
 
-    def told(track: Track) -> Track:
+    def with_groups(track: Track) -> Track:
         group = np.full((len(track), 3), np.nan)
         mine = identity == track.track_id
         group[np.searchsorted(track.frame, frame[mine])] = values[mine]
         group[:, :2] *= counts(group[:, :2], track.dt, correlation_time)[:, None]
         return with_group(track, group)
 
-    return tracks.map(told)
+    return tracks.map(with_groups)
 
 
 def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
@@ -200,8 +200,8 @@ class Conversations:
         before = np.array([(known.x, known.y) for known in old])
         dt = t - np.array([known.t for known in old])
         share = counts_after(before, found[:, :2], dt, self._correlation_time)
-        told = np.column_stack([share[:, None] * found[:, :2], found[:, 2]])
-        for one, (x, y, _), group in zip(ids, found.tolist(), told.tolist(), strict=True):
+        with_groups = np.column_stack([share[:, None] * found[:, :2], found[:, 2]])
+        for one, (x, y, _), group in zip(ids, found.tolist(), with_groups.tolist(), strict=True):
             self._known[one] = _Known(t, x, y, tuple(group))
 
     def state(self) -> dict[str, Any]:
@@ -221,9 +221,9 @@ class Conversations:
         found = cls(model)
         found._evidence.restore(state)
         found._t = -math.inf if state["t"] is None else real(state["t"])
-        found._frame = whole(state["frame"])
-        found._people = {whole(one): tuple(from_text(text).tolist()) for one, text in state["people"]}
+        found._frame = integer(state["frame"])
+        found._people = {integer(one): tuple(from_text(text).tolist()) for one, text in state["people"]}
         for one, text in state["known"]:
             t, x, y, *group = from_text(text).tolist()
-            found._known[whole(one)] = _Known(t, x, y, tuple(group))
+            found._known[integer(one)] = _Known(t, x, y, tuple(group))
         return found

@@ -46,7 +46,7 @@ def _of_frame(
     apart, shared = np.zeros((people, people)), np.zeros((people, people))
     look, near = np.zeros((people, people)), np.zeros((people, people))
     space = position + stride * body
-    crowd, seen = np.ones(people), np.full(people, _NOTHING)
+    crowd, last_known = np.ones(people), np.full(people, _NOTHING)
     for i in range(people):
         shared[i, i] = 1.0
         for j in range(people):
@@ -66,7 +66,7 @@ def _of_frame(
                 across, along = head[i, 0] * y - head[i, 1] * x, head[i, 0] * x + head[i, 1] * y
                 angle = math.atan2(across, along)
                 look[i, j] = length * math.exp(-0.5 * (angle / _LOOK) ** 2) / (1.0 + 0.5 * square)
-                seen[i] += look[i, j]
+                last_known[i] += look[i, j]
     for i in range(people):
         for j in range(i):
             far = apart[i, j]
@@ -86,7 +86,7 @@ def _of_frame(
             found[at, 1] = math.log(crowd[i]) + math.log(crowd[j])
             found[at, 2] = max(ahead, other)
             found[at, 3] = math.log1p(before_one) + math.log1p(before_other)
-            found[at, 4] = min(look[i, j] / seen[i], look[j, i] / seen[j])
+            found[at, 4] = min(look[i, j] / last_known[i], look[j, i] / last_known[j])
             left[at], right[at] = offset + j, offset + i
             at += 1
     return at
@@ -197,7 +197,7 @@ def facing(
     position: FloatArray, left: IntArray, right: IntArray, odds: FloatArray, parameters: GroupParameters
 ) -> FloatArray:
     """(n, 2) expected unit vectors of bodies by where the others stand, given log odds of pairs; or 0."""
-    weights = np.stack([parameters.companions.of_rings, parameters.others.of_rings])
+    weights = np.stack([parameters.companions.of_rings, parameters.strangers.of_rings])
     together = 0.5 * (1.0 + np.tanh(0.5 * odds))
     score = facing_scores(position, left, right, together, weights, parameters.stride)
     found: FloatArray = np.zeros((len(position), 2))
@@ -238,7 +238,7 @@ def _averaged(
     pair: IntArray, t: FloatArray, values: FloatArray, seconds: float
 ) -> tuple[FloatArray, FloatArray]:
     n, size = values.shape
-    about, found, whole = np.empty(n), np.empty((n, size)), np.empty(n)
+    about, found, overall = np.empty(n), np.empty((n, size)), np.empty(n)
     for k in range(n):
         low = t[k] - t[k - 1] if k > 0 and pair[k - 1] == pair[k] else math.inf
         high = t[k + 1] - t[k] if k + 1 < n and pair[k + 1] == pair[k] else math.inf
@@ -247,10 +247,10 @@ def _averaged(
         else:
             about[k] = 0.5 * (min(low, seconds) + min(high, seconds))
         fade = math.exp(-low / seconds)
-        whole[k] = about[k]
+        overall[k] = about[k]
         found[k] = about[k] * values[k]
         if fade > 0.0:
-            whole[k] += fade * whole[k - 1]
+            overall[k] += fade * overall[k - 1]
             found[k] += fade * found[k - 1]
     after, total = np.zeros(size), 0.0
     for k in range(n - 1, -1, -1):
@@ -261,9 +261,9 @@ def _averaged(
         else:
             after[:] = 0.0
             total = 0.0
-        whole[k] += total
-        found[k] = (found[k] + after) / whole[k]
-    return found, whole
+        overall[k] += total
+        found[k] = (found[k] + after) / overall[k]
+    return found, overall
 
 
 @compiled
@@ -389,10 +389,10 @@ def walking_odds(people: People, left: IntArray, right: IntArray, parameters: Gr
     near = -0.5 * ((far - mean) / std) ** 2 - np.log(
         np.sqrt(2.0 * np.pi) * std * 2.0 * np.pi * np.maximum(far, 0.2)
     )
-    alike, other = parameters.walking_speed_std, parameters.others_speed_std
+    alike, other = parameters.walking_speed_std, parameters.strangers_speed_std
     same = -0.5 * square * (1.0 / alike**2 - 1.0 / other**2) + 2.0 * np.log(other / alike)
     prior = np.log(parameters.walking_share / (1.0 - parameters.walking_share))
-    odds: FloatArray = np.clip(prior + near - np.log(parameters.others_density) + same, -_MOST, _MOST)
+    odds: FloatArray = np.clip(prior + near - np.log(parameters.strangers_density) + same, -_MOST, _MOST)
     return odds
 
 

@@ -39,16 +39,18 @@ def half_angle(radius: float, far: FloatArray) -> FloatArray:
 
 
 @allocating
-def see(own: FloatArray, others: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray) -> None:
+def see(
+    own: FloatArray, neighbours: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray
+) -> None:
     """Fill bearing, half angular width and distance of other people.
 
     Parameters
     ----------
-    own, others : (2,), (n, 2) metres; NaN: absent
+    own, neighbours : (2,), (n, 2) metres; NaN: absent
     bearing, half, far : (n,) radians, radians and metres
     """
-    for j in range(len(others)):
-        x, y = others[j, 0] - own[0], others[j, 1] - own[1]
+    for j in range(len(neighbours)):
+        x, y = neighbours[j, 0] - own[0], neighbours[j, 1] - own[1]
         bearing[j], far[j] = math.atan2(y, x), math.hypot(x, y)
     half[:] = half_angle(SHOULDERS, far)
 
@@ -120,7 +122,7 @@ def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple
 
 
 @allocating
-def prior_of_looks(
+def prior_of_gaze(
     bearing: FloatArray,
     half: FloatArray,
     far: FloatArray,
@@ -198,10 +200,10 @@ def carry(
     bearing: FloatArray,
     bearing_before: FloatArray,
     parameters: FloatArray,
-    anew: FloatArray,
+    redrawn: FloatArray,
     held: FloatArray,
 ) -> None:
-    """Fill a frame's likelihoods of gaze at a new target, ``anew`` (in place), and at the same one, ``held``.
+    """Fill a frame's likelihoods of gaze at a new target, ``redrawn``, in place, and at the same, ``held``.
 
     The deviation from a target is autoregressive. Gaze at nothing has a persistent direction as well, which
     is the previous head direction. If heads have several modes or are less certain than that, frames closer
@@ -213,14 +215,14 @@ def carry(
     head, before : direction, rad, and its variance, rad², infinite if unknown or with several modes;
         in this frame and the previous one
     bearing, bearing_before : (targets,) radians; NaN: absent
-    anew, held : (targets + 1,)
+    redrawn, held : (targets + 1,)
     """
     memory = math.exp(-gap / parameters[CORRELATION]) if parameters[CORRELATION] > 0.0 else 0.0
     spread = parameters[LOOK_STD] ** 2
     if not max(head[1], before[1]) < spread * (1.0 - memory**2):
         power = min(1.0, gap / _NOISY_SECONDS)
-        for j in range(len(anew)):
-            anew[j] = held[j] = anew[j] ** power
+        for j in range(len(redrawn)):
+            redrawn[j] = held[j] = redrawn[j] ** power
         return
     noise = head[1] + memory**2 * before[1]
     for j in range(len(bearing)):
@@ -238,7 +240,7 @@ def _normal(deviation: float, variance: float) -> float:
 @compiled
 def go_on(
     prior: FloatArray,
-    anew: FloatArray,
+    redrawn: FloatArray,
     held: FloatArray,
     stay: float,
     before: FloatArray,
@@ -253,7 +255,7 @@ def go_on(
     """
     total = 0.0
     for j in range(len(prior)):
-        value = (1.0 - stay) * prior[j] * anew[j]
+        value = (1.0 - stay) * prior[j] * redrawn[j]
         if stay > 0.0 and prior[j] > 0.0:
             value += stay * before[j] * held[j]
         found[j] = value
@@ -263,9 +265,9 @@ def go_on(
 
 
 @allocating
-def looks_over_time(
+def gaze_over_time(
     own: FloatArray,
-    others: FloatArray,
+    neighbours: FloatArray,
     fellow: np.ndarray,
     bearing: FloatArray,
     half: FloatArray,
@@ -281,31 +283,31 @@ def looks_over_time(
 
     Parameters
     ----------
-    own, others : (n, 2), (n, people, 2) metres; NaN: absent
+    own, neighbours : (n, 2), (n, people, 2) metres; NaN: absent
     fellow : (n, people)
     bearing, half, far : (n, targets) of places; the entries of people, which come first, are filled
     weights, means, kappas : (n, modes) of the head
     gap : (n,) seconds from the frame before
     """
     n, count = bearing.shape
-    prior, anew, held = np.empty((n, count + 1)), np.empty((n, count + 1)), np.empty((n, count + 1))
+    prior, redrawn, held = np.empty((n, count + 1)), np.empty((n, count + 1)), np.empty((n, count + 1))
     stay, found = np.exp(-parameters[SWITCHING] * gap), np.empty((n, count + 1))
     stay[:1] = 0.0
     head = np.empty((n, 2))
     people = fellow.shape[1]
     for f in range(n):
-        see(own[f], others[f], bearing[f, :people], half[f, :people], far[f, :people])
-        prior_of_looks(bearing[f], half[f], far[f], fellow[f], people, parameters, prior[f])
-        densities(bearing[f], half[f], weights[f], means[f], kappas[f], parameters[LOOK_STD], anew[f])
+        see(own[f], neighbours[f], bearing[f, :people], half[f, :people], far[f, :people])
+        prior_of_gaze(bearing[f], half[f], far[f], fellow[f], people, parameters, prior[f])
+        densities(bearing[f], half[f], weights[f], means[f], kappas[f], parameters[LOOK_STD], redrawn[f])
         head[f, 0] = means[f, 0]
         known = weights.shape[1] == 1 and not math.isnan(weights[f, 0])
         head[f, 1] = noise_of(kappas[f, 0]) if known else math.inf
         b = max(f - 1, 0)
         since = gap[f] if f > 0 else math.inf
-        carry(since, head[f], head[b], bearing[f], bearing[b], parameters, anew[f], held[f])
-        go_on(prior[f], anew[f], held[f], stay[f], found[b], found[f])
+        carry(since, head[f], head[b], bearing[f], bearing[b], parameters, redrawn[f], held[f])
+        go_on(prior[f], redrawn[f], held[f], stay[f], found[b], found[f])
     if both:
-        _look_back(prior, anew, held, stay, found)
+        _look_back(prior, redrawn, held, stay, found)
     return found
 
 
@@ -317,7 +319,7 @@ def noise_of(kappa: float) -> float:
 
 @allocating
 def _look_back(
-    prior: FloatArray, anew: FloatArray, held: FloatArray, stay: FloatArray, found: FloatArray
+    prior: FloatArray, redrawn: FloatArray, held: FloatArray, stay: FloatArray, found: FloatArray
 ) -> None:
     """Backward pass over the chain: turn filtered into smoothed probabilities."""
     n, count = prior.shape
@@ -325,7 +327,7 @@ def _look_back(
     for f in range(n - 2, -1, -1):
         drawn = 0.0
         for j in range(count):
-            drawn += prior[f + 1, j] * anew[f + 1, j] * back[j]
+            drawn += prior[f + 1, j] * redrawn[f + 1, j] * back[j]
         total, most = 0.0, 0.0
         for j in range(count):
             goes_on = held[f + 1, j] * back[j] if prior[f + 1, j] > 0.0 else 0.0
@@ -346,13 +348,13 @@ def _near(position: FloatArray, i: int, j: int) -> bool:
 
 
 @allocating
-def looks_of_frame(
+def gaze_of_frame(
     t: float,
     ids: IntArray,
     position: FloatArray,
     angle: FloatArray,
     kappa: FloatArray,
-    seen: np.ndarray,
+    last_head: np.ndarray,
     group: IntArray,
     place_bearing: FloatArray,
     place_half: FloatArray,
@@ -372,7 +374,7 @@ def looks_of_frame(
 
     Parameters
     ----------
-    ids, position, angle, kappa, seen, group : (n,) identity, position, and head direction if observed
+    ids, position, angle, kappa, last_head, group : (n,) identity, position, and head direction if observed
     place_bearing, place_half, place_far : (n, places) bearing, half angular width and distance of places
     was : (n,) index of each among the previous people, −1: unknown; the following arguments are theirs
     """
@@ -386,27 +388,27 @@ def looks_of_frame(
     target = np.empty(first[-1], dtype=np.int64)
     all_bearing, person = np.empty(first[-1]), np.empty(first[-1])
     place = np.empty((n, places + 1))
-    others, fellow, weight = np.empty((n, 2)), np.empty(n, dtype=np.bool_), np.ones(1)
+    neighbours, fellow, weight = np.empty((n, 2)), np.empty(n, dtype=np.bool_), np.ones(1)
     room = np.empty((9, n + places + 1))
     for i in range(n):
         at, people = first[i], first[i + 1] - first[i]
         count = people + places
         bearing, half, far = room[0, :count], room[1, :count], room[2, :count]
-        prior, anew, held = room[3, : count + 1], room[4, : count + 1], room[5, : count + 1]
+        prior, redrawn, held = room[3, : count + 1], room[4, : count + 1], room[5, : count + 1]
         then, then_bearing, found = room[6, : count + 1], room[7, :count], room[8, : count + 1]
         k = 0
         for j in range(n):
             if _near(position, i, j):
-                target[at + k], others[k] = ids[j], position[j]
+                target[at + k], neighbours[k] = ids[j], position[j]
                 fellow[k] = group[i] >= 0 and group[i] == group[j]
                 k += 1
-        see(position[i], others[:people], bearing[:people], half[:people], far[:people])
+        see(position[i], neighbours[:people], bearing[:people], half[:people], far[:people])
         bearing[people:], half[people:], far[people:] = place_bearing[i], place_half[i], place_far[i]
-        prior_of_looks(bearing, half, far, fellow[:people], people, parameters, prior)
-        weight[0] = 1.0 if seen[i] else math.nan
+        prior_of_gaze(bearing, half, far, fellow[:people], people, parameters, prior)
+        weight[0] = 1.0 if last_head[i] else math.nan
         one = slice(i, i + 1)
-        densities(bearing, half, weight, angle[one], kappa[one], parameters[LOOK_STD], anew)
-        head[i, 0], head[i, 1] = angle[i], noise_of(kappa[i]) if seen[i] else math.inf
+        densities(bearing, half, weight, angle[one], kappa[one], parameters[LOOK_STD], redrawn)
+        head[i, 0], head[i, 1] = angle[i], noise_of(kappa[i]) if last_head[i] else math.inf
         p = was[i]
         gap, stay, before = math.inf, 0.0, head[i]
         then[:], then_bearing[:] = 0.0, math.nan
@@ -420,8 +422,8 @@ def looks_of_frame(
                 if b < end and target_before[b] == target[at + k]:
                     then[k], then_bearing[k] = person_before[b], bearing_before[b]
             then[people:], then_bearing[people:] = place_before[p], place_bearing_before[p]
-        carry(gap, head[i], before, bearing, then_bearing, parameters, anew, held)
-        go_on(prior, anew, held, stay, then, found)
+        carry(gap, head[i], before, bearing, then_bearing, parameters, redrawn, held)
+        go_on(prior, redrawn, held, stay, then, found)
         person[at : at + people], all_bearing[at : at + people] = found[:people], bearing[:people]
         place[i] = found[people:]
     return head, first, target, all_bearing, person, place

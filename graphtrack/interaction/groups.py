@@ -14,9 +14,9 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.interaction.evidence import OnlineEvidence, PairEvidence, pair_evidence, with_bodies
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
-from graphtrack.interaction.people import IntArray, People, Told, people_of, people_told
+from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of, people_of_estimates
 from graphtrack.kernels.compilation import allocating, compiled
-from graphtrack.saved import DAMAGES, damaged, real, whole
+from graphtrack.saved import DAMAGES, damaged, integer, real
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -214,44 +214,44 @@ class Numbering:
         self._forget(t)
         members = [frozenset(group) for group in groups]
         claims = []
-        for place, who in enumerate(members):
-            for number in {self._number_of[one] for one in who if one in self._number_of}:
+        for place, member in enumerate(members):
+            for number in {self._number_of[one] for one in member if one in self._number_of}:
                 were = self._last[number][1]
-                stayed = len(who & were)
+                stayed = len(member & were)
                 if 2 * stayed > len(were):
                     claims.append((-stayed, number, place))
         taken: dict[int, int] = {}
         for _, number, place in sorted(claims):
             if place not in taken and number not in taken.values():
                 taken[place] = number
-        for place, who in enumerate(members):
+        for place, member in enumerate(members):
             if place not in taken:
                 taken[place], self._following = self._following, self._following + 1
             number = taken[place]
             if number in self._last:
-                self._part(number, self._last[number][1] - who)
-            self._last[number] = (t, who)
-            self._number_of.update(dict.fromkeys(who, number))
+                self._part(number, self._last[number][1] - member)
+            self._last[number] = (t, member)
+            self._number_of.update(dict.fromkeys(member, number))
         return [taken[place] for place in range(len(members))]
 
     def state(self) -> dict[str, Any]:
         """Return the state as JSON-able data; see `restore`."""
-        groups = [[number, t, sorted(who)] for number, (t, who) in self._last.items()]
+        groups = [[number, t, sorted(member)] for number, (t, member) in self._last.items()]
         return {"following": self._following, "groups": groups, "of": list(self._number_of.items())}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on where `state` was taken."""
-        self._following = whole(state["following"])
+        self._following = integer(state["following"])
         groups = state["groups"]
-        self._last = {whole(one): (real(t), frozenset(map(whole, who))) for one, t, who in groups}
-        self._number_of = {whole(person): whole(one) for person, one in state["of"]}
+        self._last = {integer(one): (real(t), frozenset(map(integer, member))) for one, t, member in groups}
+        self._number_of = {integer(person): integer(one) for person, one in state["of"]}
 
     def _forget(self, t: float) -> None:
         for number in [number for number, (then, _) in self._last.items() if t - then > self._memory]:
             self._part(number, self._last.pop(number)[1])
 
-    def _part(self, number: int, who: frozenset[int]) -> None:
-        for one in who:
+    def _part(self, number: int, member: frozenset[int]) -> None:
+        for one in member:
             if self._number_of.get(one) == number:
                 del self._number_of[one]
 
@@ -439,7 +439,7 @@ class OnlineGroups:
     def __repr__(self) -> str:
         return f"OnlineGroups({len(self._evidence)} pairs known)"
 
-    def update(self, t: float, people: Told) -> Groups:
+    def update(self, t: float, people: PeopleEstimates) -> Groups:
         """Take in the people of a frame; the groups in it, a row for each person, by identity.
 
         Parameters
@@ -453,7 +453,7 @@ class OnlineGroups:
         InputError
             If time does not increase, or somebody is told of twice. Nothing has changed then.
         """
-        return self.take(people_told(t, people))
+        return self.take(people_of_estimates(t, people))
 
     def take(self, people: People) -> Groups:
         """As `update`, for the `People` of one frame, or of none."""

@@ -80,7 +80,7 @@ class GroupParameters:
     Attributes
     ----------
     places, bodies, heads : weights where positions alone are known, with the bodies, and with the heads too
-    companions, others : where a body faces by where companions, and others, stand
+    companions, strangers : where a body faces by where companions, and others, stand
     stride : metres to the o-space ahead of a body
     place_seconds : over which what places and bodies say is averaged
     look_seconds : over which looks, and the crowd, are averaged
@@ -89,8 +89,8 @@ class GroupParameters:
     walking_speed : m/s above which somebody walks
     walking_distance, walking_distance_std : metres between two who walk together
     walking_speed_std : m/s, 1-σ on each axis, of the velocities of two who do, one from the other's
-    others_speed_std : of two who happen to walk near each other
-    others_density : people per square metre who walk near somebody by chance
+    strangers_speed_std : of two who happen to walk near each other
+    strangers_density : people per square metre who walk near somebody by chance
     walking_seconds : over which walking is averaged
     walking_share : of near pairs of walkers that are together
     encounter_odds : log odds against a conversation of two who have just come near each other
@@ -101,7 +101,7 @@ class GroupParameters:
     bodies: ConversationWeights = field(default_factory=ConversationWeights)
     heads: ConversationWeights = field(default_factory=ConversationWeights)
     companions: FacingWeights = field(default_factory=FacingWeights)
-    others: FacingWeights = field(default_factory=FacingWeights)
+    strangers: FacingWeights = field(default_factory=FacingWeights)
     stride: float = number(0.65, 0.0, 3.0, "m")
     place_seconds: float = number(6.0, 0.0, 600.0, "s")
     look_seconds: float = number(20.0, 0.0, 600.0, "s")
@@ -111,8 +111,8 @@ class GroupParameters:
     walking_distance: float = number(0.8, 0.1, 4.0, "m")
     walking_distance_std: float = number(0.3, 0.05, 4.0, "m")
     walking_speed_std: float = number(0.12, 0.01, 10.0, "m/s")
-    others_speed_std: float = number(0.6, 0.05, 10.0, "m/s")
-    others_density: float = number(0.15, 1e-4, 10.0, "1/m²")
+    strangers_speed_std: float = number(0.6, 0.05, 10.0, "m/s")
+    strangers_density: float = number(0.15, 1e-4, 10.0, "1/m²")
     walking_seconds: float = number(4.0, 0.0, 600.0, "s")
     walking_share: float = number(0.2, 0.001, 0.999)
     encounter_odds: float = number(8.0, 0.0, 50.0)
@@ -164,6 +164,6 @@ DEFAULT = GroupParameters(
         bias=8.282, shared=5.03, crowd=-3.32, far=-0.767, rank=-0.506, look=11.482, caution=0.5
     ),
     companions=FacingWeights(at_0=-0.39, at_30=0.901, at_60=1.413, at_90=1.416, at_120=0.747, at_160=-0.098),
-    others=FacingWeights(at_0=-0.875, at_30=-0.043, at_60=0.019, at_90=0.107, at_120=0.175, at_160=-0.438),
+    strangers=FacingWeights(at_0=-0.875, at_30=-0.043, at_60=0.019, at_90=0.107, at_120=0.175, at_160=-0.438),
 )
 """By ``graphtrack fit --groups`` from SALSA's rows up to t = 1000 s; see docs/behaviour.md."""

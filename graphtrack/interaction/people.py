@@ -140,7 +140,7 @@ def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
     return slope
 
 
-Told: TypeAlias = "Mapping[int, Estimate] | Iterable[PersonEstimate]"
+PeopleEstimates: TypeAlias = "Mapping[int, Estimate] | Iterable[PersonEstimate]"
 """Estimates by track id, or a tracker's estimates, which have their identities."""
 
 Numbers = tuple[float, ...]
@@ -156,7 +156,7 @@ def numbers_of(estimate: Estimate) -> Numbers:
     return (*estimate.position.tolist(), *estimate.velocity.tolist(), *angles)
 
 
-def people_told(t: float, told: Told) -> People:
+def people_of_estimates(t: float, estimates: PeopleEstimates) -> People:
     """Return the people of a frame, by identity; people without a position yet are left out.
 
     Raise InputError for an invalid time, and for a person given twice.
@@ -165,7 +165,9 @@ def people_told(t: float, told: Told) -> People:
         raise InputError(f"t = {t:g}", "a time in seconds")
     numbers: dict[int, Numbers] = {}
     frame = 0
-    for one, estimate in told.items() if isinstance(told, Mapping) else ((p.track_id, p) for p in told):
+    for one, estimate in (
+        estimates.items() if isinstance(estimates, Mapping) else ((p.track_id, p) for p in estimates)
+    ):
         if one in numbers:
             raise InputError(f"track {one} twice", "each person once in a frame")
         if estimate.status != "waiting":

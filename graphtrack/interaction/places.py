@@ -30,7 +30,7 @@ class Place:
         mean: FloatArray = self.outline.mean(axis=0)
         return mean
 
-    def seen_from(self, position: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def viewed_from(self, position: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return bearing and half angular width, radians, and distance, metres, from (n, 2)."""
         away = self.centre - position
         far, bearing = np.linalg.norm(away, axis=1), direction(away)

@@ -179,7 +179,7 @@ def true_shares(
     return parts
 
 
-def score_looks(
+def score_gaze(
     found: Sequence[Attention], labels: LookLabels, span: tuple[float, float] = (-np.inf, np.inf)
 ) -> LookScore:
     """Score gaze in the labelled frames of a time interval.

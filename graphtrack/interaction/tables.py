@@ -57,7 +57,7 @@ class _Rows:
         self.refuse(~np.isfinite(found) & (needed | ~empty), name, "a finite number")
         return found
 
-    def whole(self, name: str, *, needed: bool = True) -> IntArray:
+    def integers(self, name: str, *, needed: bool = True) -> IntArray:
         """Return integers; `UNLABELLED` for empty optional cells."""
         found = self.numbers(name, needed=needed)
         found = np.where(np.isnan(found), UNLABELLED, found)
@@ -72,8 +72,8 @@ class _Rows:
 
     def words(self, name: str, known: Sequence[str]) -> IntArray:
         """Return the index of each cell in the known words."""
-        places = {word: place for place, word in enumerate(known)}
-        found = np.array([places.get(cell, -1) for cell in self.cells[name]], dtype=np.int64)
+        codes = {word: place for place, word in enumerate(known)}
+        found = np.array([codes.get(cell, -1) for cell in self.cells[name]], dtype=np.int64)
         self.refuse(found < 0, name, "one of " + ", ".join(word or "nothing" for word in known))
         return found
 
@@ -114,7 +114,7 @@ def read_group_table(path: str | Path) -> Groups:
     InputError with line and column: an invalid number, kind or probability, or a person twice.
     """
     rows = _read(path, ("frame", "track_id", "group"))
-    frame, person, group = (rows.whole(name) for name in ("frame", "track_id", "group"))
+    frame, person, group = (rows.integers(name) for name in ("frame", "track_id", "group"))
     rows.once(frame, person)
     grouped = group >= 0
     kind = rows.words("kind", KINDS) if "kind" in rows.cells else np.where(grouped, 1, 0)
@@ -150,21 +150,21 @@ class LookLabels:
         return found
 
 
-def read_looks(path: str | Path) -> LookLabels:
+def read_gaze(path: str | Path) -> LookLabels:
     """Read gaze labels: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
 
     Rows with an empty target are unlabelled. Raise InputError with line and column: an invalid integer, a
     person as their own target, a person twice in a frame.
     """
     rows = _read(path, ("frame", "track_id", "target"))
-    frame, person = rows.whole("frame"), rows.whole("track_id")
+    frame, person = rows.integers("frame"), rows.integers("track_id")
     rows.once(frame, person)
-    said = np.isfinite(rows.numbers("target", needed=False))
-    target = rows.whole("target", needed=False)
-    rows.refuse(said & (target < NOBODY), "target", "an id, or -1 for nobody")
-    rows.refuse(said & (target == person), "target", "another person, or -1 for nobody")
+    has_number = np.isfinite(rows.numbers("target", needed=False))
+    target = rows.integers("target", needed=False)
+    rows.refuse(has_number & (target < NOBODY), "target", "an id, or -1 for nobody")
+    rows.refuse(has_number & (target == person), "target", "another person, or -1 for nobody")
     order = np.lexsort((frame, person))
-    order = order[said[order]]
+    order = order[has_number[order]]
     return LookLabels(frame[order], person[order], target[order], rows.path)
 
 
@@ -175,31 +175,31 @@ def read_attention(path: str | Path) -> list[Attention]:
     twice.
     """
     rows = _read(path, ("frame", "t", "track_id", "kind", "target", "probability"))
-    frame, person, t = rows.whole("frame"), rows.whole("track_id"), rows.numbers("t")
+    frame, person, t = rows.integers("frame"), rows.integers("track_id"), rows.numbers("t")
     kind, probability = rows.words("kind", _TARGETS), rows.shares("probability", needed=True)
     target = np.array([cell.strip() for cell in rows.cells["target"]], dtype=object)
     of_person = kind == 0
     no_id = np.array([not cell.lstrip("-").isdecimal() for cell in target], dtype=bool)
     rows.refuse(of_person & no_id, "target", "an id")
-    places = tuple(sorted(set(target[kind == 1].tolist())))
-    number = {name: k for k, name in enumerate(places)}
-    who = np.zeros(len(target), dtype=np.int64)
-    who[of_person] = [int(cell) for cell in target[of_person]]
+    codes = tuple(sorted(set(target[kind == 1].tolist())))
+    number = {name: k for k, name in enumerate(codes)}
+    person_target = np.zeros(len(target), dtype=np.int64)
+    person_target[of_person] = [int(cell) for cell in target[of_person]]
     which = np.where(kind == 1, [number.get(cell, 0) for cell in target], 0)
-    rows.once(frame, person, kind, who, which)
+    rows.once(frame, person, kind, person_target, which)
     found = []
     for one in np.unique(person).tolist():
         mine = np.flatnonzero(person == one)
         frames, first, row = np.unique(frame[mine], return_index=True, return_inverse=True)
-        others = np.unique(who[mine][of_person[mine]])
-        share = np.zeros((len(frames), len(others) + len(places) + 1))
+        targets = np.unique(person_target[mine][of_person[mine]])
+        share = np.zeros((len(frames), len(targets) + len(codes) + 1))
         column = np.select(
             [of_person[mine], kind[mine] == 1],
-            [np.searchsorted(others, who[mine]), len(others) + which[mine]],
+            [np.searchsorted(targets, person_target[mine]), len(targets) + which[mine]],
             share.shape[1] - 1,
         )
         share[row, column] = probability[mine]
-        found.append(Attention(one, frames, t[mine][first], tuple(others.tolist()), places, share))
+        found.append(Attention(one, frames, t[mine][first], tuple(targets.tolist()), codes, share))
     return found
 
 

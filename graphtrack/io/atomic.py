@@ -253,7 +253,7 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
             temporary = scratch / path.name
             if directory:
                 temporary.mkdir()
-            with write_errors(given, scratch), _told_of(given, temporary):
+            with write_errors(given, scratch), _with_path(given, temporary):
                 yield temporary
             _flush(temporary)
             _match_mode(temporary, path)
@@ -265,7 +265,7 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def _told_of(path: Path, temporary: Path) -> Iterator[None]:
+def _with_path(path: Path, temporary: Path) -> Iterator[None]:
     """Replace the temporary path in errors with the path that was given."""
     try:
         yield

@@ -269,12 +269,12 @@ def placed_boxes(rows: Rows, options: ReadOptions) -> Rows:
     if "position" in rows.channels:
         camera, notes = known_camera(options, pixel)
         return rows.with_camera(camera).with_notes(*notes, "positions are columns 8 and 9, in metres")
-    seen = np.asarray(np.isfinite(pixel).all(axis=1))
-    if len(seen) and not seen.any():
+    known = np.asarray(np.isfinite(pixel).all(axis=1))
+    if len(known) and not known.any():
         raise InputError("neither boxes nor metres", "one of them", path=rows.path)
     if not len(rows):
         return rows.with_channels(position=pixel)
-    camera, notes = camera_or_scale(options, pixel, rows.channels["box"][seen, 3])
+    camera, notes = camera_or_scale(options, pixel, rows.channels["box"][known, 3])
     return on_ground(rows, camera, notes)
 
 

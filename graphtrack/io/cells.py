@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.formats.native import damage_told
+from graphtrack.io.formats.native import arrow_errors
 from graphtrack.io.formats.ndjson import parse_line
 from graphtrack.io.source import Source
 from graphtrack.io.text import csv_rows, expected_number, is_blank, parse_number
@@ -121,7 +121,7 @@ def cells_of_parquet(source: Source) -> Cells:
     """Read a Parquet file."""
     import pyarrow.parquet as pq
 
-    with damage_told(source.path):
+    with arrow_errors(source.path):
         file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
         table = file.read()
         table.validate(full=True)
@@ -249,7 +249,7 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
             found = f"the {'text' if is_text else 'number'} {str(cell)[:_LONGEST]!r} after "
             found += f"the {'number' if is_text else 'text'} {str(known[0][1])[:_LONGEST]!r}"
             raise cells.fail(found, "identities of one kind", row, name)
-    if not known or not text[0] or all(_is_whole(cell) for _, cell in known):
+    if not known or not text[0] or all(_is_integer(cell) for _, cell in known):
         numbered = np.full(len(values), np.nan)
         numbered[[row for row, _ in known]] = [float(cell) for _, cell in known]
         return numbered, {}
@@ -260,18 +260,18 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
     ids = np.full(len(values), np.nan)
     for row, cell in known:
         ids[row] = number.setdefault(cell.strip(), len(number) + 1)
-    return ids, {k: said for said, k in number.items()}
+    return ids, {k: entries for entries, k in number.items()}
 
 
 def numbered_names(names: Sequence[str]) -> tuple[NDArray[np.int64], dict[int, str]]:
     """Return identities (n,) of a list of names, and track id → name for text; see `identities`."""
-    if all(_is_whole(name) for name in names):
+    if all(_is_integer(name) for name in names):
         return np.array([int(name) for name in names], dtype=np.int64), {}
     known = {name: k for k, name in enumerate(dict.fromkeys(names), 1)}
     return np.array([known[name] for name in names], dtype=np.int64), {k: name for name, k in known.items()}
 
 
-def _is_whole(text: str) -> bool:
+def _is_integer(text: str) -> bool:
     """Return whether a text is a whole number that reads back to the same text: 007 is a name."""
     digits = text.strip().removeprefix("-")
     if not (digits.isdecimal() and digits.isascii()) or len(digits) > 16:
@@ -280,20 +280,20 @@ def _is_whole(text: str) -> bool:
 
 
 def times(
-    cells: Cells, name: str, unit: str | None, beside: TimeScale | None
+    cells: Cells, name: str, unit: str | None, reference: TimeScale | None
 ) -> tuple[FloatArray, TimeScale, list[str]]:
     """Return seconds (n,), NaN where a cell is empty, the time scale, and notes on assumptions.
 
     Parameters
     ----------
     unit : of numbers; "iso" for text; None: seconds, or ISO 8601
-    beside : scale of a table with the same time origin
+    reference : scale of a table with the same time origin
     """
     values = cells.columns[name]
     if values.dtype.kind == "M":
         if unit not in (None, "iso"):
             raise cells.fail("dates", f"numbers for --time-unit {unit}", None, name)
-        t, scale = from_dates(values, cells.zones.get(name, ""), beside)
+        t, scale = from_dates(values, cells.zones.get(name, ""), reference)
         return t, scale, []
     if values.dtype.kind == "m":
         t = values.astype("m8[ns]").astype(float) / 1e9
@@ -302,15 +302,15 @@ def times(
     texts = [cell for cell in values.tolist() if not is_empty(cell)] if values.dtype.kind == "O" else []
     first = texts[0] if texts else None
     if unit == "iso" or (unit is None and isinstance(first, str) and is_iso(first)):
-        return _iso(cells, name, values, beside)
+        return _iso(cells, name, values, reference)
     if isinstance(first, str) and is_iso(first):
         expected = f"numbers for --time-unit {unit}; --time-unit iso reads these"
         raise cells.fail(repr(first[:_LONGEST]), expected, None, name)
-    whole = _whole(values)
+    integers = _integers(values)
     each = unit or "s"
     found = numbers(cells, name)
     _check_reach(cells, name, found, each)
-    t, scale = from_numbers(found if whole is None else whole, each, beside)
+    t, scale = from_numbers(found if integers is None else integers, each, reference)
     return t, scale, []
 
 
@@ -325,13 +325,13 @@ def _check_reach(cells: Cells, name: str, values: FloatArray, unit: str) -> None
         raise cells.fail(f"{values[row]:.17g}", f"a time in {unit}{hint}", row, name)
 
 
-def _whole(values: NDArray[Any]) -> NDArray[np.int64] | None:
+def _integers(values: NDArray[Any]) -> NDArray[np.int64] | None:
     """Return a column of whole numbers exactly; None if it has others."""
     if values.dtype.kind in "iu":
         return values.astype(np.int64)
     if values.dtype.kind != "O":
         return None
-    whole = []
+    integers = []
     for cell in values.tolist():
         if isinstance(cell, str):
             digits = cell.strip().removeprefix("-")
@@ -342,18 +342,18 @@ def _whole(values: NDArray[Any]) -> NDArray[np.int64] | None:
         value = int(cell)
         if abs(value) >= 2**63:
             return None
-        whole.append(value)
-    return np.array(whole, dtype=np.int64)
+        integers.append(value)
+    return np.array(integers, dtype=np.int64)
 
 
 def _iso(
-    cells: Cells, name: str, values: NDArray[Any], beside: TimeScale | None
+    cells: Cells, name: str, values: NDArray[Any], reference: TimeScale | None
 ) -> tuple[FloatArray, TimeScale, list[str]]:
     if values.dtype.kind != "O":
         raise cells.fail("numbers", "dates and times as text, or another --time-unit", None, name)
     texts = ["" if is_empty(cell) else str(cell) for cell in values.tolist()]
     try:
-        t, scale = from_text(texts, beside)
+        t, scale = from_text(texts, reference)
     except NotIso as error:
         raise cells.fail(repr(texts[error.row][:_LONGEST]), error.expected, error.row, name) from None
     note = "" if scale.zone else ", which have no zone,"

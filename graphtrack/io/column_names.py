@@ -180,8 +180,8 @@ def with_synonyms(
         found.pop("x", None), found.pop("y", None)
     notes = []
     if found:
-        said = ", ".join(f"{shortened(name)} as {key}" for key, name in found.items())
-        notes.append(f"{READ_AS}{'s' * (len(found) > 1)} {said}")
+        renamed = ", ".join(f"{shortened(name)} as {key}" for key, name in found.items())
+        notes.append(f"{READ_AS}{'s' * (len(found) > 1)} {renamed}")
         time_unit, units = (plain(found[key])[1] if key in found else "no unit" for key in ("t", "x"))
         options = replace(
             options,
@@ -211,9 +211,9 @@ def names_in(source: Source, format: str) -> list[str]:
 
         import pyarrow.parquet as pq
 
-        from graphtrack.io.formats.native import damage_told
+        from graphtrack.io.formats.native import arrow_errors
 
-        with damage_told(source.path):
+        with arrow_errors(source.path):
             return list(pq.ParquetFile(io.BytesIO(source.data)).schema_arrow.names)
     first = next((line for line in source.lines if line.strip()), "")
     try:
@@ -225,7 +225,7 @@ def names_in(source: Source, format: str) -> list[str]:
         return []
 
 
-def says_places(columns: Mapping[str, str] | str | None, names: Iterable[str]) -> bool:
+def has_positions(columns: Mapping[str, str] | str | None, names: Iterable[str]) -> bool:
     """Return whether a table without native names holds tracks: positions, and times or frames."""
     there = {*names, *(columns if isinstance(columns, Mapping) else ())}
     return {"x", "y"} <= there and bool({"t", "frame"} & there)

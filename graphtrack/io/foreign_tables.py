@@ -57,10 +57,10 @@ def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
     for key, pattern in wild.items():
         columns[pattern] = np.concatenate([cells.columns[found[key][person]] for person in people])
     columns[IDENTITY] = np.repeat(np.array(people, dtype=object), n)
-    said = np.zeros(n * len(people), dtype=bool)
+    filled_cells = np.zeros(n * len(people), dtype=bool)
     for pattern in wild.values():
-        said |= ~np.array([is_empty(cell) for cell in columns[pattern].tolist()], dtype=bool)
-    kept = np.flatnonzero(said)
+        filled_cells |= ~np.array([is_empty(cell) for cell in columns[pattern].tolist()], dtype=bool)
+    kept = np.flatnonzero(filled_cells)
     line_of = cells.line_of
     rows = replace(
         cells,
@@ -75,7 +75,7 @@ _HIGHEST = {"lat": 90.0, "lon": 360.0, "true_lat": 90.0, "true_lon": 360.0}
 
 
 def rows_of_cells(
-    cells: Cells, layout: Layout, *, fps: float | None = None, beside: AsRead | None = None
+    cells: Cells, layout: Layout, *, fps: float | None = None, reference: AsRead | None = None
 ) -> Rows:
     """Return the rows of a table, checked cell by cell, in metres and seconds.
 
@@ -84,7 +84,7 @@ def rows_of_cells(
     cells : raw cells
     layout : meaning of the columns; unnamed columns with names of the native table are read as native
     fps : frames a second, for a table without times
-    beside : layout of another table with the same origins of time and position
+    reference : layout of another table with the same origins of time and position
     """
     wide = bool(layout.wild)
     cells, layout = long(cells, layout)
@@ -99,15 +99,15 @@ def rows_of_cells(
         elif key == "label":
             columns[key] = _labels(cells, name)
         elif key == "t":
-            columns[key], time, told = times(
-                cells, name, layout.time_unit, None if beside is None else beside.time
+            columns[key], time, time_notes = times(
+                cells, name, layout.time_unit, None if reference is None else reference.time
             )
-            notes += told
+            notes += time_notes
         else:
             columns[key] = numbers(cells, name)
     if names and "label" not in columns:
         columns["label"] = np.array([names.get(k, "") for k in columns["track_id"].tolist()], dtype=object)
-    plane = _on_the_ground(columns, cells, named, layout, beside, notes)
+    plane = _on_the_ground(columns, cells, named, layout, reference, notes)
     for key, native in ANGLES.items():
         if key in columns:
             columns[native] = np.rad2deg(columns.pop(key))
@@ -128,10 +128,12 @@ def rows_of_cells(
         )
     except InputError as error:
         raise _renamed(error, named) from None
-    said = {key: name for key, name in layout.columns.items() if name in named.values()}
+    filled_cells = {key: name for key, name in layout.columns.items() if name in named.values()}
     if wide:
-        said = {key: name for key, name in said.items() if key not in layout.wild and name != IDENTITY}
-    return replace(rows, as_read=AsRead(said, time, layout.metre, names, plane))
+        filled_cells = {
+            key: name for key, name in filled_cells.items() if key not in layout.wild and name != IDENTITY
+        }
+    return replace(rows, as_read=AsRead(filled_cells, time, layout.metre, names, plane))
 
 
 def _named(cells: Cells, layout: Layout) -> dict[str, str]:
@@ -164,7 +166,7 @@ def _on_the_ground(
     cells: Cells,
     named: Mapping[str, str],
     layout: Layout,
-    beside: AsRead | None,
+    reference: AsRead | None,
     notes: list[str],
 ) -> Plane | None:
     """Convert geographic coordinates to metres; return their tangent plane, if there is one."""
@@ -188,8 +190,8 @@ def _on_the_ground(
         half = np.isnan(first) != np.isnan(second)
         if half.any():
             raise cells.fail("an empty cell", "both coordinates or none", int(np.argmax(half)), name)
-    if beside is not None and beside.plane is not None and beside.plane.crs == crs:
-        plane = beside.plane
+    if reference is not None and reference.plane is not None and reference.plane.crs == crs:
+        plane = reference.plane
     else:
         try:
             plane = Plane.around(crs, pairs[0][1], pairs[0][2])
@@ -233,22 +235,22 @@ def with_frames(
     if np.isnan(t).any():
         raise cells.fail("an empty cell", "a time in every row", int(np.argmax(np.isnan(t))), named["t"])
     known, place = np.unique(t, return_inverse=True)
-    frames, said = numbered_times(known)
+    frames, filled_cells = numbered_times(known)
     columns["frame"] = frames[place].astype(float)
-    notes.append(f"no frames: {said}")
+    notes.append(f"no frames: {filled_cells}")
     if "track_id" in columns:
         _check_once(columns, cells, named)
 
 
 def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mapping[str, str]) -> None:
     """Refuse two positions of one person at one time, for a table without frames."""
-    who, frame = columns["track_id"], columns["frame"]
-    order = np.lexsort((frame, who))
-    twice = (np.diff(who[order]) == 0) & (np.diff(frame[order]) == 0) & (who[order][1:] != -1)
+    track_id, frame = columns["track_id"], columns["frame"]
+    order = np.lexsort((frame, track_id))
+    twice = (np.diff(track_id[order]) == 0) & (np.diff(frame[order]) == 0) & (track_id[order][1:] != -1)
     if twice.any():
         row = int(order[np.flatnonzero(twice) + 1].min())
-        said, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
-        raise cells.fail(f"{said} again at {when}", "each once at a time", row, named["t"])
+        filled_cells, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
+        raise cells.fail(f"{filled_cells} again at {when}", "each once at a time", row, named["t"])
 
 
 _AMISS = 0.25  # of a frame: how far a time may be from that of its frame
@@ -262,8 +264,8 @@ def numbered_times(t: FloatArray) -> tuple[FloatArray, str]:
     """
     if len(t) > 1:
         rate = 1.0 / float(np.median(np.diff(t)))
-        whole = float(round(rate)) if rate > 0.995 and abs(rate - round(rate)) < 0.005 * rate else rate
-        for first, per_second in ((0.0, whole), (float(t[0]), whole), (float(t[0]), rate)):
+        rounded = float(round(rate)) if rate > 0.995 and abs(rate - round(rate)) < 0.005 * rate else rate
+        for first, per_second in ((0.0, rounded), (float(t[0]), rounded), (float(t[0]), rate)):
             frames = np.rint((t - first) * per_second)
             steady = np.abs((t - first) * per_second - frames).max() < _AMISS
             if steady and np.abs(frames).max() <= LARGEST_FRAME and (np.diff(frames) > 0).all():

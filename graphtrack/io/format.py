@@ -33,7 +33,7 @@ class Format:
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
     write_columns : (columns of the table, path) → None; for tables, which may lack identities and need no
         ``write``
-    beside : paths relative to a file's folder where the reader finds companion files; ``{name}`` stands for
+    companions : paths relative to a file's folder of files that the reader uses, too; ``{name}`` stands for
         the file's name
     is_read : False for formats that are only written
     takes : options of tables, fields of `ReadOptions`, that the reader itself handles
@@ -47,7 +47,7 @@ class Format:
     read: Callable[[Source, ReadOptions], Rows]
     write: Callable[[TrackSet, Path], None] | None = None
     write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
-    beside: tuple[str, ...] = ()
+    companions: tuple[str, ...] = ()
     is_read: bool = True
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
@@ -61,7 +61,7 @@ class Format:
         self.write_columns(restored(to_columns(tracks), tracks.as_read), path)
 
 
-def places_beside(path: Path, places: Iterable[str]) -> tuple[Path, ...]:
+def companion_paths(path: Path, places: Iterable[str]) -> tuple[Path, ...]:
     """Return paths given relative to a file's folder; see `Format.beside`."""
     name = path.name.removesuffix(".gz")
     return tuple(Path(os.path.normpath(path.parent / place.format(name=name))) for place in places)
@@ -101,6 +101,6 @@ def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | Non
     return found
 
 
-def times_told(frame: FloatArray, t: FloatArray, rate: float) -> bool:
+def times_are_exact(frame: FloatArray, t: FloatArray, rate: float) -> bool:
     """Return whether frames (n,) at a rate reproduce the times (n,) to the last bit."""
     return bool(np.array_equal(frame / rate, t))

@@ -198,15 +198,15 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
 
 def _read_lines(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
     groups: list[frozenset[int]] = []
-    seen: set[int] = set()
+    listed: set[int] = set()
     for number, line in lines:
         group = _group(source, number, line.replace(",", " ").split())
-        twice = seen & group
+        twice = listed & group
         if twice:
             raise InputError(
                 f"person {min(twice)} in a second group", "each person in one", path=source.path, line=number
             )
-        seen |= group
+        listed |= group
         groups.append(group)
     return GroupLabels("always", (GroupStep(0.0, tuple(groups), lines[0][0]),), source.path)
 

@@ -124,9 +124,9 @@ def _found(
         NO_SIZE: (corners[:, 2:] > corners[:, :2]).all(axis=1),
     }
     if ids is not None:
-        whole = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
-        if not whole.all():
-            raise InputError(f"the id {ids[~whole][0]:g}", "whole numbers")
+        integer = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
+        if not integer.all():
+            raise InputError(f"the id {ids[~integer][0]:g}", "whole numbers")
         checks[NOT_FOLLOWED] = ids.ravel() >= 0.0
     kept, refused = everybody, {}
     for reason, good in checks.items():  # a box that fails several is counted for the first

@@ -154,7 +154,7 @@ class ReadingBase(TypedDict, total=False):
     encoding: str | None
     topic: str | None
     fixed_frame: str | None
-    beside: AsRead | None
+    reference: AsRead | None
 
 
 class Placing(ReadingBase, total=False):
@@ -206,7 +206,7 @@ class ReadOptions:
     encoding : of a text file that is not UTF-8
     topic : of a ROS 2 recording, the topic with people, or a pattern for topics of one person each
     fixed_frame : the frame of reference of its positions, to which ``tf`` transforms them
-    beside : layout of another table with the same origins of time and local metres
+    reference : layout of another table with the same origins of time and local metres
     """
 
     fps: float | None = None
@@ -232,7 +232,7 @@ class ReadOptions:
     encoding: str | None = None
     topic: str | None = None
     fixed_frame: str | None = None
-    beside: AsRead | None = None
+    reference: AsRead | None = None
 
     def __post_init__(self) -> None:
         check_frame_rate(self.fps)
@@ -274,8 +274,8 @@ class ReadOptions:
         InputError
             For options that contradict each other.
         """
-        said = (self.time_unit, self.units, self.crs)
-        if self.columns is None and not any(said):
+        declared = (self.time_unit, self.units, self.crs)
+        if self.columns is None and not any(declared):
             return None
         assert not isinstance(self.columns, str)
-        return Layout(self.columns or {}, *said)
+        return Layout(self.columns or {}, *declared)

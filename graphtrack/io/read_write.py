@@ -22,15 +22,15 @@ from graphtrack.io.options import FileReading, Layout, Reading, ReadOptions
 from graphtrack.io.recognition import is_recording, recognised
 from graphtrack.io.registry import (
     FORMATS,
+    companion_files,
     detect,
-    files_beside,
     format_for_writing,
     format_named,
     format_taking,
     hinted,
 )
 from graphtrack.io.source import Source, place_of, sequence_file, table_in
-from graphtrack.io.text import as_told, other_delimiter
+from graphtrack.io.text import in_utf8, other_delimiter
 from graphtrack.tracks.display import counted, listed
 from graphtrack.tracks.table import Rows, check_identities, check_rows, merged
 from graphtrack.tracks.track import Track, TrackSet
@@ -162,7 +162,7 @@ def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
     from graphtrack.io.foreign_tables import rows_of_cells
 
     found, notes = with_synonyms(list(cells.columns), options, cells.path)
-    rows = rows_of_cells(cells, found.layout() or Layout(), fps=found.fps, beside=found.beside)
+    rows = rows_of_cells(cells, found.layout() or Layout(), fps=found.fps, reference=found.reference)
     if found is not options:
         notes += unit_notes(found, rows.channels["t"])
     return place_pixels(rows.with_notes(*notes), found)
@@ -181,7 +181,7 @@ def read_with(
     check_read_once([place_of(one) for one in paths])
     for one in paths:
         sets.append(to_tracks(rows_of_file(one, format, options), options))
-        options = replace(options, beside=options.beside or sets[0].as_read)
+        options = replace(options, reference=options.reference or sets[0].as_read)
     if len(sets) == 1:
         return sets[0]
     return merged_tracks(sets, [place_of(one) for one in paths])
@@ -250,7 +250,7 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
         found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
         raise InputError(found, "a bag or MCAP file", path=path)
     with read_errors(place):
-        return as_told(Source.open(place), options.delimiter, options.decimal, options.encoding)
+        return in_utf8(Source.open(place), options.delimiter, options.decimal, options.encoding)
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
@@ -290,7 +290,7 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
 
 def _table_with_synonyms(source: Source, format: str | None, options: ReadOptions) -> str | None:
     """Return the format of a table with well-known, non-native column names; else None."""
-    from graphtrack.io.column_names import names_in, says_places, with_synonyms
+    from graphtrack.io.column_names import has_positions, names_in, with_synonyms
 
     known = format
     if known is None:
@@ -299,7 +299,7 @@ def _table_with_synonyms(source: Source, format: str | None, options: ReadOption
         return None
     names = names_in(source, known)
     found, notes = with_synonyms(names, options, source.path)
-    return known if notes and says_places(found.columns, names) else None
+    return known if notes and has_positions(found.columns, names) else None
 
 
 def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
@@ -439,8 +439,8 @@ def paired_files(estimates: Sequence[Path], truth: Sequence[Path]) -> dict[str, 
     if len(first) == len(second) == 1:
         return {_name(first[0]): (first[0], second[0])}
     named, true = _by_name(first), _by_name(second)
-    for mine, others, what in ((named, true, "the truth"), (true, named, "estimates")):
-        alone = [path for name, path in mine.items() if name not in others]
+    for mine, reference, what in ((named, true, "the truth"), (true, named, "estimates")):
+        alone = [path for name, path in mine.items() if name not in reference]
         if alone:
             count = f"{counted(len(first), 'file')} of estimates and {len(second)} of the truth"
             raise InputError(
@@ -457,8 +457,8 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 def _files_in(folder: Path) -> list[Path]:
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     files += sorted(path for path in folder.iterdir() if sequence_file(path) is not None)
-    beside = {place for path in files for place in files_beside(path)}
-    found = [path for path in files if path not in beside]
+    reference = {place for path in files for place in companion_files(path)}
+    found = [path for path in files if path not in reference]
     if not found:
         raise InputError("a folder without files", "files with tracks", path=folder)
     return found

@@ -10,7 +10,7 @@ import shlex
 from pathlib import Path
 
 from graphtrack.errors import InputError
-from graphtrack.io.format import Format, places_beside
+from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.formats.caviar import CAVIAR
 from graphtrack.io.formats.coco import COCO
 from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
@@ -103,9 +103,9 @@ FORMATS = (
 """All formats; `recognition.SIGNATURES` has the order in which they are tried."""
 
 
-def files_beside(path: Path) -> tuple[Path, ...]:
+def companion_files(path: Path) -> tuple[Path, ...]:
     """Return the companion files of ``path`` that a reader of some format would read with it."""
-    places = (place for known in FORMATS for place in places_beside(path, known.beside))
+    places = (place for known in FORMATS for place in companion_paths(path, known.companions))
     return tuple(place for place in places if place.is_file())
 
 

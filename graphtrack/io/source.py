@@ -49,12 +49,12 @@ class RemoteFile(type(Path())):  # type: ignore[misc]
         except FileNotFoundError as error:
             raise InputError("no such file", "an existing file", path=url) from error
         except ImportError as error:
-            said = " ".join(str(error).split())
+            reason = " ".join(str(error).split())
             expected = "fsspec's packages for such URLs (for http: pip install requests aiohttp)"
-            raise InputError(said, expected, path=url) from error
+            raise InputError(reason, expected, path=url) from error
         except Exception as error:  # each store has errors of its own
-            said = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(said, "the URL of a file that can be read", path=url) from error
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(reason, "the URL of a file that can be read", path=url) from error
 
 
 def place_of(given: str | Path) -> Path:
@@ -71,7 +71,7 @@ HEAD_BYTES = 8192
 """Bytes of a file by which its format is recognised."""
 
 _GZIP_MAGIC, _ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
-_MARKS = {
+_BYTE_ORDER_MARKS = {
     codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose byte order mark it begins with
     codecs.BOM_UTF32_BE: "utf-32",
     codecs.BOM_UTF16_LE: "utf-16",
@@ -118,7 +118,7 @@ class Source:
             raise InputError(str(error), "a readable file", path=path) from error
         if data.startswith(_GZIP_MAGIC):
             data = _gunzip(data, path)
-        encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), None)
+        encoding = next((name for mark, name in _BYTE_ORDER_MARKS.items() if data.startswith(mark)), None)
         if encoding is not None:
             data = _decoded(data, encoding)
         if not data:
@@ -135,15 +135,15 @@ class Source:
         """Guessed UTF-16 or UTF-32 encoding of content without a byte order mark; None for others."""
         for name in ("UTF-32LE", "UTF-32BE"):
             # No UTF-16 text and hardly any binary file is valid UTF-32.
-            whole = self.head[: len(self.head) // 4 * 4]
-            if len(whole) >= 8:
+            complete = self.head[: len(self.head) // 4 * 4]
+            if len(complete) >= 8:
                 with contextlib.suppress(UnicodeError):
-                    if "\0" not in whole.decode(name):
+                    if "\0" not in complete.decode(name):
                         return name
         # Most characters in UTF-16 have one null byte, always at the same position.
         first, second = self.head[::2], self.head[1::2]
-        for nulls, others, name in ((second, first, "UTF-16LE"), (first, second, "UTF-16BE")):
-            if nulls.count(0) > 0.8 * len(nulls) and 0 not in others:
+        for nulls, counterpart, name in ((second, first, "UTF-16LE"), (first, second, "UTF-16BE")):
+            if nulls.count(0) > 0.8 * len(nulls) and 0 not in counterpart:
                 return name
         return None
 

@@ -18,7 +18,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import cells_of_file, rows_of_file
 from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
-from graphtrack.io.text import SEP_LINE, as_told, parse_number
+from graphtrack.io.text import SEP_LINE, in_utf8, parse_number
 from graphtrack.tracks.display import listed, shortened
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.time import EPOCH, NANOSECONDS_IN, is_iso
@@ -51,7 +51,7 @@ def suggest(path: Path) -> Suggestion:
         except InputError:
             if not _may_be_table(Source.open(path)):
                 raise
-        found = _marks(Source.open(path))
+        found = _delimiters(Source.open(path))
         try:
             if found.options and _as_people(rows_of_file(path, None, _read_options(found))):
                 return found
@@ -86,7 +86,7 @@ def _too_fast(rows: Rows) -> bool:
 # -- marks ---------------------------------------------------------------------------------------------------
 
 
-def _marks(source: Source) -> Suggestion:
+def _delimiters(source: Source) -> Suggestion:
     """Return the encoding, delimiter and decimal mark of a text file."""
     found = Suggestion()
     if source.head.startswith(b"PAR1"):
@@ -100,17 +100,17 @@ def _marks(source: Source) -> Suggestion:
             found = found.with_option(
                 "encoding", "cp1252", "it is not UTF-8; cp1252 is assumed, as in Windows"
             )
-    text = as_told(source, None, None, found.options.get("encoding"))
+    text = in_utf8(source, None, None, found.options.get("encoding"))
     lines = [line for line in text.lines[: _ROWS + 2] if line.strip()]
     if not lines or lines[0].lstrip().startswith("{"):
         return found
-    told = SEP_LINE.fullmatch(lines[0].strip())
-    mark = told[1] if told else _between(lines)
-    if told:
+    declared = SEP_LINE.fullmatch(lines[0].strip())
+    mark = declared[1] if declared else _between(lines)
+    if declared:
         lines = lines[1:]
     cells = [cell for line in lines[1:] for cell in (line.split() if mark == " " else line.split(mark))]
     decimal = mark != "," and any(re.fullmatch(r'\s*"?[+-]?\d+,\d+"?\s*', cell) for cell in cells)
-    if mark != "," or told:
+    if mark != "," or declared:
         named = next((word for word, m in (("tab", "\t"), ("space", " ")) if m == mark), mark)
         found = found.with_option("delimiter", named)
     return found.with_option("decimal", ",") if decimal else found

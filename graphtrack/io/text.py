@@ -20,7 +20,7 @@ from graphtrack.io.source import Source, mostly
 from graphtrack.tracks.schema import NAMES
 from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_METRES, LARGEST_PIXELS
 
-_MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
+_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
 _TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}  # as typed after ``--delimiter``
 SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """Excel's line before a header."""
@@ -43,19 +43,19 @@ def other_delimiter(source: Source, names: Collection[str] = NAMES) -> InputErro
     """
     lines = [(number, line.strip(" ")) for number, line in enumerate(source.lines, 1) if line.strip()]
     lines = lines[: _LOOKED_AT + 2]
-    told = SEP_LINE.fullmatch(lines[0][1]) if lines else None
-    lines = lines[1:] if told else lines
+    declared = SEP_LINE.fullmatch(lines[0][1]) if lines else None
+    lines = lines[1:] if declared else lines
     if not lines:
         return None
     number, first = lines[0]
-    for mark, name in _MARKS.items():
+    for mark, name in _DELIMITERS.items():
         has_header = len(set(_cells(first, mark)) & set(names)) >= min(2, len(names))
         rows = [_cells(line, mark) for _, line in lines[1 if has_header else 0 :]]
         if has_header or (mark != " " and _are_numbers(rows)):
             decimal = any("," in cell and _NUMBER.fullmatch(cell) for row in rows for cell in row)
             return _error(source, number, mark, name, decimal=decimal)
-    if told and len(set(_cells(first, ",")) & set(NAMES)) >= 2:
-        found = f"the line {told[0]!r}"
+    if declared and len(set(_cells(first, ",")) & set(NAMES)) >= 2:
+        found = f"the line {declared[0]!r}"
         expected = "the header in the first line; --delimiter , reads it"
         return InputError(found, expected, path=source.path, line=1)
     return None
@@ -137,7 +137,7 @@ def check_encoding(given: str | None) -> None:
         raise InputError(f"encoding {given!r}", "one of text, such as utf-16 or cp1252") from error
 
 
-def as_told(source: Source, delimiter: str | None, decimal: str | None, encoding: str | None) -> Source:
+def in_utf8(source: Source, delimiter: str | None, decimal: str | None, encoding: str | None) -> Source:
     """Return the file in UTF-8 with commas as delimiters and decimal points; line numbers are kept."""
     if encoding is not None:
         source = _decoded(source, encoding)

@@ -66,7 +66,7 @@ _BITS, _SHORT = ir.IntType(64), ir.IntType(32)
 
 
 @intrinsic
-def whole_of(_context: Any, x: Any) -> Any:
+def floor_of(_context: Any, x: Any) -> Any:
     """The floor of a number, as a float."""
 
     def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
@@ -85,8 +85,8 @@ def power_of_two(_context: Any, exponent: Any) -> Any:
     def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
         kind = args[0].type
         bits = _like(kind, _BITS)
-        whole = builder.sext(builder.fptosi(args[0], _like(kind, _SHORT)), bits)
-        return builder.bitcast(builder.shl(builder.add(whole, _all(bits, 1023)), _all(bits, 52)), kind)
+        integer = builder.sext(builder.fptosi(args[0], _like(kind, _SHORT)), bits)
+        return builder.bitcast(builder.shl(builder.add(integer, _all(bits, 1023)), _all(bits, 52)), kind)
 
     return exponent(exponent), emit
 
@@ -112,14 +112,14 @@ def mantissa_of(_context: Any, x: Any) -> Any:
 def exp(x: Any) -> Any:
     """eˣ for −700 ≤ x ≤ 700, e⁻⁷⁰⁰ for less; NaN of NaN."""
     x = choose(x < _LEAST, _LEAST, x)
-    whole = whole_of(x * LOG2E + 0.5)
-    r = x - whole * LN2_HIGH - whole * LN2_LOW
+    integer = floor_of(x * LOG2E + 0.5)
+    r = x - integer * LN2_HIGH - integer * LN2_LOW
     # Taylor series to the twelfth power; the next term is at most 2e-16, at r = ½·ln 2.
     y = 1.0 / 3628800.0 + r * (1.0 / 39916800.0 + r * (1.0 / 479001600.0))
     y = 1.0 / 5040.0 + r * (1.0 / 40320.0 + r * (1.0 / 362880.0 + r * y))
     y = 1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * y))
     y = 1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * y)))
-    return y * power_of_two(whole)
+    return y * power_of_two(integer)
 
 
 @compiled
@@ -139,9 +139,9 @@ def log(x: Any) -> Any:
 @compiled
 def expm1(x: Any) -> Any:
     """eˣ − 1 for −700 ≤ x ≤ 700, without loss where x is small."""
-    whole = whole_of(x * LOG2E + 0.5)
-    r = x - whole * LN2_HIGH - whole * LN2_LOW
-    z, power = r * r, power_of_two(whole)
+    integer = floor_of(x * LOG2E + 0.5)
+    r = x - integer * LN2_HIGH - integer * LN2_LOW
+    z, power = r * r, power_of_two(integer)
     # Taylor series to the eleventh power; the next term is at most 2e-16, at r = ½·ln 2.
     even = 1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (1.0 / 39916800.0))
     odd = 1.0 / 40320.0 + z * (1.0 / 3628800.0 + z * (1.0 / 479001600.0))
@@ -153,7 +153,7 @@ def expm1(x: Any) -> Any:
 @compiled
 def cos_sin(x: Any) -> tuple[Any, Any]:
     """Cosine and sine of an angle in radians, up to about 10⁶; beyond, the error grows."""
-    turns = whole_of(x * _QUARTER + 0.5)
+    turns = floor_of(x * _QUARTER + 0.5)
     r = x - turns * _PI_HIGH - turns * _PI_LOW
     z = r * r
     c = 1.0 / 479001600.0 - z * (1.0 / 87178291200.0 - z * (1.0 / 20922789888000.0))
@@ -163,7 +163,7 @@ def cos_sin(x: Any) -> tuple[Any, Any]:
     s = 1.0 / 6.0 - z * (1.0 / 120.0 - z * (1.0 / 5040.0 - z * (1.0 / 362880.0 - z * s)))
     s = r - r * z * s
     half = turns * 0.5
-    odd, back = half - whole_of(half) > 0.25, half * 0.5 - whole_of(half * 0.5) > 0.45
+    odd, back = half - floor_of(half) > 0.25, half * 0.5 - floor_of(half * 0.5) > 0.45
     cos, sin = choose(odd, -s, c), choose(odd, c, s)
     return choose(back, -cos, cos), choose(back, -sin, sin)
 

@@ -68,7 +68,7 @@ class LaneArrayType(types.Type):
 
 
 class LaneRecordsType(types.Type):
-    """An array (n,) of records, or one record, of lanes; ``places`` of their fields, by name."""
+    """An array (n,) of records, or one record, of lanes; ``indices`` of their fields, by name."""
 
     def __init__(self, dtype: np.dtype, *, one: bool) -> None:
         self.dtype, self.one = dtype, one
@@ -293,12 +293,12 @@ def lane_rows(_context: Any, array: Any, size: Any) -> Any:
     return _viewed(array, LaneArrayType((size.literal_value,), False), size)
 
 
-def _viewed(array: Any, to: Any, *others: Any) -> Any:
+def _viewed(array: Any, to: Any, *strides: Any) -> Any:
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(array)(context, builder, args[0]).data
         return _made(context, builder, to, data)._getvalue()
 
-    return to(array, *others), emit
+    return to(array, *strides), emit
 
 
 @intrinsic
@@ -364,11 +364,11 @@ class _Set(AbstractTemplate):
 
 def _pointer(builder: Any, data: Any, kind: LaneArrayType, index: Any, given: Any) -> Any:
     """Return the pointer to an element or a part."""
-    places = [given] if index == types.intp else [builder.extract_value(given, i) for i in range(len(index))]
-    place = places[0]
-    for size, another in zip(kind.dims, places[1:], strict=False):
+    indices = [given] if index == types.intp else [builder.extract_value(given, i) for i in range(len(index))]
+    place = indices[0]
+    for size, another in zip(kind.dims, indices[1:], strict=False):
         place = builder.add(builder.mul(place, ir.Constant(place.type, size)), another)
-    step = LANES * math.prod(kind.dims[len(places) - 1 :])
+    step = LANES * math.prod(kind.dims[len(indices) - 1 :])
     return builder.gep(data, [builder.mul(place, ir.Constant(place.type, step))])
 
 

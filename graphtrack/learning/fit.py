@@ -22,10 +22,10 @@ from graphtrack.learning.optimise import (
     REACH,
     Criterion,
     Objective,
-    climb,
     curvature,
     definite,
     in_blocks,
+    maximise,
     uncertainty,
 )
 from graphtrack.model import Model, Parameters
@@ -100,7 +100,7 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
     names = dict.fromkeys(name for term in model.terms for name in term.reads or ())
     absent = {
         "likelihood.robust_threshold": model.parameters.likelihood.robust == "none",
-        "motion.sway_std": not any(track.has_truth for track in tracks),
+        "motion.oscillation_std": not any(track.has_truth for track in tracks),
         "likelihood.pixel_std": all(track.pixel is None for track in tracks),
         "likelihood.class_outlier_probability": all(
             track.body_likelihood is None and track.head_likelihood is None for track in tracks
@@ -294,9 +294,9 @@ class _Evaluations:
 
         Optimise from ``near``, and again from the optimum.
         """
-        x = climb(self.values_about(self.model, free), near, start)
+        x = maximise(self.values_about(self.model, free), near, start)
         values = self.values_about(with_values(self.model, free, x), free)
-        x = climb(values, x, start, definite(curvature(values, x, start).total))
+        x = maximise(values, x, start, definite(curvature(values, x, start).total))
         bent = curvature(values, x, start)
         enough = _FEWEST_BLOCKS if self._criterion == "evidence" else 2
         if self._blocks < enough:

@@ -20,7 +20,7 @@ from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import JUDGED, Expected, Forecaster, lead, mean_turn, spreads
 from graphtrack.forecasting.motion import ComplexArray, ForecastParameters
 from graphtrack.forecasting.paths import EVERY, LAGS
-from graphtrack.forecasting.recorded import SeenFrame, frames_of
+from graphtrack.forecasting.recorded import PeopleOfFrame, frames_of
 from graphtrack.forecasting.spread import LEVELS, log_density
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.track import Track, TrackSet
@@ -30,7 +30,7 @@ from graphtrack.tracks.track import Track, TrackSet
 class Recording:
     """Scene with the outcomes of its people."""
 
-    frames: tuple[SeenFrame, ...]  # observed people of each frame
+    frames: tuple[PeopleOfFrame, ...]  # observed people of each frame
     # per frame, true positions (n, G) of its n people at the times ahead, complex; NaN: unknown
     actual: tuple[ComplexArray, ...]
     straight: tuple[ComplexArray, ...]  # constant-velocity predictions from the last step
@@ -42,24 +42,24 @@ def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recor
     around = np.concatenate([[-EVERY, 0.0], times])
     frames, actual, straight = [], [], []
     of_person = {
-        name: _places_at(t, place, (t[:, None] + around).ravel()).reshape(len(t), -1)
+        name: _positions_at(t, place, (t[:, None] + around).ravel()).reshape(len(t), -1)
         for name, (t, place) in paths.items()
     }
-    for seen in frames_of(tracks):
-        rows = [int(np.searchsorted(paths[one][0], seen.t - 1e-6)) for one in seen.track_id.tolist()]
-        found = np.array([of_person[one][k] for one, k in zip(seen.track_id.tolist(), rows, strict=True)])
-        frames.append(seen)
+    for observed in frames_of(tracks):
+        rows = [int(np.searchsorted(paths[one][0], observed.t - 1e-6)) for one in observed.track_id.tolist()]
+        found = np.array([of_person[one][k] for one, k in zip(observed.track_id.tolist(), rows, strict=True)])
+        frames.append(observed)
         actual.append(found[:, 2:])
         straight.append(found[:, 1:2] + (found[:, 1:2] - found[:, :1]) * times / EVERY)
     return Recording(tuple(frames), tuple(actual), tuple(straight))
 
 
-def _places_at(t: FloatArray, place: ComplexArray, at: FloatArray) -> ComplexArray:
+def _positions_at(t: FloatArray, place: ComplexArray, at: FloatArray) -> ComplexArray:
     """Return interpolated positions between two sightings that are not far apart; NaN elsewhere."""
-    seen = np.isfinite(place)
-    if not seen.any():
+    observed = np.isfinite(place)
+    if not observed.any():
         return np.full(len(at), complex(np.nan, np.nan))
-    t, place = t[seen], place[seen]
+    t, place = t[observed], place[observed]
     after = np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
     span = t[after] - t[before]
@@ -74,23 +74,23 @@ def forecasts(
 ) -> Iterator[tuple[Forecaster, NDArray[np.int64], ComplexArray, ComplexArray]]:
     """Yield every `EVERY` seconds a forecaster, the people with enough history, and their outcomes."""
     forecaster, last = Forecaster(parameters), -np.inf
-    for seen, actual, straight in zip(of.frames, of.actual, of.straight, strict=True):
-        forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
+    for observed, actual, straight in zip(of.frames, of.actual, of.straight, strict=True):
+        forecaster.update(observed.t, observed.track_id, observed.position, observed.std, observed.head)
         people = forecaster.people(history)
-        if seen.t - last < EVERY - 1e-6 or not len(people):
+        if observed.t - last < EVERY - 1e-6 or not len(people):
             continue
-        last = seen.t
-        rows = np.searchsorted(seen.track_id, people)
+        last = observed.t
+        rows = np.searchsorted(observed.track_id, people)
         yield forecaster, people, actual[rows], straight[rows]
 
 
 def relative_errors(error: ComplexArray, straight: ComplexArray) -> tuple[float, float]:
     """Mean error (n, G) of whole paths and of their ends, over those of the last step's velocity."""
-    whole = np.isfinite(error).all(axis=1) & np.isfinite(straight).all(axis=1)
-    if not whole.any():
-        whole = np.isfinite(error[:, 0]) & np.isfinite(straight[:, 0])
-    own, other = np.abs(error[whole]), np.abs(straight[whole])
-    if not whole.any():
+    complete = np.isfinite(error).all(axis=1) & np.isfinite(straight).all(axis=1)
+    if not complete.any():
+        complete = np.isfinite(error[:, 0]) & np.isfinite(straight[:, 0])
+    own, other = np.abs(error[complete]), np.abs(straight[complete])
+    if not complete.any():
         return float("nan"), float("nan")
     ends = np.isfinite(own[:, -1]).any()
     return float(np.nanmean(own) / np.nanmean(other)), float(
@@ -189,9 +189,9 @@ def calibration_error(of: Recording, parameters: ForecastParameters) -> float:
     """
     parts = []
     for forecaster, people, actual, _ in forecasts(of, parameters, JUDGED + EVERY):
-        told = forecaster.forecast(LAGS, people)
-        error = np.abs(actual - told.position[..., 0] - 1j * told.position[..., 1])
-        held = np.stack([error <= told.radius_50, error <= told.radius_90], axis=2)
+        predicted = forecaster.forecast(LAGS, people)
+        error = np.abs(actual - predicted.position[..., 0] - 1j * predicted.position[..., 1])
+        held = np.stack([error <= predicted.radius_50, error <= predicted.radius_90], axis=2)
         parts.append(np.where(np.isfinite(error)[..., None], held, np.nan))
     shares = np.nanmean(np.concatenate(parts), axis=0)
     return float(np.nanmean(np.abs(shares - LEVELS)))
@@ -233,8 +233,8 @@ def fit_forecast(
     if not scenes:
         raise InputError("no recordings", "at least one")
     before = ForecastParameters()
-    seen = {name: [one for one in tracks if one.head is not None] for name, tracks in scenes.items()}
-    with_heads = {name: recording(people, _HEAD_TIMES) for name, people in seen.items() if people}
+    observed = {name: [one for one in tracks if one.head is not None] for name, tracks in scenes.items()}
+    with_heads = {name: recording(people, _HEAD_TIMES) for name, people in observed.items() if people}
     scenes = {name: tracks for name, tracks in scenes.items() if name not in with_heads} or scenes
     recordings = {name: recording(tracks) for name, tracks in scenes.items()}
 
@@ -276,8 +276,8 @@ def _search(
             progress(name.replace("_", " "))
             while True:
                 place = values.index(getattr(best, name))
-                beside = values[max(place - 1, 0) : place] + values[place + 1 : place + 2]
-                tried = [replace(best, **{name: value}) for value in beside]
+                neighbours = values[max(place - 1, 0) : place] + values[place + 1 : place + 2]
+                tried = [replace(best, **{name: value}) for value in neighbours]
                 nearer = min([best, *tried], key=cost)
                 if nearer == best:
                     break
@@ -315,12 +315,14 @@ def _fit_scene_prior(
     """Learn the prior weight of scene errors, by circles with the spread of the other scenes."""
     if len(found) < 2:
         return start  # one scene does not determine the variation between scenes
-    others = {
+    further_recordings = {
         name: _fit_spread([one for other, one in found.items() if other != name], start) for name in found
     }
 
     def cost(tried: ForecastParameters) -> float:
-        elsewhere = {name: replace(one, scene_prior=tried.scene_prior) for name, one in others.items()}
+        elsewhere = {
+            name: replace(one, scene_prior=tried.scene_prior) for name, one in further_recordings.items()
+        }
         return float(np.mean([calibration_error(of, elsewhere[name]) for name, of in recordings.items()]))
 
     return _search(start, SCENE_STEPS, cost, progress)

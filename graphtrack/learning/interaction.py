@@ -36,7 +36,7 @@ from graphtrack.interaction.parameters import (
     GroupParameters,
 )
 from graphtrack.interaction.people import IntArray, People, people_of
-from graphtrack.interaction.scores import LEAST, GroupScore, LookScore, score_groups, score_looks, true_shares
+from graphtrack.interaction.scores import LEAST, GroupScore, LookScore, score_gaze, score_groups, true_shares
 from graphtrack.interaction.tables import LookLabels
 from graphtrack.io.groups import UNLABELLED, GroupLabels
 from graphtrack.tracks.track import Track, TrackSet
@@ -102,8 +102,8 @@ def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupPa
         "walking_distance": far[together].mean(),
         "walking_distance_std": far[together].std(),
         "walking_speed_std": np.sqrt(0.5 * square[together].mean()),
-        "others_speed_std": np.sqrt(0.5 * square[~together].mean()),
-        "others_density": 1.0 / (np.pi * REACH**2 * ALONG),
+        "strangers_speed_std": np.sqrt(0.5 * square[~together].mean()),
+        "strangers_density": 1.0 / (np.pi * REACH**2 * ALONG),
         "walking_share": together.mean(),
     }
     ranges = {one.name: one.metadata["range"] for one in fields(start) if one.name in learned}
@@ -212,8 +212,8 @@ def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: 
         return parameters
     known = [people_of(_HIDDEN["places"](track) for track in tracks), people]
     evidence = [pair_evidence(one, parameters) for one in known]
-    companions, others = fit_facing(people, evidence, standing, parameters)
-    return replace(parameters, companions=companions, others=others)
+    companions, strangers = fit_facing(people, evidence, standing, parameters)
+    return replace(parameters, companions=companions, strangers=strangers)
 
 
 def _chosen(t: FloatArray, split: float) -> list[float]:
@@ -266,10 +266,10 @@ def _caution(
     edges = np.linspace(learned_t.min(), learned_t.max() + 1e-6, _BLOCKS + 1)
     total = np.zeros(len(_CAUTION))
     for low, high in pairwise(edges):
-        others = used & ~((pairs.t >= low) & (pairs.t < high))
+        strangers = used & ~((pairs.t >= low) & (pairs.t < high))
         judged = np.where((t >= low) & (t < high) & (t <= split), label, UNLABELLED)
         try:
-            weights = _weights(pairs, others)
+            weights = _weights(pairs, strangers)
         except InputError:  # nothing to learn from but this part
             continue
         if (judged == UNLABELLED).all():
@@ -328,14 +328,14 @@ def fit_attention(
         raise InputError("no frame with labelled looks", "people and frames of the tracks", path=labels.path)
     low, high = float(labelled.min()), float(labelled.max())
     split = high - hold_out * (high - low) if hold_out > 0.0 else np.inf
-    begin, looks = _free(start), _looks(first, labels, split)
+    begin, labelled_count = _free(start), _count_looked(first, labels, split)
 
     def cost(free: FloatArray) -> float:
-        told = attention(tracks, parameters=_parameters(free), groups=found)
-        belief = 0.5 * float(np.sum(((free - begin) / _WIDE) ** 2)) / max(looks, 1)
+        estimated = attention(tracks, parameters=_parameters(free), groups=found)
+        belief = 0.5 * float(np.sum(((free - begin) / _WIDE) ** 2)) / max(labelled_count, 1)
         logs = [
             np.log(np.maximum(one.probability[rows][true], LEAST))[one.t[rows] <= split]
-            for one, rows, true in true_shares(told, labels)
+            for one, rows, true in true_shares(estimated, labels)
         ]
         return belief - float(np.concatenate(logs).mean())
 
@@ -343,23 +343,23 @@ def fit_attention(
     options = {"maxfev": _MOST, "initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4}
     best = _parameters(minimize(cost, begin, method="Nelder-Mead", options=options).x)
     parameters = AttentionParameters(*(float(f"{value:.3g}") for value in astuple(best)))
-    told = attention(tracks, parameters=parameters, groups=found)
+    estimated = attention(tracks, parameters=parameters, groups=found)
     after = (labelled > split).any()
-    held = score_looks(told, labels, (split, np.inf)) if after else None
-    return AttentionFit(parameters, start, score_looks(told, labels, (-np.inf, split)), held)
+    held = score_gaze(estimated, labels, (split, np.inf)) if after else None
+    return AttentionFit(parameters, start, score_gaze(estimated, labels, (-np.inf, split)), held)
 
 
 def _check(tracks: TrackSet, labels: LookLabels) -> None:
     known = np.array([track.track_id for track in tracks], dtype=np.int64)
-    for name, who in (("track", labels.track_id), ("target", labels.target[labels.target >= 0])):
-        strange = np.setdiff1d(who, known)
+    for name, identities in (("track", labels.track_id), ("target", labels.target[labels.target >= 0])):
+        strange = np.setdiff1d(identities, known)
         if len(strange):
             raise InputError(f"{name} {strange[0]}", "people of the tracks", path=labels.path)
     if not (labels.target >= 0).any():
         raise InputError("no look at anybody", "looks at people, too", path=labels.path)
 
 
-def _looks(found: list[Attention], labels: LookLabels, split: float) -> int:
+def _count_looked(found: list[Attention], labels: LookLabels, split: float) -> int:
     """Return the number of labelled looks: consecutive frames of one count once."""
     count = 0
     for one in found:

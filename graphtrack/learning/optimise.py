@@ -25,7 +25,7 @@ from graphtrack.kernels.compilation import allocating
 from graphtrack.kernels.layout import BODY, HEAD, N, Problem
 from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
-from graphtrack.model.parameters import MotionParameters, swaying
+from graphtrack.model.parameters import MotionParameters, with_oscillation
 from graphtrack.packages import special
 from graphtrack.simulation.degrade import withhold
 from graphtrack.tracks.track import Track
@@ -40,7 +40,7 @@ ROUGH, FINE = 0.02, 1e-4  # least gain of an iteration, in the logarithm of the 
 _DIFFERENCE = 1e-3
 
 
-def climb(
+def maximise(
     values: Blocks, start: FloatArray, prior: FloatArray, hessian: FloatArray | None = None
 ) -> FloatArray:
     """Return the maximum (p,), from ``start``; the prior's mean is ``prior``.
@@ -154,7 +154,7 @@ def hidden_frames(track: Track, channel: int, fold: int) -> NDArray[np.bool_]:
     return (np.floor_divide(seconds, stretch).astype(int) + channel) % FOLDS == fold
 
 
-def told(track: Track, fold: int) -> Track:
+def withheld(track: Track, fold: int) -> Track:
     """Return the track without the observations that a fold holds out."""
     found = track
     for channel, names in enumerate(_CHANNELS):
@@ -163,7 +163,7 @@ def told(track: Track, fold: int) -> Track:
     return replace(found, position=track.position) if nowhere else found
 
 
-def foretold(
+def held_out_log_density(
     packed: PackedTracks, model: Model, states: FloatArray, covariance: FloatArray, fold: int
 ) -> FloatArray:
     """Return the log density (N,) of the held-out observations in each frame.
@@ -178,22 +178,22 @@ def foretold(
         for channel in range(len(_CHANNELS))
     ]
     total = np.zeros(len(states))
-    seen = hidden[0] & packed.has_position
-    error = states[seen, :2] - packed.position[seen]
-    information = packed.records["position_information"][seen]
-    spread = covariance[seen][:, :2, :2] + np.eye(2) / information[:, None, None]
+    judged = hidden[0] & packed.has_position
+    error = states[judged, :2] - packed.position[judged]
+    information = packed.records["position_information"][judged]
+    spread = covariance[judged][:, :2, :2] + np.eye(2) / information[:, None, None]
     squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(spread), error)
-    total[seen] -= 0.5 * (squares + np.log(np.linalg.det(2.0 * math.pi * spread)))
+    total[judged] -= 0.5 * (squares + np.log(np.linalg.det(2.0 * math.pi * spread)))
     for channel, (has, name, place) in enumerate(
         ((model.has_body, "body", BODY), (model.has_head, "head", HEAD)), start=1
     ):
         if has:
             estimate, kappa = states[:, place], 1.0 / covariance[:, place, place]
-            total += _foretold_angles(packed, model, name, estimate, kappa, hidden[channel])
+            total += _held_out_angles(packed, model, name, estimate, kappa, hidden[channel])
     return total
 
 
-def _foretold_angles(
+def _held_out_angles(
     packed: PackedTracks,
     model: Model,
     name: str,
@@ -206,17 +206,17 @@ def _foretold_angles(
     if angle is not None:
         # The records have no concentration without observations, and if classes replace the angle.
         noise = packed.records[f"{name}_kappa"]
-        seen = hidden & (noise > 0.0)
-        density = log_blurred(angle[seen] - estimate[seen], noise[seen], kappa[seen])
-        total[seen] = _or_any(density, likelihood.outlier_probability)
+        judged = hidden & (noise > 0.0)
+        density = log_blurred(angle[judged] - estimate[judged], noise[judged], kappa[judged])
+        total[judged] = _or_any(density, likelihood.outlier_probability)
     if classes is not None:
         weight = classes.sum(axis=1)
-        seen = hidden & np.isfinite(weight) & (weight > 0.0)
-        n, share = classes.shape[1], classes[seen] / weight[seen, None]
-        apart = class_centres(n) - estimate[seen, None]
-        densities = log_blurred(apart, np.asarray(class_kappa(n)), kappa[seen, None])
+        judged = hidden & np.isfinite(weight) & (weight > 0.0)
+        n, share = classes.shape[1], classes[judged] / weight[judged, None]
+        apart = class_centres(n) - estimate[judged, None]
+        densities = log_blurred(apart, np.asarray(class_kappa(n)), kappa[judged, None])
         density = special.logsumexp(densities, axis=1, b=share)
-        total[seen] = _or_any(density, likelihood.class_outlier_probability)
+        total[judged] = _or_any(density, likelihood.class_outlier_probability)
     return total
 
 
@@ -281,7 +281,7 @@ class Solved:
     @property
     def covariance(self) -> FloatArray:
         """(N, 6, 6) of the states, those of angles inverse concentrations."""
-        return swaying(self.result.covariance.copy(), self.motion)
+        return with_oscillation(self.result.covariance.copy(), self.motion)
 
 
 class Solver:
@@ -337,7 +337,7 @@ class Objective:
         self.tracks, self.criterion, self._camera = tracks, criterion, camera
         parts = [tracks]
         if criterion == "prediction":
-            parts = [[told(track, fold) for track in tracks] for fold in range(FOLDS)]
+            parts = [[withheld(track, fold) for track in tracks] for fold in range(FOLDS)]
         self._solvers = [Solver(part, model, camera) for part in parts]
 
     def __call__(self, model: Model) -> FloatArray:
@@ -351,7 +351,7 @@ class Objective:
                 values = self._evidence(solved, model)
             else:
                 packed = pack(self.tracks, model, self._camera)
-                frames = foretold(packed, model, solved.states, solved.covariance, fold)
+                frames = held_out_log_density(packed, model, solved.states, solved.covariance, fold)
                 values = np.add.reduceat(frames, packed.offsets[:-1])
             total += np.where(solved.sound & np.isfinite(values), values, FAILED)
         return total

@@ -147,7 +147,7 @@ def fit_scene(
         explained, found = _Explained.of(training, association.identity), association.scene
     if explained.identity.max() < 0:
         raise InputError("no people in the training detections", "people", path=rows.path)
-    learned = tuple(_told(explained, labelled, start, found))
+    learned = tuple(_learned_rows(explained, labelled, start, found))
     shown: dict[str, Any] = {one.name: one.value for one in learned if not one.note}
     best = model.with_scene({**model.scene, **shown})
     found = replace(start, **shown)
@@ -238,12 +238,12 @@ def _climbed(explained: _Explained, start: SceneParameters) -> SceneParameters:
     return scene
 
 
-def _told(
+def _learned_rows(
     explained: _Explained, labelled: bool, start: SceneParameters, found: SceneParameters
 ) -> Iterable[LearnedOfScene]:
     """Return all learnable parameters, with the reasons for those that the recording does not identify."""
     chains = explained.chains(found)
-    seen = np.isfinite(chains.facing).sum(axis=0)
+    n_facing = np.isfinite(chains.facing).sum(axis=0)
     absent = {
         "position_std": "all detections declare their own" * bool(np.isfinite(explained.std).all()),
         "occlusion_seconds": "no gap in any track" * (not gaps_of(chains, explained.identity).any()),
@@ -251,7 +251,7 @@ def _told(
     if labelled and (explained.identity >= 0).all():
         none = "no row without an identity or with the label 'false'"
         absent |= dict.fromkeys(("clutter_density", "duplicate_rate", "duplicate_spread"), none)
-    for count, (kind, names) in zip(seen.tolist(), _ANGLES.items(), strict=True):
+    for count, (kind, names) in zip(n_facing.tolist(), _ANGLES.items(), strict=True):
         if not count:
             absent |= dict.fromkeys(names, f"no {kind} observed")
     for one in fields(SceneParameters):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.kernels.arithmetic import cos_sin, direction_of, exp, log, whole_of
+from graphtrack.kernels.arithmetic import cos_sin, direction_of, exp, floor_of, log
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
 from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Problem
@@ -103,7 +103,7 @@ def look_ahead(
                 # Neighbours may be written in different turns.
                 body = lane_of(states[at, BODY], lane)
                 turn = lane_of(states[after, BODY], lane) - body
-                turn -= _TURN * whole_of(turn / _TURN + 0.5)
+                turn -= _TURN * floor_of(turn / _TURN + 0.5)
                 found[k, AHEAD_BODY] = body + share * turn
 
 
@@ -183,8 +183,8 @@ def add_head_evidence(
         weight,
         base_cos,
         base_sin,
-        frame.seen_head_cos,
-        frame.seen_head_sin,
+        frame.observed_head_cos,
+        frame.observed_head_sin,
         frame.head_kappa,
         frame.head_uniform,
     )
@@ -224,8 +224,8 @@ def judge_body(
             share,
             cos,
             sin,
-            frame.seen_body_cos,
-            frame.seen_body_sin,
+            frame.observed_body_cos,
+            frame.observed_body_sin,
             frame.body_kappa,
             frame.body_uniform,
         )
@@ -279,7 +279,7 @@ def drift_of(drift: float, dt: Any) -> tuple[Any, Any]:
     """Number of diffusion passes for ``dt`` seconds, and the share that moves to either side in each."""
     share = dt * (drift / (_TURN / BINS) ** 2)
     # After `MOST_DRIFT` passes the density is nearly uniform.
-    passes = choose(share > 0.0, -whole_of(-2.0 * share), 0.0)
+    passes = choose(share > 0.0, -floor_of(-2.0 * share), 0.0)
     passes = choose(passes < float(MOST_DRIFT), passes, float(MOST_DRIFT))
     side = choose(passes > 0.0, 0.5 * share / choose(passes > 0.0, passes, 1.0), 0.0)
     return passes, choose(side < 1.0 / 3.0, side, 1.0 / 3.0)
@@ -677,7 +677,7 @@ def renew_head(
             after = problem.records[offset + k + 1]
             cos, sin = expected(found, 1.0, 1.0, 0.0)
             forth = memory.held[k, 0] * cos - memory.held[k, 1] * sin
-            share = choose(is_observed(after), gait.head_rate_seen, 1.0) * choose(forth > 0.0, forth, 0.0)
+            share = choose(is_observed(after), gait.head_rate_observed, 1.0) * choose(forth > 0.0, forth, 0.0)
             steer(after, after.steer_rate * share)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import GraphtrackError
 from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.kernels.compilation import allocating
-from graphtrack.kernels.layout import BODY, HEAD, PLACES, Kernel, N
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, Kernel, N
 from graphtrack.model.observation import Step
 from graphtrack.model.packing import PackedTerm, PackedTracks
 from graphtrack.packages import gtsam
@@ -242,7 +242,7 @@ class _Call:
             for name in names
         ]
         columns = [
-            np.arange(N)[PLACES[name]] + (0 if earlier else N) for name, _, _, earlier in self.variables
+            np.arange(N)[STATE_SLICES[name]] + (0 if earlier else N) for name, _, _, earlier in self.variables
         ]
         self.columns = np.concatenate(columns)
         ends = np.cumsum([len(part) for part in columns]).tolist()
@@ -301,7 +301,7 @@ class _Evaluation:
         self._vectors: list[tuple[bool, int, FloatArray]] = []
         self._rotations: list[tuple[int, FloatArray, int | None, int | None]] = []
         for (name, cos, sin, earlier), key in zip(call.variables, keys, strict=True):
-            part = states[0 if earlier else 1, PLACES[name]]
+            part = states[0 if earlier else 1, STATE_SLICES[name]]
             if name in ("position", "velocity"):
                 self._vectors.append((name == "position", key, part))
             else:

@@ -77,7 +77,7 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
     return stub
 
 
-def _of_problem(problem: Any, *_others: Any) -> Any:
+def _of_problem(problem: Any, *_arguments: Any) -> Any:
     return problem.types[problem.instance_class._fields.index("records")]
 
 
@@ -183,7 +183,7 @@ class Program:
     ----------
     terms : whose fields and kernels it has, each once
     title : description of the terms
-    others : terms whose fields alone it has, since other functions read them
+    more_terms : terms whose fields alone it has, since other functions read them
     *fields : further fields of the record
 
     Raises
@@ -193,10 +193,10 @@ class Program:
     """
 
     def __init__(
-        self, terms: Iterable[type[Term]], title: str, others: Iterable[type[Term]] = (), *fields: Field
+        self, terms: Iterable[type[Term]], title: str, more_terms: Iterable[type[Term]] = (), *fields: Field
     ) -> None:
         terms = list(terms)
-        every = [*others, *terms]
+        every = [*more_terms, *terms]
         self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields]))
         self.shared = tuple(dict.fromkeys(f for term in every for f in term.shared))
         self.kernels: tuple[Kernel, ...] = tuple({id(k): k for term in terms for k in term.kernels}.values())

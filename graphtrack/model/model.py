@@ -30,7 +30,7 @@ from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.faces_group import FacesGroup
 from graphtrack.model.terms.gait import GaitOffsets
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.holds_still import HoldsStill
+from graphtrack.model.terms.holds_still import OrientationPersistence
 from graphtrack.model.terms.intentional_motion import IntentionalMotion
 from graphtrack.model.terms.motion import Motion
 from graphtrack.model.terms.place import PlacePrior
@@ -61,7 +61,7 @@ presets: dict[str, tuple[type[Term], ...]] = {
         HeadFollowsBody,
         GaitOffsets,
         FacesGroup,
-        HoldsStill,
+        OrientationPersistence,
     ),
 }
 """Name → terms. ``joint-body`` is "separate" of Chen et al. (2011) (κ₂ = 0), ``joint`` their model, and

@@ -58,23 +58,23 @@ def observation_at(
     inputs: Mapping[str, FloatArray] = MappingProxyType({}),
 ) -> Observation:
     """Return row k of channels (n, …) as an observation; NaN is a missing value."""
-    given: dict[str, Any] = _seen(channels, k)
+    given: dict[str, Any] = _present(channels, k)
     if inputs:
-        given["inputs"] = _seen(inputs, k)
+        given["inputs"] = _present(inputs, k)
     return Observation(t=t, frame=frame, **given)
 
 
-def _seen(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
+def _present(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
     """Return the channels of frame k, without the missing ones."""
-    seen: dict[str, Any] = {}
+    present: dict[str, Any] = {}
     for name, values in channels.items():
         value = values[k]
         if isinstance(value, np.ndarray):
             if np.isfinite(value).all():
-                seen[name] = tuple(value.tolist())
+                present[name] = tuple(value.tolist())
         elif math.isfinite(value):
-            seen[name] = float(value)
-    return seen
+            present[name] = float(value)
+    return present
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +108,8 @@ class Step:
     @property
     def is_ambiguous(self) -> bool:
         """Return True if an observation can have several modes, as class likelihoods do."""
-        seen = self.observation
-        return seen.body_likelihood is not None or seen.head_likelihood is not None
+        present = self.observation
+        return present.body_likelihood is not None or present.head_likelihood is not None
 
     @cached_property
     def position_key(self) -> int:
@@ -147,8 +147,8 @@ class States:
 
 def chain(track: Track, camera: GroundCamera | None = None) -> list[Step]:
     """The steps of a whole track, linked."""
-    seen = np.isfinite(track.position).all(axis=1)
-    start = int(np.argmax(seen)) if seen.any() else 0
+    present = np.isfinite(track.position).all(axis=1)
+    start = int(np.argmax(present)) if present.any() else 0
     steps: list[Step] = []
     for k, observation in enumerate(observations(track)):
         previous = steps[-1] if steps else None

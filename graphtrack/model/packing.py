@@ -41,7 +41,7 @@ class PackedTerm(Protocol):
     def pack(self, packed: PackedTracks) -> None:
         """Fill in the records' `fields`, and `shared`."""
 
-    def live(self, seen: Observation) -> Iterable[tuple[str, float]]:
+    def live(self, observation: Observation) -> Iterable[tuple[str, float]]:
         """Fields of a frame, with their values, that vary with the observed position and angles."""
 
     def states(self, name: str) -> bool:
@@ -102,7 +102,7 @@ class PackedTracks:
         packed = cls([track], camera, np.array([0, 1]), np.zeros(1, types.frame), np.zeros(1, types.shared))
         packed.dt = np.array([dt])
         packed.is_first = packed.dt == 0.0
-        packed.first_seen = packed.first_seen if starts else packed.first_seen[:0]
+        packed.first_position = packed.first_position if starts else packed.first_position[:0]
         return packed._filled(terms)
 
     def _filled(self, terms: Iterable[PackedTerm]) -> PackedTracks:
@@ -172,19 +172,19 @@ class PackedTracks:
         return np.asarray(x & y)
 
     @cached_property
-    def first_seen(self) -> NDArray[np.int64]:
+    def first_position(self) -> NDArray[np.int64]:
         """(m,) index of each track's first frame with a position; its first frame if it has no position."""
         begins = self.offsets[:-1]
         if self.has_position[begins].all():
             return begins
-        seen = np.where(self.has_position, np.arange(len(self.has_position)), self.offsets[-1])
-        first = np.minimum.reduceat(seen, begins)
+        observation = np.where(self.has_position, np.arange(len(self.has_position)), self.offsets[-1])
+        first = np.minimum.reduceat(observation, begins)
         return np.where(first < self.offsets[1:], first, begins)
 
     @cached_property
     def origin(self) -> FloatArray:
         """(m, 2) metres: the first position of each track, the origin of its states; 0 if it has none."""
-        return np.nan_to_num(self.position[self.first_seen])
+        return np.nan_to_num(self.position[self.first_position])
 
 
 class RecordTypes(NamedTuple):
@@ -219,50 +219,54 @@ class FramePacker:
         self._latest: tuple[tuple[object, ...], Any] = (), None
 
     def __call__(
-        self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
+        self, observation: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
         """A packed frame of this kind; its `live` fields are arbitrary."""
         # Time steps differ by rounding; the record gets its own dt where it matters.
         seconds = 0.0 if dt is None else round(dt, 14)
-        simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
-        if not (simple and self._repeats) or seen.inputs:
+        simple = (
+            observation.pixel is None
+            and observation.body_likelihood is None
+            and observation.head_likelihood is None
+        )
+        if not (simple and self._repeats) or observation.inputs:
             kind, packed = self._latest
-            if kind != (seen, seconds, starts, camera):
-                packed = self._packed(seen, seconds, starts, camera)
-                self._latest = (seen, seconds, starts, camera), packed
+            if kind != (observation, seconds, starts, camera):
+                packed = self._packed(observation, seconds, starts, camera)
+                self._latest = (observation, seconds, starts, camera), packed
             return packed
         kind = (
             seconds,
             starts,
-            seen.position_std,
-            seen.body_kappa,
-            seen.head_kappa,
-            seen.position is None,
-            seen.body is None,
-            seen.head is None,
+            observation.position_std,
+            observation.body_kappa,
+            observation.head_kappa,
+            observation.position is None,
+            observation.body is None,
+            observation.head is None,
         )
         known = self._known.get(kind)
         if known is None:
             if len(self._known) == _KINDS:
                 self._known.clear()
-            known = self._known[kind] = self._packed(seen, seconds, starts, camera)
+            known = self._known[kind] = self._packed(observation, seconds, starts, camera)
         return known
 
-    def live(self, seen: Observation) -> list[tuple[str, float]]:
+    def live(self, observation: Observation) -> list[tuple[str, float]]:
         """Fields, with their values, that differ between frames of a kind."""
-        return [field for live in self._live for field in live(seen)]
+        return [field for live in self._live for field in live(observation)]
 
     def _packed(
-        self, seen: Observation, dt: float, starts: bool, camera: GroundCamera | None
+        self, observation: Observation, dt: float, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
-        return PackedTracks.within(_track_of(seen), camera, dt, starts, self._terms, self.types)
+        return PackedTracks.within(_track_of(observation), camera, dt, starts, self._terms, self.types)
 
 
 @lru_cache(4)
-def _track_of(seen: Observation) -> Track:
+def _track_of(observation: Observation) -> Track:
     """An observation as a track: once for all terms that are packed separately."""
-    given = {name: getattr(seen, name) for name in CHANNELS}
+    given = {name: getattr(observation, name) for name in CHANNELS}
     position = given.pop("position") or (np.nan, np.nan)
     channels: dict[str, Any] = {name: np.array([value]) for name, value in given.items() if value is not None}
-    inputs = {name: np.array([value]) for name, value in seen.inputs.items()}
-    return Track(0, np.array([0]), np.array([seen.t]), np.array([position]), inputs=inputs, **channels)
+    inputs = {name: np.array([value]) for name, value in observation.inputs.items()}
+    return Track(0, np.array([0]), np.array([observation.t]), np.array([position]), inputs=inputs, **channels)

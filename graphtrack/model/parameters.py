@@ -68,8 +68,8 @@ class MotionParameters(_Group):
     acceleration_density : spectral density q of white-noise acceleration, m²/s³
     initial_speed_std : 1-σ s of each axis of the first velocity, m/s
     head_rate : rate λ at which the velocity turns to the direction of the head, 1/s; presets that have it
-    sway_std : 1-σ of gait oscillation of the hips about the path, m on each axis; covariances only
-    sway_rate : steps per second, the rate of gait oscillation, 1/s
+    oscillation_std : 1-σ of gait oscillation of the hips about the path, m on each axis; covariances only
+    oscillation_rate : steps per second, the rate of gait oscillation, 1/s
     lasting_std : 1-σ of persistent accelerations, which estimates lag behind, m/s² on each axis;
         covariances only
     lasting_time : duration of a persistent acceleration, s
@@ -78,9 +78,9 @@ class MotionParameters(_Group):
     acceleration_density: float = _number(0.15, 1e-5, 1e4, "m²/s³")
     initial_speed_std: float = _number(1.5, 1e-3, 1e3, "m/s")
     head_rate: float = _number(1.3, 0.0, 100.0, "1/s")
-    sway_std: float = _number(0.0105, 0.0, 1.0, "m")
+    oscillation_std: float = _number(0.0105, 0.0, 1.0, "m")
     # It acts on the velocity, which no recording has the truth of.
-    sway_rate: float = _number(2.0, 0.0, 100.0, "1/s", learned=False)
+    oscillation_rate: float = _number(2.0, 0.0, 100.0, "1/s", learned=False)
     lasting_std: float = _number(0.0, 0.0, 100.0, "m/s²", learned=False)
     lasting_time: float = _number(1.0, 1e-3, 1e3, "s", learned=False)
 
@@ -157,7 +157,7 @@ class GaitParameters(_Group):
     head_free_strength : multiple of κ₂ about the offset of a free head
     head_lead : time by which the head turns before the body, s
     body_offset_kappa, head_offset_kappa : concentration about 0 of the offset of a free mode; 0: uniform
-    head_rate_seen : share of ``motion.head_rate`` where a position is observed
+    head_rate_observed : share of ``motion.head_rate`` where a position is observed
     head_class_bias : probability that a classifier sees a person's head turned persistently
     head_class_bias_kappa : concentration of these turns about 0
     glance_share : share of the time in which the head glances aside
@@ -186,7 +186,7 @@ class GaitParameters(_Group):
     head_lead: float = _number(0.12, 0.0, 10.0, "s")
     body_offset_kappa: float = _number(0.8, 0.0, 100.0)
     head_offset_kappa: float = _number(2.5, 0.0, 100.0)
-    head_rate_seen: float = _share(0.013)
+    head_rate_observed: float = _share(0.013)
     glance_share: float = _share(0.2, 0.9)
     glance_time: float = _number(2.0, 0.05, 1e3, "s")
     glance_kappa: float = _number(0.92, 0.0, 100.0)
@@ -243,14 +243,14 @@ class LikelihoodParameters(_Group):
         """1-σ (n,) in metres of positions; ``given``: the declared values, NaN or None where missing."""
         if given is None:
             return np.full(n, self.position_std, dtype=float)
-        stated = np.full(n, given, dtype=float)
-        return np.where(np.isfinite(stated), self.position_scale * stated, self.position_std)
+        declared = np.full(n, given, dtype=float)
+        return np.where(np.isfinite(declared), self.position_scale * declared, self.position_std)
 
     def kappas(self, name: Literal["body", "head"], given: FloatArray | float | None, n: int) -> FloatArray:
         """Concentrations (n,) of observed angles, in the same way."""
-        stated = np.full(n, np.nan if given is None else given, dtype=float)
+        declared = np.full(n, np.nan if given is None else given, dtype=float)
         default, scale = getattr(self, f"{name}_kappa"), getattr(self, f"{name}_scale")
-        return np.where(np.isfinite(stated), stated / scale**2, default)
+        return np.where(np.isfinite(declared), declared / scale**2, default)
 
 
 @dataclass(frozen=True)
@@ -338,7 +338,7 @@ def steady(parameters: Parameters) -> Parameters:
     """The same without covariance inflation: no gait oscillation, no persistent accelerations or turns."""
     return replace(
         parameters,
-        motion=replace(parameters.motion, sway_std=0.0, lasting_std=0.0),
+        motion=replace(parameters.motion, oscillation_std=0.0, lasting_std=0.0),
         orientation=replace(
             parameters.orientation,
             body_white_share=1.0,
@@ -350,20 +350,20 @@ def steady(parameters: Parameters) -> Parameters:
     )
 
 
-def swaying(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
+def with_oscillation(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
     """Covariances (..., 4 or more, …) of hips from those of the mean path; in place.
 
-    The sine of ``sway_rate`` has the variances ``sway_std``² and (2π·``sway_rate``·``sway_std``)².
+    A sine of ``oscillation_rate`` r and ``oscillation_std`` σ has the variances σ² and (2π·r·σ)².
     """
     variance = np.einsum("...ii->...i", covariance)
-    variance[..., :4] += sway_variances(motion)
+    variance[..., :4] += oscillation_variances(motion)
     return covariance
 
 
-def sway_variances(motion: MotionParameters) -> tuple[float, float, float, float]:
+def oscillation_variances(motion: MotionParameters) -> tuple[float, float, float, float]:
     """Return the variances that gait oscillation adds to x, y, vx and vy."""
-    position = motion.sway_std**2
-    velocity = (2.0 * np.pi * motion.sway_rate * motion.sway_std) ** 2
+    position = motion.oscillation_std**2
+    velocity = (2.0 * np.pi * motion.oscillation_rate * motion.oscillation_std) ** 2
     return position, position, velocity, velocity
 
 

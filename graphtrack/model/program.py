@@ -38,14 +38,14 @@ FRAME = np.dtype([
     ("pixel_information", float),  # 1/σ² in pixels⁻²; 0: no likelihood in pixels
     ("body_turn_kappa", float),  # of rotational diffusion since the frame before; 0 at the first
     ("head_turn_kappa", float),  # of rotational diffusion since the frame before; 0 at the first
-    ("seen_body_cos", float),  # direction, concentration and ε/2π of an observed body angle
-    ("seen_body_sin", float),
+    ("observed_body_cos", float),  # direction, concentration and ε/2π of an observed body angle
+    ("observed_body_sin", float),
     ("body_kappa", float),
     ("body_uniform", float),  # the outliers' density over that at the peak of the von Mises
     ("body_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
     ("body_doubt", float),  # probability that the observation is uninformative, by the coupling modes
-    ("seen_head_cos", float),  # direction, concentration and ε/2π of an observed head angle
-    ("seen_head_sin", float),
+    ("observed_head_cos", float),  # direction, concentration and ε/2π of an observed head angle
+    ("observed_head_sin", float),
     ("head_kappa", float),
     ("head_uniform", float),  # the outliers' density over that at the peak of the von Mises
     ("head_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
@@ -152,14 +152,14 @@ def add_frame(
             cost += choose(gate, found, 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_holds(body_cos_before, body_sin_before, body_cos, body_sin,
+            found = holds_still_kernels.add_persistence(body_cos_before, body_sin_before, body_cos, body_sin,
                 at_body, frame.group_hold, frame.group_drift, shared.group_body_hold, exact,
                 masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
                 masked(hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_holds(head_cos_before, head_sin_before, head_cos, head_sin,
+            found = holds_still_kernels.add_persistence(head_cos_before, head_sin_before, head_cos, head_sin,
                 at_head, frame.group_hold, frame.group_drift, shared.group_head_hold, exact,
                 masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
                 masked(hessian, gate), masked(transition, gate))
@@ -184,8 +184,8 @@ def add_frame(
             cost += choose(gate, found, 0.0)
         gate = frame.body_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(body_cos, body_sin, at_body, frame.seen_body_cos,
-                frame.seen_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(gradient, gate),
+            found = pose_kernels.add_angle(body_cos, body_sin, at_body, frame.observed_body_cos,
+                frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(gradient, gate),
                 masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.body_class_kappa > 0.0
@@ -196,8 +196,8 @@ def add_frame(
             cost += choose(gate, found, 0.0)
         gate = frame.head_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(head_cos, head_sin, at_head, frame.seen_head_cos,
-                frame.seen_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(gradient, gate),
+            found = pose_kernels.add_angle(head_cos, head_sin, at_head, frame.observed_head_cos,
+                frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(gradient, gate),
                 masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_class_kappa > 0.0
@@ -277,16 +277,16 @@ def set_quarter_turns(
         body[q] = head[q] = 0.0 * body_cos
     gate = frame.body_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(frame.seen_body_cos, frame.seen_body_sin, frame.body_kappa,
-            frame.body_uniform, body_cos, body_sin, masked(body, gate))
+        pose_kernels.add_angle_quarter_turns(frame.observed_body_cos, frame.observed_body_sin,
+            frame.body_kappa, frame.body_uniform, body_cos, body_sin, masked(body, gate))
     gate = frame.body_class_kappa > 0.0
     if any_of(gate):
         pose_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
             problem.body_directions, frame.body_class_kappa, frame.body_doubt, masked(body, gate))
     gate = frame.head_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(frame.seen_head_cos, frame.seen_head_sin, frame.head_kappa,
-            frame.head_uniform, head_cos, head_sin, masked(head, gate))
+        pose_kernels.add_angle_quarter_turns(frame.observed_head_cos, frame.observed_head_sin,
+            frame.head_kappa, frame.head_uniform, head_cos, head_sin, masked(head, gate))
     gate = frame.head_class_kappa > 0.0
     if any_of(gate):
         pose_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],

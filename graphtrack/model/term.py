@@ -62,7 +62,7 @@ class Term(ABC):
         """Fill in the records' `fields`, and `shared`. Records are zero before."""
         raise NotImplementedError(f"{type(self).__name__} has no compiled kernel")
 
-    def live(self, seen: Observation) -> Iterable[tuple[str, float]]:
+    def live(self, observation: Observation) -> Iterable[tuple[str, float]]:
         """Fields of a frame, with their values, that vary with the observed position and angles.
 
         All others may depend on the set of observed channels, but not on their values.

@@ -93,15 +93,15 @@ def behaviour_of(
     found = read_group_table(groups) if isinstance(groups, str | Path) else groups
     if found is not None:
         _check(known, found.track_id, found.frame, "groups", groups)
-    looks = read_attention(attention) if isinstance(attention, str | Path) else attention
-    if looks is not None:
-        _check_looks(known, looks, where, attention)
+    gaze = read_attention(attention) if isinstance(attention, str | Path) else attention
+    if gaze is not None:
+        _check_gaze(known, gaze, where, attention)
     forecasts = None
     if forecast is not None:
         columns = forecast.columns if isinstance(forecast, Forecasts) else read_forecasts(Path(forecast))
         forecasts = _with_frames(tracks, columns, forecast)
         _check(known, forecasts["track_id"], forecasts["frame"], "forecasts", forecast)
-    return Behaviour(found, None if looks is None else tuple(looks), forecasts, tuple(where))
+    return Behaviour(found, None if gaze is None else tuple(gaze), forecasts, tuple(where))
 
 
 def rows_of_each(track_id: NDArray[np.generic]) -> Iterator[tuple[int, NDArray[np.intp]]]:
@@ -131,11 +131,11 @@ def _check(
             )
 
 
-def _check_looks(
-    known: Mapping[int, IntArray], looks: Sequence[Attention], places: Sequence[Place], source: object
+def _check_gaze(
+    known: Mapping[int, IntArray], gaze: Sequence[Attention], places: Sequence[Place], source: object
 ) -> None:
     path = source if isinstance(source, str | Path) else None
-    for one in looks:
+    for one in gaze:
         _check(known, np.full(len(one.frame), one.track_id), one.frame, "looks", source)
         strangers = sorted(set(one.people) - set(known))
         if strangers:

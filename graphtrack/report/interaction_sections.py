@@ -25,7 +25,7 @@ from graphtrack.report.plots.interaction import MOST as MOST_GROUPS
 from graphtrack.report.style import longest_step
 from graphtrack.tracks.track import TrackSet
 
-_TOLD = 8
+_LISTED = 8
 """Most members and intervals listed in a cell."""
 
 
@@ -42,7 +42,7 @@ def behaviour_sections(behaviour: Behaviour, tracks: TrackSet, pairs: Sequence[P
     if behaviour.groups is not None:
         found.append(_groups_section(behaviour.groups))
     if behaviour.attention is not None:
-        found.append(_looks_section(behaviour, behaviour.attention, tracks))
+        found.append(_gaze_section(behaviour, behaviour.attention, tracks))
     if behaviour.forecasts is not None:
         found.append(_forecast_section(behaviour.forecasts, pairs))
     return found
@@ -58,8 +58,8 @@ def behaviour_cards(behaviour: Behaviour) -> tuple[Card, ...]:
     if behaviour.attention:
         nothing = np.concatenate([one.probability[:, -1] for one in behaviour.attention])
         if np.isfinite(nothing).any():
-            seen = 100.0 * (1.0 - float(np.nanmean(nothing)))
-            cards.append(Card("Gaze", f"{seen:.0f} %", "of the time at a person or a place"))
+            observed = 100.0 * (1.0 - float(np.nanmean(nothing)))
+            cards.append(Card("Gaze", f"{observed:.0f} %", "of the time at a person or a place"))
     return tuple(cards)
 
 
@@ -94,7 +94,7 @@ def _groups_section(groups: Groups) -> Section:
     return Section("Groups", (picture, DataTable.capped("All groups", columns, rows, note)))
 
 
-def _looks_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: TrackSet) -> Section:
+def _gaze_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: TrackSet) -> Section:
     summary = summary_of(attention)
     if not len(summary.people):
         return Section("Gaze", (Note("There are no gaze estimates."),))
@@ -214,8 +214,8 @@ def _errors(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> Float
         pair = of[person]
         true = np.isfinite(pair.true_position).any()
         position = pair.true_position if true else pair.estimate.position
-        seen = np.isfinite(position).all(axis=1)
-        t, where = pair.estimate.t[seen], position[seen]
+        observed = np.isfinite(position).all(axis=1)
+        t, where = pair.estimate.t[observed], position[observed]
         if not len(t):
             continue
         then = columns["t"][rows] + columns["ahead"][rows]
@@ -228,5 +228,5 @@ def _errors(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> Float
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return ", ".join(names[:_TOLD]) + more
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(names[:_LISTED]) + more

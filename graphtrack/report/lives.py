@@ -26,21 +26,21 @@ class Pair:
     ----------
     estimate : Track
     observation : Track or None
-    seen : (n,) bool
+    was_observed : (n,) bool
         True if the position was observed at a frame of the estimate; without observations, the flag of the
         estimate, None if it has none.
-    seen_position : (n, 2) metres, the observed position at the frames of the estimate; NaN where not observed
-    seen_body, seen_head : (n,) radians, the observed angles (`observed_angle`) there; NaN where not observed
+    observed_position : (n, 2) metres, the observed position at the estimate's frames; NaN where there is none
+    observed_body, observed_head : (n,) radians, the observed angles there; NaN where there are none
     true_position, true_body, true_head : (n, 2), (n,), (n,)
         Truth at the frames of the estimate, from either track; NaN if unknown.
     """
 
     estimate: Track
     observation: Track | None
-    seen: NDArray[np.bool_] | None
-    seen_position: FloatArray
-    seen_body: FloatArray
-    seen_head: FloatArray
+    was_observed: NDArray[np.bool_] | None
+    observed_position: FloatArray
+    observed_body: FloatArray
+    observed_head: FloatArray
     true_position: FloatArray
     true_body: FloatArray
     true_head: FloatArray
@@ -63,16 +63,16 @@ class Pair:
 def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
     """Align the observations and the truth of one person with the frames of the estimate."""
     n = len(estimate)
-    seen_position = np.full((n, 2), np.nan)
-    seen: NDArray[np.bool_] | None = None
+    observed_position = np.full((n, 2), np.nan)
+    was_observed: NDArray[np.bool_] | None = None
     if observation is None and estimate.observed is not None:
-        seen = np.asarray(estimate.observed != 0.0)
+        was_observed = np.asarray(estimate.observed != 0.0)
     if observation is not None:
-        seen_position = _at_frames(observation.position, observation, estimate)
-        seen = finite_rows(seen_position)
+        observed_position = _at_frames(observation.position, observation, estimate)
+        was_observed = finite_rows(observed_position)
         if observation.pixel is not None:
             # A foot point in the image is an observation too, although it has no ground position yet.
-            seen |= finite_rows(_at_frames(observation.pixel, observation, estimate))
+            was_observed |= finite_rows(_at_frames(observation.pixel, observation, estimate))
 
     def truth(name: str, shape: tuple[int, ...]) -> FloatArray:
         own = getattr(estimate, name)
@@ -83,7 +83,7 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
             return np.full(shape, np.nan)
         return _at_frames(other, observation, estimate)
 
-    def seen_angle(name: str) -> FloatArray:
+    def angle_of_observations(name: str) -> FloatArray:
         observed = None if observation is None else observed_angle(observation, name)
         if observation is None or observed is None:
             return np.full(n, np.nan)
@@ -92,10 +92,10 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
     return Pair(
         estimate=estimate,
         observation=observation,
-        seen=seen,
-        seen_position=seen_position,
-        seen_body=seen_angle("body"),
-        seen_head=seen_angle("head"),
+        was_observed=was_observed,
+        observed_position=observed_position,
+        observed_body=angle_of_observations("body"),
+        observed_head=angle_of_observations("head"),
         true_position=truth("true_position", (n, 2)),
         true_body=truth("true_body", (n,)),
         true_head=truth("true_head", (n,)),
@@ -220,7 +220,7 @@ def life_of(pair: Pair) -> Life:
         label=pair.label,
         birth=float(t[0]),
         death=float(t[-1]),
-        gaps=_gaps(t, _seen(pair), sure),
+        gaps=_gaps(t, _observed(pair), sure),
         least=float(links.min()) if len(links) else float("nan"),
         unsure=int(np.count_nonzero(links < UNSURE)),
     )
@@ -271,14 +271,14 @@ def event_times(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> list[
     return [float(tracks[one.after].t[np.searchsorted(tracks[one.after].frame, one.frame)]) for one in events]
 
 
-def _seen(pair: Pair) -> NDArray[np.bool_]:
+def _observed(pair: Pair) -> NDArray[np.bool_]:
     if pair.estimate.observed is not None:
         return np.asarray(pair.estimate.observed != 0.0)
-    return np.ones(len(pair.estimate), dtype=bool) if pair.seen is None else pair.seen
+    return np.ones(len(pair.estimate), dtype=bool) if pair.was_observed is None else pair.was_observed
 
 
-def _gaps(t: FloatArray, seen: NDArray[np.bool_], sure: FloatArray | None) -> tuple[Gap, ...]:
-    rows = np.flatnonzero(seen)
+def _gaps(t: FloatArray, was_observed: NDArray[np.bool_], sure: FloatArray | None) -> tuple[Gap, ...]:
+    rows = np.flatnonzero(was_observed)
     if not len(rows):
         return (Gap(float(t[0]), float(t[-1]), True, False),)
     found = []

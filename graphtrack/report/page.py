@@ -146,7 +146,9 @@ def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataT
                 "from (s)": float(estimate.t[0]),
                 "to (s)": float(estimate.t[-1]),
                 "frames": len(estimate),
-                "observed (%)": None if pair.seen is None else 100.0 * float(pair.seen.mean()),
+                "observed (%)": None
+                if pair.was_observed is None
+                else 100.0 * float(pair.was_observed.mean()),
                 "path (m)": float(np.hypot(*step.T).sum()),
                 "95 % radius (m)": _median_radius(pair),
                 "body ±1σ (°)": body_std,
@@ -218,9 +220,11 @@ def _cards(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> tuple[Card,
     seconds = max(t[-1] for t in times) - min(t[0] for t in times) if times else 0.0
     cards = [Card("People", str(len(pairs))), Card("Person-frames", f"{frames:,}".replace(",", "\u202f"))]
     cards.append(Card("Duration", f"{seconds:.1f} s"))
-    seen = [pair.seen for pair in pairs if pair.seen is not None]
-    if seen:
-        cards.append(Card("Observed", f"{100.0 * np.concatenate(seen).mean():.1f} %", "of the person-frames"))
+    was_observed = [pair.was_observed for pair in pairs if pair.was_observed is not None]
+    if was_observed:
+        cards.append(
+            Card("Observed", f"{100.0 * np.concatenate(was_observed).mean():.1f} %", "of the person-frames")
+        )
     for column, label, unit in (
         ("position RMSE (m)", "Position error", "m"),
         ("body error (°)", "Body error", "°"),

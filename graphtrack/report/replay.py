@@ -54,7 +54,7 @@ def delta_code(values: FloatArray, step: float) -> Codes | None:
     return found
 
 
-SHOWN_LOOKS: Final = 2
+SHOWN_TARGETS: Final = 2
 """Number of most probable gaze targets shown for a person."""
 
 LEAST_LOOK: Final = 0.15
@@ -94,7 +94,7 @@ def behaviour_codes(
         scene["groups"], of_people = _groups(behaviour.groups, tracks, kept)
         parts.append(of_people)
     if behaviour.attention is not None:
-        parts.append(_looks(behaviour, behaviour.attention, tracks, kept))
+        parts.append(_gaze(behaviour, behaviour.attention, tracks, kept))
     if behaviour.forecasts is not None:
         scene["fans"], of_people = _fans(behaviour.forecasts, tracks)
         parts.append(of_people)
@@ -147,7 +147,7 @@ def _groups(
     return found, people
 
 
-def _looks(
+def _gaze(
     behaviour: Behaviour, attention: Sequence[Attention], tracks: Sequence[Track], kept: Sequence[Index]
 ) -> list[dict[str, Any]]:
     index = {str(track.track_id): k for k, track in enumerate(tracks)}
@@ -171,13 +171,13 @@ def _likeliest(target: Index, probability: FloatArray, here: Index, count: int) 
     share = np.where(target >= 0, np.nan_to_num(probability[:, :-1]), 0.0)
     order = np.argsort(-share, axis=1, kind="stable")
     found = {}
-    for k in range(SHOWN_LOOKS):
+    for k in range(SHOWN_TARGETS):
         at, sure = np.full(count, np.nan), np.full(count, np.nan)
         if k < share.shape[1]:
             best = order[:, k]
             p = share[np.arange(len(best)), best]
-            seen = p >= LEAST_LOOK
-            at[here[seen]], sure[here[seen]] = target[best[seen]], p[seen]
+            was_observed = p >= LEAST_LOOK
+            at[here[was_observed]], sure[here[was_observed]] = target[best[was_observed]], p[was_observed]
         found[f"look_{k}"], found[f"look_p_{k}"] = delta_code(at, 1.0), delta_code(sure, SURE_STEP)
     return found
 
@@ -364,8 +364,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         "vy": velocity[:, 1],
         "major": ellipse.semi_major,
         "minor": ellipse.semi_minor,
-        "seen_x": pair.seen_position[at, 0],
-        "seen_y": pair.seen_position[at, 1],
+        "seen_x": pair.observed_position[at, 0],
+        "seen_y": pair.observed_position[at, 1],
         "true_x": pair.true_position[at, 0],
         "true_y": pair.true_position[at, 1],
     }
@@ -375,8 +375,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         "head": absent if estimate.head is None else estimate.head[at],
         "body_std": body_std[at],
         "head_std": head_std[at],
-        "seen_body": pair.seen_body[at],
-        "seen_head": pair.seen_head[at],
+        "observed_body": pair.observed_body[at],
+        "observed_head": pair.observed_head[at],
         "true_body": pair.true_body[at],
         "true_head": pair.true_head[at],
     }
@@ -389,7 +389,9 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         "dash": person_dash(index),
         # Between samples further apart than this the person is not shown: the track has a hole there.
         "hole": round(longest_step(t), 3),
-        "seen": None if pair.seen is None else "".join("1" if flag else "0" for flag in pair.seen[at]),
+        "seen": None
+        if pair.was_observed is None
+        else "".join("1" if flag else "0" for flag in pair.was_observed[at]),
         "t": delta_code(t, TIME_STEP),
         **{name: delta_code(values, LENGTH_STEP) for name, values in lengths.items()},
         **{name: delta_code(values, ANGLE_STEP) for name, values in angles.items()},

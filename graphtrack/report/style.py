@@ -170,8 +170,8 @@ def break_at_seam(t: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatAr
     before = np.nonzero(np.abs(step) > np.pi)[0]
     edge = np.where(step[before] < 0.0, np.pi, -np.pi)
     travelled = np.abs(edge - angle[before])
-    whole = 2.0 * np.pi - np.abs(step[before])
-    fraction = np.divide(travelled, whole, out=np.zeros_like(whole), where=whole > 0.0)
+    remainder = 2.0 * np.pi - np.abs(step[before])
+    fraction = np.divide(travelled, remainder, out=np.zeros_like(remainder), where=remainder > 0.0)
     crossing = t[before] + fraction * (t[before + 1] - t[before])
     where = np.repeat(before + 1, 3)
     new_t = np.repeat(crossing, 3)

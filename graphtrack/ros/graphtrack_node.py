@@ -18,7 +18,7 @@ from rosidl_runtime_py.utilities import get_message
 from graphtrack.errors import GraphtrackError
 from graphtrack.io.formats.ros_bag import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
 from graphtrack.io.formats.ros_writing import TOPICS, gaze_message, group_message, header_of, message_for
-from graphtrack.ros.live import Live, Told
+from graphtrack.ros.live import Live, SceneEstimate
 
 _DEPTH = 10
 _PARAMETERS = {
@@ -58,10 +58,10 @@ class GraphtrackNode(Node):
             behaviour=given["behaviour"],
         )
         wanted = {kind: topic for topic, kind in TOPICS.items()}
-        self._told_on: dict[str, Any] = {}
+        self._published: dict[str, Any] = {}
         for kind, topic in (wanted | (_BEHAVIOUR if given["behaviour"] else {})).items():
             try:
-                self._told_on[kind] = self.create_publisher(_class_of(kind), topic, _DEPTH)
+                self._published[kind] = self.create_publisher(_class_of(kind), topic, _DEPTH)
             except (ImportError, AttributeError, LookupError) as error:
                 self.get_logger().warning(f"{topic} is not published: no messages {kind} ({error})")
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -82,25 +82,25 @@ class GraphtrackNode(Node):
     def take(self, message: Any) -> None:
         """Process a message, and publish the estimates."""
         try:
-            told = self._live.take(message, self.get_clock().now().nanoseconds)
+            estimate = self._live.take(message, self.get_clock().now().nanoseconds)
         except GraphtrackError as error:
             self.get_logger().warning(str(error))
             return
-        if told is not None:
-            self.publish(told)
+        if estimate is not None:
+            self.publish(estimate)
 
-    def publish(self, told: Told) -> None:
+    def publish(self, estimate: SceneEstimate) -> None:
         """Publish the estimates."""
-        header = header_of(make, told.stamp, told.frame_id)
-        for kind, publisher in self._told_on.items():
+        header = header_of(make, estimate.stamp, estimate.frame_id)
+        for kind, publisher in self._published.items():
             if kind == GROUP:
-                for name, members in told.groups.items():
+                for name, members in estimate.groups.items():
                     publisher.publish(group_message(make, header, name, members))
             elif kind == GAZE:
-                for sender, receiver in told.gazes:
+                for sender, receiver in estimate.gazes:
                     publisher.publish(gaze_message(make, header, sender, receiver))
             else:
-                publisher.publish(message_for(kind, make, told.stamp, told.frame_id, told.people))
+                publisher.publish(message_for(kind, make, estimate.stamp, estimate.frame_id, estimate.people))
 
 
 def main() -> None:

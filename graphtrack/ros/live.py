@@ -13,7 +13,7 @@ from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
 from graphtrack.io.formats.ros_bag import IDS, SECOND, frame_of
-from graphtrack.io.formats.ros_reading import Ground, Humans, Seen, Transforms
+from graphtrack.io.formats.ros_reading import Ground, Humans, Sightings, Transforms
 from graphtrack.io.formats.ros_writing import Person
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
@@ -26,7 +26,7 @@ _KEPT = 30 * SECOND  # buffer length of transforms in nanoseconds
 _JUMP = SECOND
 """Largest step back of stamps, for reordered messages; a larger step starts a new recording."""
 
-_LOOKS = 0.5  # smallest probability of a reported gaze target
+_GAZE_FROM = 0.5  # smallest probability of a reported gaze target
 
 _CHANNELS = {
     "position_std": "pos_std",
@@ -40,7 +40,7 @@ _CHANNELS = {
 
 
 @dataclass(frozen=True)
-class Told:
+class SceneEstimate:
     """State of all people after a message.
 
     Attributes
@@ -102,7 +102,7 @@ class Live:
         if self._last is not None:
             self.transforms.forget(self._last - _KEPT)
 
-    def take(self, message: Any, received: int | None = None) -> Told | None:
+    def take(self, message: Any, received: int | None = None) -> SceneEstimate | None:
         """Process a message of the topic.
 
         Parameters
@@ -126,10 +126,10 @@ class Live:
                 return None
             self._begin()
             self.transforms.forget_after(frame.stamp)
-        seen = Seen.of([(frame, 1)])
+        sightings = Sightings.of([(frame, 1)])
         columns: dict[str, NDArray[Any]] = {}
-        if len(seen):
-            columns, known = self._ground.placed(seen)
+        if len(sightings):
+            columns, known = self._ground.placed(sightings)
             usable = known & np.isfinite(columns["x"])
             columns = {name: values[usable] for name, values in columns.items()}
         if self._last is None:
@@ -139,21 +139,21 @@ class Live:
         found = self._estimates(t, names, _observations(t, columns))
         self._last = frame.stamp
         groups, gazes = self._behaviour(t, found) if self._behaves else ({}, [])
-        return Told(frame.stamp, self._ground.fixed or frame.frame_id, _people(found), groups, gazes)
+        return SceneEstimate(frame.stamp, self._ground.fixed or frame.frame_id, _people(found), groups, gazes)
 
     def _estimates(
-        self, t: float, names: list[str], seen: list[Observation]
+        self, t: float, names: list[str], sightings: list[Observation]
     ) -> dict[int, tuple[str, Estimate, float]]:
         """Return number → name, estimate and its probability, of all present people."""
         if not any(names) and not self._named:
             if self._tracker is None:
                 self._tracker = OnlineTracker(self._model, lag=self._lag)
-            people = self._tracker.update(t, seen)
+            people = self._tracker.update(t, sightings)
             sure = [1.0 if np.isnan(one.identity_p) else one.identity_p for one in people]
             return {one.track_id: (str(one.track_id), one, p) for one, p in zip(people, sure, strict=True)}
         found: dict[int, tuple[str, Estimate, float]] = {}
-        for name, one in zip(names, seen, strict=True):
-            if not name or any(name == told for told, _, _ in found.values()):
+        for name, one in zip(names, sightings, strict=True):
+            if not name or any(name == estimates for estimates, _, _ in found.values()):
                 continue
             number, smoother = self._named.get(name, (0, None))
             last = None if smoother is None else smoother.last
@@ -170,18 +170,18 @@ class Live:
     def _behaviour(
         self, t: float, found: dict[int, tuple[str, Estimate, float]]
     ) -> tuple[dict[str, list[str]], list[tuple[str, str]]]:
-        told = {number: estimate for number, (_, estimate, _) in found.items()}
-        groups = self._groups.update(t, told)
-        looks = self._attention.update(t, told, groups)
+        estimates = {number: estimate for number, (_, estimate, _) in found.items()}
+        groups = self._groups.update(t, estimates)
+        gaze = self._attention.update(t, estimates, groups)
         members: dict[str, list[str]] = {}
         for one, group in zip(groups.track_id.tolist(), groups.group.tolist(), strict=True):
             if group >= 0:
                 members.setdefault(str(group), []).append(found[one][0])
         gazes = [
             (found[one][0], found[int(target)][0])
-            for one, told_of in looks.told().items()
-            for kind, target, p in told_of
-            if kind == "person" and target is not None and p >= _LOOKS
+            for one, found_targets in gaze.by_person().items()
+            for kind, target, p in found_targets
+            if kind == "person" and target is not None and p >= _GAZE_FROM
         ]
         return members, gazes
 

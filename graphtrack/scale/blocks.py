@@ -136,8 +136,8 @@ def associate_dataset(
             writer.add(
                 {**{name: values[own] for name, values in block.columns.items()}, "track_id": names[own]}
             )
-            seen = block.row >= 0
-            earlier = block.row[seen], names[seen]
+            placed = block.row >= 0
+            earlier = block.row[placed], names[placed]
             detections, blocks = detections + block.n_rows, blocks + 1
             if progress is not None:
                 progress(block.n_rows)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.column_names import with_synonyms
-from graphtrack.io.formats.native import ROW_GROUP, column_values, damage_told
+from graphtrack.io.formats.native import ROW_GROUP, arrow_errors, column_values
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.text import parse_number
 from graphtrack.tracks.schema import INTEGERS, in_order, is_column, unknown
@@ -41,7 +41,7 @@ class DataFile:
     columns : the columns of the native table that it has → their names in the file
     constants : column → its one value, from folders named ``column=value``
     foreign : (name, value) of such folders whose name is no column of the native table
-    others : its columns that are none of the native table
+    further : its columns that are none of the native table
     """
 
     path: Path
@@ -50,7 +50,7 @@ class DataFile:
     columns: Mapping[str, str]
     constants: Mapping[str, float | str]
     foreign: tuple[tuple[str, str], ...]
-    others: tuple[str, ...]
+    further: tuple[str, ...]
 
 
 @dataclass(eq=False)
@@ -98,7 +98,7 @@ class Dataset:
 
         stored = [file.columns[name] for name in columns if name in file.columns]
         row = 0
-        with damage_told(file.path):
+        with arrow_errors(file.path):
             # Without pre_buffer=False a row group's columns are fetched whole, whatever the buffer's size.
             parquet = pq.ParquetFile(
                 file.path, buffer_size=_BUFFER, pre_buffer=False, page_checksum_verification=True
@@ -106,7 +106,7 @@ class Dataset:
         with parquet:
             batches = parquet.iter_batches(BLOCK, columns=stored)
             while True:
-                with damage_told(file.path):
+                with arrow_errors(file.path):
                     batch = next(batches, None)
                     if batch is None:
                         return
@@ -159,25 +159,25 @@ def open_dataset(path: str | Path) -> Dataset:
     """
     path = Path(path)
     files: list[DataFile] = []
-    others: dict[str, None] = {}
+    further: dict[str, None] = {}
     first_row = 0
-    for place in _places(path):
+    for place in _part_paths(path):
         file, more = _open(place, path, first_row)
-        others |= dict.fromkeys(more)
+        further |= dict.fromkeys(more)
         if file.n_rows:
             files.append(file)
             first_row += file.n_rows
     if not files:
         raise InputError("no rows", "at least one row", path=path)
     known = {name for file in files for name in (*file.columns, *file.constants)}
-    of_files = dict.fromkeys(name for file in files for name in file.others)
+    of_files = dict.fromkeys(name for file in files for name in file.further)
     names, notes = _well_known([*in_order(known), *of_files], path)
     own = {name: key for key, name in names.items()}
     files = [
-        replace(file, columns={**file.columns, **{own[name]: name for name in file.others if name in own}})
+        replace(file, columns={**file.columns, **{own[name]: name for name in file.further if name in own}})
         for file in files
     ]
-    ignored = tuple(name for name in others if name not in own)
+    ignored = tuple(name for name in further if name not in own)
     return Dataset(path, tuple(files), in_order(known | {*names}), ignored, names, notes)
 
 
@@ -196,7 +196,7 @@ def _well_known(names: list[str], path: Path) -> tuple[dict[str, str], tuple[str
     return dict(found.columns), notes
 
 
-def _places(path: Path) -> list[Path]:
+def _part_paths(path: Path) -> list[Path]:
     """The files of a data set, ordered by name."""
     if not path.exists():
         raise InputError("no such file", "an existing file or folder", path=path)
@@ -222,7 +222,7 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
     """A file, and the names of its columns, and of its folders, that are none of the native table."""
     import pyarrow.parquet as pq
 
-    with damage_told(place), pq.ParquetFile(place) as parquet:
+    with arrow_errors(place), pq.ParquetFile(place) as parquet:
         names, n_rows = list(parquet.schema_arrow.names), parquet.metadata.num_rows
     if len(set(names)) < len(names):
         raise InputError("a column twice", "each column once", path=place)
@@ -245,9 +245,9 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
                 raise InputError(f"the folder {part}", f"a number after {name}=", path=place)
             constants[name] = number
     columns = {name: name for name in names if is_column(name)}
-    others = unknown(names)
-    file = DataFile(place, first_row, n_rows, columns, constants, tuple(foreign), tuple(others))
-    return file, others + [name for name, _ in foreign]
+    further = unknown(names)
+    file = DataFile(place, first_row, n_rows, columns, constants, tuple(foreign), tuple(further))
+    return file, further + [name for name, _ in foreign]
 
 
 class ShardWriter:
@@ -268,7 +268,7 @@ class ShardWriter:
         self.n_rows = 0
         self._columns = columns
         self._schema = pa.schema([(names.get(name, name), _type_of(name)) for name in columns])
-        self._seen: set[str] = set()
+        self._columns_found: set[str] = set()
         self._waiting: list[Any] = []
         self._n_waiting = 0
         self._file = _open_writer(path, self._schema)
@@ -291,7 +291,7 @@ class ShardWriter:
         n = len(columns["track_id"])
         if not n:
             return
-        self._seen |= columns.keys()
+        self._columns_found |= columns.keys()
         arrays = []
         for name, kind in zip(self._columns, self._schema, strict=True):
             values = columns.get(name)
@@ -322,7 +322,7 @@ class ShardWriter:
             self._write(self._n_waiting)
         self._file.close()
         own = zip(self._columns, self._schema.names, strict=True)
-        names = [name for column, name in own if column in self._seen]
+        names = [name for column, name in own if column in self._columns_found]
         if names and names != self._schema.names:
             self._leave_out_the_rest(names)
 

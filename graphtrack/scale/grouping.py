@@ -54,16 +54,16 @@ class Index:
 def index_tracks(dataset: Dataset) -> Index:
     """Count the rows of each track in one pass over the column ``track_id``."""
     none = np.empty(0, np.int64)
-    seen: dict[tuple[tuple[str, str], ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
+    keys_by_partition: dict[tuple[tuple[str, str], ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
     pending: list[NDArray[np.int64]] = []
     key = dataset.files[0].foreign
     grouped, last = True, -np.inf
 
     def count_pending() -> None:
-        known, counts = seen.get(key, (none, none))
+        known, counts = keys_by_partition.get(key, (none, none))
         if pending:
             ids, new = np.unique(np.concatenate(pending), return_counts=True)
-            seen[key] = _added(known, counts, ids, new)
+            keys_by_partition[key] = _added(known, counts, ids, new)
             pending.clear()
 
     files = iter(dataset.files)
@@ -88,9 +88,9 @@ def index_tracks(dataset: Dataset) -> Index:
         last = ids[-1]
         pending.append(ids)
     count_pending()
-    _check_keys(dataset, {key: ids for key, (ids, _) in seen.items()})
+    _check_keys(dataset, {key: ids for key, (ids, _) in keys_by_partition.items()})
     track_id, count = none, none
-    for ids, counts in seen.values():
+    for ids, counts in keys_by_partition.values():
         track_id, count = _added(track_id, count, ids, counts)
     return Index(track_id, count, grouped)
 
@@ -106,13 +106,15 @@ def _added(
     return together, total
 
 
-def _check_keys(dataset: Dataset, seen: dict[tuple[tuple[str, str], ...], NDArray[np.int64]]) -> None:
-    ids, times = np.unique(np.concatenate(list(seen.values())), return_counts=True)
+def _check_keys(
+    dataset: Dataset, keys_by_partition: dict[tuple[tuple[str, str], ...], NDArray[np.int64]]
+) -> None:
+    ids, times = np.unique(np.concatenate(list(keys_by_partition.values())), return_counts=True)
     if (times > 1).any():
         twice = int(ids[np.argmax(times > 1)])
         where = [
             "/".join(f"{name}={value}" for name, value in key) or "no such folder"
-            for key, own in seen.items()
+            for key, own in keys_by_partition.items()
             if twice in own
         ]
         raise dataset.fail(

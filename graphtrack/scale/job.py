@@ -162,7 +162,7 @@ def _write(
     speeds = Speeds()
     failures: list[Failure] = []
     unconverged: list[tuple[int, int]] = []
-    said = dict.fromkeys((*dataset.notes, *notes))
+    printed = dict.fromkeys((*dataset.notes, *notes))
     with ShardWriter(path, possible_columns(dataset, work.model), dataset.names) as writer:
         try:
             for shard in shards:
@@ -172,7 +172,7 @@ def _write(
                 speeds += shard.speeds
                 failures += shard.failures
                 unconverged += shard.unconverged
-                said |= dict.fromkeys(shard.notes)
+                printed |= dict.fromkeys(shard.notes)
                 if progress is not None:
                     progress(shard.n_rows)
         except InputError as error:
@@ -183,12 +183,12 @@ def _write(
         wanted = " or ".join(work.select)
         raise InputError(f"no track that matches {wanted}", "a label or id that is there", path=dataset.path)
     if n_sorted:
-        said[f"the frames of {n_sorted} of the tracks were out of order and have been sorted"] = None
+        printed[f"the frames of {n_sorted} of the tracks were out of order and have been sorted"] = None
     if dataset.ignored:
-        said[f"ignored columns {listed(dataset.ignored)}"] = None
+        printed[f"ignored columns {listed(dataset.ignored)}"] = None
     if speeds.note is not None:
-        said[speeds.note] = None
-    return Outcome(n_tracks, writer.n_rows, work.engine, tuple(failures), tuple(unconverged), tuple(said))
+        printed[speeds.note] = None
+    return Outcome(n_tracks, writer.n_rows, work.engine, tuple(failures), tuple(unconverged), tuple(printed))
 
 
 def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:

@@ -312,9 +312,9 @@ class Exchange(Response):
                 if gone.done() or not outgoing.result():
                     connection.drop()
                 else:
-                    told = json.dumps({"error": reason}) + "\n" if reason else ""
+                    line = json.dumps({"error": reason}) + "\n" if reason else ""
                     async with asyncio.timeout(patience):
-                        await send({"type": "http.response.body", "body": told.encode()})
+                        await send({"type": "http.response.body", "body": line.encode()})
             except TimeoutError:
                 connection.drop()
             finally:
@@ -544,7 +544,7 @@ def run(service: Service, host: str, port: int, report: Callable[[str], None]) -
     listening = _listen(host, port)
     address, bound = listening.getsockname()[:2]
     shown = f"[{address}]" if ":" in address else address
-    said = f"serving ws://{shown}:{bound}/v1/streams/NAME, http://{shown}:{bound}/health"
+    address_line = f"serving ws://{shown}:{bound}/v1/streams/NAME, http://{shown}:{bound}/health"
     logging.getLogger("uvicorn.error").addFilter(_is_ours)
     streams = Streams(service, Metrics())
     config = uvicorn.Config(
@@ -560,7 +560,7 @@ def run(service: Service, host: str, port: int, report: Callable[[str], None]) -
         timeout_graceful_shutdown=_GRACE,
         lifespan="on",
     )
-    Server(config, streams, lambda: report(said)).run(sockets=[listening])
+    Server(config, streams, lambda: report(address_line)).run(sockets=[listening])
 
 
 def _is_ours(record: logging.LogRecord) -> bool:

@@ -65,7 +65,7 @@ class Stream:
         """Yield lines for the client, answers and notes, until the process ends its output."""
         while data := await self._read():
             *lines, self._left = (self._left + data).split(b"\n")
-            told = []
+            messages = []
             for line in lines:
                 if line.startswith(DONE):
                     rows, people = map(int, line[1:].split())
@@ -73,9 +73,9 @@ class Stream:
                     continue
                 if _ERROR in line and not line.startswith(ASIDE):
                     self._metrics.refused_rows.inc()
-                told.append(line.removeprefix(ASIDE).decode())
-            if told:
-                yield told
+                messages.append(line.removeprefix(ASIDE).decode())
+            if messages:
+                yield messages
             if self._waiting:
                 await asyncio.sleep(_PAUSE)
 

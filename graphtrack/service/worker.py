@@ -101,19 +101,19 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
     has the reason.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service ends the stream
-    said = Answered(connection)
-    sys.stdin, sys.stdout = io.TextIOWrapper(Asking(connection, said)), said
+    reply = Answered(connection)
+    sys.stdin, sys.stdout = io.TextIOWrapper(Asking(connection, reply)), reply
 
     def aside(message: dict[str, Any]) -> None:
-        said.write(f"{ASIDE.decode()}{json.dumps(message)}\n")
-        said.send()
+        reply.write(f"{ASIDE.decode()}{json.dumps(message)}\n")
+        reply.send()
 
     def answered(people: Answering) -> None:
-        said.count(people.count)
+        reply.count(people.count)
 
     def all_answered() -> None:
-        if state is not None or said.is_held:
-            said.send()
+        if state is not None or reply.is_held:
+            reply.send()
 
     def went_on(rows: int, line: int, again: int) -> None:
         aside({"rows": rows, "line": line, "given_again": again})
@@ -121,7 +121,7 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
     listener = Listener(lambda text: aside({"note": text}), went_on, answered, all_answered)
     try:
         track_stream(answers, state=state, save_every=save_every, listener=listener)
-        said.send()
+        reply.send()
     except GraphtrackError as error:
         if isinstance(error, InputError) and state is not None and error.path == str(state):
             place = f"state of stream {state.stem}"  # do not reveal the path to clients

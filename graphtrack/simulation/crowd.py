@@ -35,8 +35,8 @@ class Place:
     pairs : share of pairs among arrivals
     apart : distance within a pair, m
     speed, speed_std : preferred walking speed, m/s, mean and standard deviation
-    sway : standard deviation of the velocity about it, m/s on each axis
-    sway_seconds : correlation time of the velocity, s
+    velocity_std : standard deviation of the velocity about it, m/s on each axis
+    velocity_seconds : correlation time of the velocity, s
     stops : share of people who stop on their way
     stop_seconds : mean duration of a stop, s
     """
@@ -48,8 +48,8 @@ class Place:
     apart: float = 0.8
     speed: float = 1.3
     speed_std: float = 0.25
-    sway: float = 0.15
-    sway_seconds: float = 1.5
+    velocity_std: float = 0.15
+    velocity_seconds: float = 1.5
     stops: float = 0.15
     stop_seconds: float = 5.0
 
@@ -76,9 +76,9 @@ def crowd(
         walk = _walk(rng, place)
         walks = [walk]
         if rng.random() < place.pairs:
-            walks.append(_beside(rng, walk, place))
+            walks.append(_companion(rng, walk, place))
         for path in walks:
-            track = _seen(path, start, len(tracks), seconds, fps)
+            track = _visible_track(path, start, len(tracks), seconds, fps)
             if track is not None:
                 tracks.append(track)
     if not tracks:
@@ -102,12 +102,12 @@ def _walk(rng: np.random.Generator, place: Place) -> FloatArray:
         goal = _edge(rng, place, second)
     liked = float(np.clip(rng.normal(place.speed, place.speed_std), 0.5, 2.2))
     halt = rng.uniform(0.2, 0.8) if rng.random() < place.stops else np.inf
-    halted, whole = float(rng.exponential(place.stop_seconds)), np.linalg.norm(goal - position)
-    velocity, path = liked * (goal - position) / whole, [position]
-    keep = np.exp(-_GRID / place.sway_seconds)
-    noise = place.sway * np.sqrt(1.0 - keep**2)
+    halted, length = float(rng.exponential(place.stop_seconds)), np.linalg.norm(goal - position)
+    velocity, path = liked * (goal - position) / length, [position]
+    keep = np.exp(-_GRID / place.velocity_seconds)
+    noise = place.velocity_std * np.sqrt(1.0 - keep**2)
     while (left := float(np.linalg.norm(goal - position))) > 0.3 and len(path) < 1200:
-        stands = left < (1.0 - halt) * whole and halted > 0.0
+        stands = left < (1.0 - halt) * length and halted > 0.0
         halted -= _GRID * stands
         wanted = 0.0 if stands else liked / left * (goal - position)
         velocity = (
@@ -118,17 +118,17 @@ def _walk(rng: np.random.Generator, place: Place) -> FloatArray:
     return np.array(path)
 
 
-def _beside(rng: np.random.Generator, walk: FloatArray, place: Place) -> FloatArray:
+def _companion(rng: np.random.Generator, walk: FloatArray, place: Place) -> FloatArray:
     along = walk[-1] - walk[0]
     aside = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     keep = np.exp(-_GRID / 3.0)
-    sway = np.zeros((len(walk), 2))
+    velocity_std = np.zeros((len(walk), 2))
     for k in range(1, len(walk)):
-        sway[k] = keep * sway[k - 1] + 0.15 * np.sqrt(1.0 - keep**2) * rng.standard_normal(2)
-    return walk + place.apart * aside + sway
+        velocity_std[k] = keep * velocity_std[k - 1] + 0.15 * np.sqrt(1.0 - keep**2) * rng.standard_normal(2)
+    return walk + place.apart * aside + velocity_std
 
 
-def _seen(path: FloatArray, start: float, identity: int, seconds: float, fps: float) -> Track | None:
+def _visible_track(path: FloatArray, start: float, identity: int, seconds: float, fps: float) -> Track | None:
     own = start + _GRID * np.arange(len(path))
     frame = np.arange(round(seconds * fps))
     frame = frame[(frame / fps >= own[0]) & (frame / fps <= own[-1])]

@@ -71,9 +71,9 @@ def _noisy(
     changes: dict[str, Any] = {"true_position": true_position, "velocity": None, "covariance": None}
     if position_std is not None:
         noisy = true_position + position_std * rng.standard_normal((len(track), 2))
-        seen = np.isfinite(track.position).all(axis=1)
-        if seen.any():
-            noisy[~seen] = np.nan
+        has_position = np.isfinite(track.position).all(axis=1)
+        if has_position.any():
+            noisy[~has_position] = np.nan
         # A σ of 0 is no noise model: the model's default applies.
         std = np.full(len(track), position_std) if position_std > 0.0 else None
         changes |= {"position": noisy, "position_std": std, "pixel": None}
@@ -164,9 +164,9 @@ def turn_window(track: Track, seconds: float, margin: float, turn_seconds: float
     centre = t[int(np.nanargmax(sharpness))]
     # Half open, so that a window has no extra frame.
     window = np.asarray((t >= centre - 0.5 * seconds - 1e-9) & (t < centre + 0.5 * seconds - 1e-9))
-    seen = np.asarray(np.isfinite(track.position).all(axis=1))
+    has_position = np.asarray(np.isfinite(track.position).all(axis=1))
     first, last = np.flatnonzero(window)[[0, -1]]
-    if not seen[:first].any() or not seen[last + 1 :].any():
+    if not has_position[:first].any() or not has_position[last + 1 :].any():
         return "no position is known before the window, or none after it"
     return window
 

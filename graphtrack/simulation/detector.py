@@ -223,11 +223,11 @@ def _false_detections(
     """Return tracks of one row each, with ids after those of the people, and the people's channels."""
     if not detector.clutter:
         return []
-    places = np.concatenate([motion(track) for track in exact])
-    places = places[np.isfinite(places).all(axis=1)]
-    if not len(places):
+    positions = np.concatenate([motion(track) for track in exact])
+    positions = positions[np.isfinite(positions).all(axis=1)]
+    if not len(positions):
         raise InputError("no position", "a position in at least one frame")
-    low, high = places.min(axis=0), places.max(axis=0)
+    low, high = positions.min(axis=0), positions.max(axis=0)
     frames, first = np.unique(np.concatenate([track.frame for track in exact]), return_index=True)
     t = np.concatenate([track.t for track in exact])[first]
     every_frame = with_those_between(frames)

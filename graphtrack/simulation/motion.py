@@ -282,7 +282,7 @@ def _modes_of(
     for k, dt in enumerate([np.inf, *np.diff(t).tolist()]):
         near = rng.random(n_tracks) < gait["aligned"]
         close = gait["spread"] * rng.standard_normal(n_tracks)
-        anew = np.where(near, close, rng.vonmises(0.0, gait["offset_kappa"], n_tracks))
+        redrawn = np.where(near, close, rng.vonmises(0.0, gait["offset_kappa"], n_tracks))
         glance = rng.choice(around, n_tracks, p=modes.glance)
         # Two-state Markov process, started from its stationary distribution.
         before = glancing[:, k - 1] if k > 0 else nobody
@@ -291,13 +291,13 @@ def _modes_of(
         begins, ends = changed & drawn & ~before, changed & ~drawn & before
         glancing[:, k] = (before & ~ends) | begins
         if k == 0:
-            aligned[:, k], offset[:, k] = near & ~begins, np.where(begins, glance, anew)
+            aligned[:, k], offset[:, k] = near & ~begins, np.where(begins, glance, redrawn)
             continue
         drifted = offset[:, k - 1] + np.sqrt(gait["drift"] * dt) * rng.standard_normal(n_tracks)
         kept = np.where(aligned[:, k - 1] | before, offset[:, k - 1], drifted)
         changes = ~before & (rng.random(n_tracks) < -np.expm1(-gait["switching"] * dt)) | ends
         aligned[:, k] = np.where(changes, near, aligned[:, k - 1]) & ~begins
-        offset[:, k] = np.where(begins, glance, np.where(changes, anew, kept))
+        offset[:, k] = np.where(begins, glance, np.where(changes, redrawn, kept))
     strength = np.where(aligned, gait["strength"], gait["free_strength"])
     strength = np.where(glancing, modes.glance_strength, strength)
     return ModeCourse(aligned, glancing, wrap(offset), strength, gait["lead"])
@@ -423,8 +423,8 @@ def sample_coupled_velocity(
         body_kappa, head_kappa = 1.0 / (turning.body_diffusion * dt), 1.0 / (turning.head_diffusion * dt)
         head_pull = _held(weight * of_head * modes.head.strength[:, k], turning.head_diffusion * dt)
         # The previous head and its turn inform the body.
-        said = np.divide(1.0, 1.0 / np.maximum(head_pull, 1e-12) + 1.0 / head_kappa)
-        past = body_kappa * np.exp(1j * body) + said * np.exp(1j * (head - modes.head.offset[:, k]))
+        offset_kappa = np.divide(1.0, 1.0 / np.maximum(head_pull, 1e-12) + 1.0 / head_kappa)
+        past = body_kappa * np.exp(1j * body) + offset_kappa * np.exp(1j * (head - modes.head.offset[:, k]))
         speed = np.linalg.norm(found, axis=-1)
         excess = np.maximum(speed - coupling.speed_threshold, 0.0)
         pull = weight * coupling.motion_body_kappa * modes.body.strength[:, k, None] * excess**2

@@ -126,7 +126,7 @@ def simulate(
     frame = np.arange(n_steps)
     t = frame / fps
     lost = _missing(rng, n_tracks, n_steps, missing)
-    truth = sample_states(t, n_tracks, model, rng, pace=pace, seen=~lost)
+    truth = sample_states(t, n_tracks, model, rng, pace=pace, has_position=~lost)
     position = truth.pop("position")
     del truth["velocity"]
     if glances > 0.0 and "head" in truth:
@@ -139,9 +139,9 @@ def simulate(
         observed[name][_missing(rng, n_tracks, n_steps, missing)] = np.nan
 
     def orientations(i: int) -> dict[str, Any]:
-        seen = {name: angles[i] for name, angles in observed.items()}
+        has_position = {name: angles[i] for name, angles in observed.items()}
         kappa = {f"{name}_kappa": np.full(n_steps, kappas[name]) for name in observed}
-        return seen | kappa | {f"true_{name}": angles[i] for name, angles in truth.items()}
+        return has_position | kappa | {f"true_{name}": angles[i] for name, angles in truth.items()}
 
     tracks = (
         Track(
@@ -166,11 +166,11 @@ def sample_states(
     rng: np.random.Generator,
     *,
     pace: float | None = None,
-    seen: np.ndarray | None = None,
+    has_position: np.ndarray | None = None,
 ) -> dict[str, FloatArray]:
     """Sample states of people at the times ``t`` (n,) seconds, by name.
 
-    ``seen``: (n_tracks, n) frames with an observed position; None: all
+    ``has_position``: (n_tracks, n) frames with an observed position; None: all
 
     Returns
     -------
@@ -197,7 +197,11 @@ def sample_states(
         if model.has_modes:
             gait = model.parameters.gait
             modes = sample_modes(t, n_tracks, gait, rng)
-            share = np.where(np.ones(steps, bool) if seen is None else seen[:, 1:], gait.head_rate_seen, 1.0)
+            share = np.where(
+                np.ones(steps, bool) if has_position is None else has_position[:, 1:],
+                gait.head_rate_observed,
+                1.0,
+            )
             rate = rate * share * modes.ahead[:, :-1]
         held = model.has_term(HeadFollowsBody)
         velocity = sample_coupled_velocity(

@@ -130,8 +130,8 @@ def _script(seconds: float, occlusion: float) -> list[_Part]:
 
 def _walk(track_id: int, part: _Part, fps: float, seconds: float, rng: np.random.Generator) -> Track:
     grid = np.arange(0.0, seconds + _GRID, _GRID)
-    course = part.course(grid) + _sway(grid, rng, np.radians(2.5))
-    speed = part.speed(grid) * (1.0 + _sway(grid, rng, 0.04))
+    course = part.course(grid) + _wander(grid, rng, np.radians(2.5))
+    speed = part.speed(grid) * (1.0 + _wander(grid, rng, 0.04))
     step = speed[:, None] * unit(course)
     path = np.vstack([np.zeros(2), np.cumsum(0.5 * _GRID * (step[1:] + step[:-1]), axis=0)])
     # The head aims in the direction of the upcoming course.
@@ -149,7 +149,7 @@ def _walk(track_id: int, part: _Part, fps: float, seconds: float, rng: np.random
         t,
         at(path, t) + anchor,
         body=wrap(np.interp(t, grid, _follow(course, _BODY_LAG))),
-        head=wrap(np.interp(t, grid, _follow(ahead + _sway(grid, rng, np.radians(4.0)), _HEAD_LAG))),
+        head=wrap(np.interp(t, grid, _follow(ahead + _wander(grid, rng, np.radians(4.0)), _HEAD_LAG))),
         label=part.label,
     )
 
@@ -167,7 +167,7 @@ def _follow(aim: FloatArray, lag: float) -> FloatArray:
     return aim
 
 
-def _sway(t: FloatArray, rng: np.random.Generator, size: float) -> FloatArray:
+def _wander(t: FloatArray, rng: np.random.Generator, size: float) -> FloatArray:
     periods, phases = rng.uniform(5.0, 12.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
     waves = np.sin(2.0 * np.pi * t[:, None] / periods + phases)
     return 0.5 * size * waves.sum(axis=1)
@@ -242,17 +242,17 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
     """
     if people < 1 or steps < 2:
         raise InputError(f"{people} people, {steps} steps", "a person and two steps at least")
-    dt, places = 1.0 / fps, max(1, -(-people // 4))
-    side = int(np.ceil(np.sqrt(places)))
-    centres = _APART * np.array([[k % side, k // side] for k in range(places)], dtype=float)
+    dt, n_circles = 1.0 / fps, max(1, -(-people // 4))
+    side = int(np.ceil(np.sqrt(n_circles)))
+    centres = _APART * np.array([[k % side, k // side] for k in range(n_circles)], dtype=float)
     alone = centres.mean(axis=0) + _APART * (0.6 * side + 0.5) * unit(
         np.linspace(0.0, 2.0 * np.pi, people + 1)[:-1]
     )
-    member = np.where(rng.random(people) < _ALONE, -1, np.arange(people) % places)
-    seat = _seats(member, places, rng)
+    member = np.where(rng.random(people) < _ALONE, -1, np.arange(people) % n_circles)
+    seat = _seats(member, n_circles, rng)
     position = _goals(member, seat, centres, alone)
     paths, groups = np.empty((people, steps, 2)), np.empty((people, steps), dtype=np.int64)
-    looks, bodies, heads = np.empty_like(groups), np.empty((people, steps)), np.empty((people, steps))
+    gaze, bodies, heads = np.empty_like(groups), np.empty((people, steps)), np.empty((people, steps))
     look = np.full(people, NOTHING)
     stray = np.stack([_BODY_STD * rng.standard_normal(people), _LOOK_STD * rng.standard_normal(people)])
     away = rng.uniform(-np.pi, np.pi, people)
@@ -260,8 +260,8 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
     for k in range(steps):
         leaving = np.flatnonzero(rng.random(people) < 1.0 - np.exp(-dt / _STAY))
         for one in leaving.tolist():
-            member[one] = -1 if rng.random() < _ALONE else rng.integers(places)
-            seat = _seats(member, places, rng, seat)
+            member[one] = -1 if rng.random() < _ALONE else rng.integers(n_circles)
+            seat = _seats(member, n_circles, rng, seat)
         goal = _goals(member, seat, centres, alone)
         way = goal - position
         far = np.linalg.norm(way, axis=1)
@@ -270,7 +270,7 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
         position = position + way * np.minimum(1.0, speed * dt / np.maximum(far, 1e-9))[:, None]
         there = ~walking & (member >= 0)
         groups[:, k] = np.where(there, member, -1)
-        for group in range(places):
+        for group in range(n_circles):
             if np.count_nonzero(groups[:, k] == group) == 1:
                 groups[groups[:, k] == group, k] = -1
         stray = keep * stray + np.sqrt(1.0 - keep**2) * rng.standard_normal((2, people)) * [
@@ -291,7 +291,7 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
             at = position[look[one]] - position[one] if look[one] != NOTHING else None
             aim = away[one] if at is None else np.arctan2(at[1], at[0])
             heads[one, k] = wrap(aim + stray[1, one])
-        paths[:, k], looks[:, k] = position, look
+        paths[:, k], gaze[:, k] = position, look
     frame = np.arange(steps, dtype=np.int64)
     t = np.asarray(dt * frame, dtype=float)
     tracks = tuple(
@@ -308,7 +308,7 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
         )
         for one in range(people)
     )
-    return Party(TrackSet(tracks), groups, looks)
+    return Party(TrackSet(tracks), groups, gaze)
 
 
 def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng: np.random.Generator) -> int:
@@ -326,11 +326,11 @@ def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng
 
 
 def _seats(
-    member: IntArray, places: int, rng: np.random.Generator, before: FloatArray | None = None
+    member: IntArray, n_circles: int, rng: np.random.Generator, before: FloatArray | None = None
 ) -> FloatArray:
     """Return the seat of each member in its circle, (people, 2): radius and angle."""
     seat = np.zeros((len(member), 2)) if before is None else before.copy()
-    for group in range(places):
+    for group in range(n_circles):
         inside = np.flatnonzero(member == group)
         turn = rng.uniform(0.0, 2.0 * np.pi) if before is None else seat[inside, 1].min(initial=7.0)
         order = inside if before is None else inside[np.argsort(seat[inside, 1])]

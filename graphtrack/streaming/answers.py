@@ -21,11 +21,11 @@ from graphtrack.inference.state import Estimate, pack_observation, unpack_observ
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.interaction.groups import Groups, OnlineGroups
-from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_told
+from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of_estimates
 from graphtrack.interaction.places import Place
 from graphtrack.io.formats.ndjson import Pairs, parse_line, plain_cells, read_cells
 from graphtrack.model import Observation
-from graphtrack.saved import from_text, pack_tree, real, to_text, unpack_tree, whole
+from graphtrack.saved import from_text, integer, pack_tree, real, to_text, unpack_tree
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.protocol import UnknownKeys, error_row, estimate_row, observation_of, text_of
 
@@ -75,11 +75,11 @@ class SceneBehaviour:
         found = self._groups.take(people)
         rows: dict[int, dict[str, Any]] = {one: {} for one in found.track_id.tolist()}
         if self._asked.groups:
-            rows = dict(zip(rows, _told_of_groups(found), strict=True))
+            rows = dict(zip(rows, _group_columns(found), strict=True))
         if self._attention is not None:
-            for one, looks in self._attention.take(people, found).told().items():
+            for one, gaze in self._attention.take(people, found).by_person().items():
                 rows[one]["attention"] = [
-                    {"kind": kind, "target": target, "probability": p} for kind, target, p in looks
+                    {"kind": kind, "target": target, "probability": p} for kind, target, p in gaze
                 ]
         return rows
 
@@ -98,7 +98,7 @@ class SceneBehaviour:
         return scene
 
 
-def _told_of_groups(found: Groups) -> list[dict[str, Any]]:
+def _group_columns(found: Groups) -> list[dict[str, Any]]:
     """Return a dictionary for each row: the columns of the table, null where a cell is empty."""
     columns = {name: values.tolist() for name, values in found.columns().items()}
     names = ("group", "kind", "probability", "centre_x", "centre_y")
@@ -140,10 +140,10 @@ class FrameBehaviour:
         """Return the rows of the ended frame, one for each person; later rows of it are ignored."""
         if not self._people:
             return []
-        told = self._scene.columns(people_at(self._t, self._frame, self._people))
+        by_person = self._scene.columns(people_at(self._t, self._frame, self._people))
         self._people = {}
         of_frame = {"frame": self._frame, "t": self._t}
-        return [{"track_id": one, **of_frame, **columns} for one, columns in told.items()]
+        return [{"track_id": one, **of_frame, **columns} for one, columns in by_person.items()]
 
     def state(self) -> dict[str, Any]:
         """Return the state as JSON-able data; see `restore`."""
@@ -156,8 +156,8 @@ class FrameBehaviour:
         """Restore frames from `state`, for the same selection."""
         found = cls(SceneBehaviour.restore(state[BEHAVIOUR], asked))
         found._t = -math.inf if state["t"] is None else real(state["t"])
-        found._frame = whole(state["frame"])
-        found._people = {whole(one): tuple(from_text(saved).tolist()) for one, saved in state["people"]}
+        found._frame = integer(state["frame"])
+        found._people = {integer(one): tuple(from_text(saved).tolist()) for one, saved in state["people"]}
         return found
 
 
@@ -179,7 +179,7 @@ STEP = 0.4
 """Default interval of forecasts, seconds, for horizons that are not shorter."""
 
 
-def told(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
+def by_person(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
     """Return the forecasts of each person: a dictionary for each time ahead."""
     variance = forecast.covariance
     columns = {
@@ -212,7 +212,7 @@ class FrameForecasts:
     def __init__(self, ahead: FloatArray) -> None:
         self._ahead, self._forecaster = ahead, Forecaster()
         self._t, self._frame = -np.inf, 0
-        self._seen: dict[int, tuple[float, float, float, float]] = {}
+        self._last_positions: dict[int, tuple[float, float, float, float]] = {}
 
     def state(self) -> dict[str, Any]:
         """Return the state as JSON-able data; see `from_state`."""
@@ -221,8 +221,8 @@ class FrameForecasts:
                 "forecaster": self._forecaster.state(),
                 "t": self._t if np.isfinite(self._t) else None,
                 "frame": self._frame,
-                "ids": np.array(list(self._seen), np.int64),
-                "seen": np.array(list(self._seen.values()), float).reshape(-1, 4),
+                "ids": np.array(list(self._last_positions), np.int64),
+                "seen": np.array(list(self._last_positions.values()), float).reshape(-1, 4),
             }
         )
 
@@ -233,8 +233,10 @@ class FrameForecasts:
         found = cls(ahead)
         found._forecaster = Forecaster.from_state(values["forecaster"])
         found._t = -np.inf if values["t"] is None else real(values["t"])
-        found._frame = whole(values["frame"])
-        found._seen = dict(zip(values["ids"].tolist(), map(tuple, values["seen"].tolist()), strict=True))
+        found._frame = integer(values["frame"])
+        found._last_positions = dict(
+            zip(values["ids"].tolist(), map(tuple, values["seen"].tolist()), strict=True)
+        )
         return found
 
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
@@ -248,17 +250,17 @@ class FrameForecasts:
         std = np.nan if observation.position_std is None else observation.position_std
         head = np.nan if observation.head is None else observation.head
         if np.isfinite(x) and np.isfinite(y):
-            self._seen[track_id] = (x, y, std, head)
+            self._last_positions[track_id] = (x, y, std, head)
         return rows
 
     def finish(self) -> list[dict[str, Any]]:
         """Return the forecasts of the ended frame, a row for each person; later rows of it are ignored."""
-        if not self._seen:
+        if not self._last_positions:
             return []
-        ids, values = list(self._seen), np.array(list(self._seen.values()))
+        ids, values = list(self._last_positions), np.array(list(self._last_positions.values()))
         self._forecaster.update(self._t, ids, values[:, :2], values[:, 2], values[:, 3])
-        self._seen = {}
-        found = told(self._forecaster.forecast(self._ahead))
+        self._last_positions = {}
+        found = by_person(self._forecaster.forecast(self._ahead))
         return [
             {"track_id": one, "frame": self._frame, "t": self._t, "forecast": rows}
             for one, rows in found.items()
@@ -320,7 +322,7 @@ class TrackAnswers:
     ) -> None:
         self._bounds, self._looked = bounds, -math.inf
         self._waiting = dict[int, _Waiting]()
-        self._make, self._fps, self._told = make, fps, UnknownKeys(note)
+        self._make, self._fps, self._unknown_keys = make, fps, UnknownKeys(note)
         of_scene = {FORECASTS: forecasts, BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
         self.members: dict[Any, Any] = {key: one for key, one in of_scene.items() if one is not None}
         self.rows = self.line = 0
@@ -349,7 +351,7 @@ class TrackAnswers:
                 cells = plain_cells(line)
                 if cells is None:
                     pairs = parse_line(text_of(line))
-                    self._told(pairs)
+                    self._unknown_keys(pairs)
                     cells = read_cells(pairs)
                 self._wait_for(cells["track_id"], observation_of(cells, self._fps), found[-1])
             except InputError as error:
@@ -382,10 +384,10 @@ class TrackAnswers:
         )
         for (track_id, one), estimate in zip(waiting.items(), estimates, strict=True):
             self.members[track_id] = one.smoother
-            one.answers += self._told_before(track_id, one.observation, estimate)
+            one.answers += self._scene_columns(track_id, one.observation, estimate)
             one.answers.append(estimate_row(track_id, estimate))
 
-    def _told_before(
+    def _scene_columns(
         self, track_id: int, observation: Observation, estimate: Estimate
     ) -> list[dict[str, Any]]:
         """Return groups, attention and forecasts of the frame that a row ends."""
@@ -458,11 +460,11 @@ class Frame:
         self.tracker, self.behaviour = tracker, behaviour
         self.t: float | None = None
         self.number: int | None = None
-        self.seen: list[Observation] = []
+        self.observations: list[Observation] = []
 
     def state(self) -> dict[str, Any]:
         """Return the state as JSON-able data; see `restore`."""
-        waiting = [pack_observation(one) for one in self.seen]
+        waiting = [pack_observation(one) for one in self.observations]
         found = {"tracker": self.tracker.state(), "t": self.t, "number": self.number, "seen": waiting}
         return found if self.behaviour is None else {**found, BEHAVIOUR: self.behaviour.state()}
 
@@ -471,8 +473,8 @@ class Frame:
         """Restore a stream from `state`, for the same selection."""
         frame = cls(tracker, None if asked is None else SceneBehaviour.restore(state[BEHAVIOUR], asked))
         frame.t = None if state["t"] is None else real(state["t"])
-        frame.number = None if state["number"] is None else whole(state["number"])
-        frame.seen = [unpack_observation(one) for one in state["seen"]]
+        frame.number = None if state["number"] is None else integer(state["number"])
+        frame.observations = [unpack_observation(one) for one in state["seen"]]
         return frame
 
 
@@ -510,7 +512,7 @@ class Scenes:
     ) -> None:
         self._horizon, self._asked = horizon, asked
         self._make, self._fps, self._forget = make, fps, forget
-        self._told = UnknownKeys(note, {"stream", "end"})
+        self._unknown_keys = UnknownKeys(note, {"stream", "end"})
         self.members: dict[Name, Frame] = {}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda name: None
@@ -526,7 +528,7 @@ class Scenes:
         pairs: Pairs = ()
         try:
             pairs = parse_line(text_of(line))
-            self._told(pairs)
+            self._unknown_keys(pairs)
             given = dict(pairs)
             name = _name(given.get("stream"))
             if "end" in given:
@@ -563,14 +565,14 @@ class Scenes:
         one = tracker.on_the_ground(one, one.t)
         tracker.check_time(one.t)
         size = tracker.descriptor_size
-        descriptors_of([one] if size or frame is None else [*frame.seen, one], size)
+        descriptors_of([one] if size or frame is None else [*frame.observations, one], size)
         if frame is None:
             frame = self._begin(tracker)
         self.before_change(name)
         self.members[name] = frame
         found_rows = self._flush(name) if frame.t is not None and one.t > frame.t else []
         frame.t, frame.number = one.t, number
-        frame.seen.append(one)
+        frame.observations.append(one)
         return found_rows
 
     def _end(self, name: Name, t: float) -> list[dict[str, Any]]:
@@ -595,9 +597,11 @@ class Scenes:
         if frame.t is None:
             return []
         of_stream = {} if name == ONE else {"stream": name}
-        people = frame.tracker.update(frame.t, frame.seen)
-        ahead = {} if self._horizon is None else told(frame.tracker.forecast(*self._horizon))
-        more = {} if frame.behaviour is None else frame.behaviour.columns(people_told(frame.t, people))
+        people = frame.tracker.update(frame.t, frame.observations)
+        ahead = {} if self._horizon is None else by_person(frame.tracker.forecast(*self._horizon))
+        more = (
+            {} if frame.behaviour is None else frame.behaviour.columns(people_of_estimates(frame.t, people))
+        )
         number = frame.tracker.updates - 1 if frame.number is None else frame.number
         rows: list[dict[str, Any]] = []
         for person in people:
@@ -608,10 +612,10 @@ class Scenes:
             if person.track_id in ahead:
                 row["forecast"] = ahead[person.track_id]
             rows.append(of_stream | row)
-        counts = {"people": len(people), "detections": len(frame.seen)}
+        counts = {"people": len(people), "detections": len(frame.observations)}
         revised = [asdict(one) for one in frame.tracker.revised]
         rows.append(of_stream | {"end": frame.t} | counts | ({"revised": revised} if revised else {}))
-        frame.t, frame.number, frame.seen = None, None, []
+        frame.t, frame.number, frame.observations = None, None, []
         return rows
 
 

@@ -62,8 +62,8 @@ def _unknown(names: tuple[str, ...]) -> list[str]:
 
 def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
     """Return the answer to an invalid line."""
-    told = InputError(error.found, error.expected, line=number, column=error.column)
-    return {**identity(pairs), "line": number, "error": str(told)}
+    refused = InputError(error.found, error.expected, line=number, column=error.column)
+    return {**identity(pairs), "line": number, "error": str(refused)}
 
 
 def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
@@ -354,8 +354,8 @@ class StreamNames:
         if self._leaves_times or not _is_number(value):
             return value
         count = round(value * (1e9 / self.unit), 0 if self.unit == 1 else _DIGITS)
-        whole = self.origin // self.unit
-        return int(count) + whole if float(count).is_integer() else count + whole
+        units = self.origin // self.unit
+        return int(count) + units if float(count).is_integer() else count + units
 
 
 def _is_number(value: Any) -> bool:

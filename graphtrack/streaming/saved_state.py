@@ -131,7 +131,7 @@ class StateFile:
 
     def __init__(self, path: Path, every: float) -> None:
         self.path, self._every = path, every
-        self._final, self._new = _places(path)
+        self._final, self._new = _paths(path)
         try:
             self._lock = _locked(path)
         except OSError as error:
@@ -267,7 +267,7 @@ class StateFile:
                 lines, is_last = [], True
             try:
                 if lines:
-                    self._write_anew(lines)
+                    self._rewrite(lines)
                 self._flush()
             except OSError as error:
                 self._error = error
@@ -284,7 +284,7 @@ class StateFile:
             mark = content.mark()
         content.flush(mark)
 
-    def _write_anew(self, texts: list[bytes]) -> None:
+    def _rewrite(self, texts: list[bytes]) -> None:
         content = _Content(_opened(self._new, "w+"))
         if self._content is not None:
             shutil.copymode(self._final, self._new)
@@ -329,7 +329,7 @@ def remove(path: Path) -> bool:
     OSError
         If it cannot be deleted.
     """
-    final, new = _places(path)
+    final, new = _paths(path)
     if not final.parent.is_dir():
         return False
     lock = _locked(path)
@@ -349,7 +349,7 @@ def remove(path: Path) -> bool:
         _unlock(lock)
 
 
-def _places(path: Path) -> tuple[Path, Path]:
+def _paths(path: Path) -> tuple[Path, Path]:
     """Return the file of a path after links, and its temporary successor."""
     final = Path(os.path.realpath(path))
     return final, final.with_name(final.name + ".new")
@@ -357,7 +357,7 @@ def _places(path: Path) -> tuple[Path, Path]:
 
 def _locked(path: Path) -> FileLock:
     """Lock of a state file: a hidden file next to it while a process holds it."""
-    final, _ = _places(path)
+    final, _ = _paths(path)
     lock = FileLock(final.with_name(f".{final.name}.lock"), timeout=0, thread_local=False)
     try:
         lock.acquire()
@@ -442,7 +442,7 @@ class Saving:
         self._left: dict[Any, Callable[[], Any] | None] | None = None
         people.before_change = self._before_change
         if file.entries:
-            with self._told_of_the_file():
+            with self._naming_the_file():
                 _check_settings(_header_of(file.entries)["settings"], settings)
 
     @property
@@ -476,7 +476,7 @@ class Saving:
         """
         people, entries = self._people, self._file.entries
         answers: list[list[dict[str, Any]]] = []
-        with self._told_of_the_file():
+        with self._naming_the_file():
             header = _header_of(entries)
             people.rows, people.line = header["rows"], header["line"]
             first_row = 1 + header["people"]
@@ -528,7 +528,7 @@ class Saving:
         self._file.wait()
 
     @contextmanager
-    def _told_of_the_file(self) -> Iterator[None]:
+    def _naming_the_file(self) -> Iterator[None]:
         """Raise any error of the block as an `InputError` with the name of the file."""
         try:
             yield
@@ -647,7 +647,7 @@ def _check_settings(saved: dict[str, Any], settings: dict[str, Any]) -> None:
     if "model.preset" in differing:  # then its parameters differ as well
         differing = [name for name in differing if name == "model.preset" or "model." not in name]
 
-    def told(of: dict[str, Any]) -> str:
+    def described(of: dict[str, Any]) -> str:
         return ", ".join(f"{name} = {json.dumps(of.get(name))}" for name in differing)
 
-    raise InputError(f"a state with {told(saved)}", f"one with {told(settings)}")
+    raise InputError(f"a state with {described(saved)}", f"one with {described(settings)}")

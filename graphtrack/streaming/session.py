@@ -53,7 +53,7 @@ MOST_TOGETHER = 128
 Row = dict[str, Any]
 
 
-def say_nothing(*_: object) -> None:
+def ignore(*_: object) -> None:
     """Ignore a message."""
 
 
@@ -91,7 +91,7 @@ class Answers:
     def _options(self) -> dict[str, Any]:
         return {"engine": self.engine, "lag": self.lag, "camera": self.camera}
 
-    def people(self, note: Callable[[str], None] = say_nothing) -> TrackAnswers:
+    def people(self, note: Callable[[str], None] = ignore) -> TrackAnswers:
         """Return the object that answers rows with identities."""
         return TrackAnswers(
             partial(OnlineSmoother, self.model, **self._options),
@@ -115,7 +115,7 @@ class Answers:
             raise ValueError(f"a person {str(key)[:40]!r}")
         return OnlineSmoother.from_state(saved, self.model, **self._options)
 
-    def scenes(self, note: Callable[[str], None] = say_nothing) -> Scenes:
+    def scenes(self, note: Callable[[str], None] = ignore) -> Scenes:
         """Return the object that answers detections without identity."""
         make, forget = partial(OnlineTracker, self.model, **self._options), self.associate == "always"
         return Scenes(make, self.fps, note, forget=forget, horizon=self.horizon, asked=self.asked)
@@ -157,12 +157,12 @@ class Listener:
     most_together : largest number of waiting rows that are kept and answered together
     """
 
-    note: Callable[[str], None] = say_nothing
-    went_on: Callable[[int, int, int], None] = say_nothing
-    answered: Callable[[Answering], None] = say_nothing
-    all_answered: Callable[[], None] = say_nothing
+    note: Callable[[str], None] = ignore
+    went_on: Callable[[int, int, int], None] = ignore
+    answered: Callable[[Answering], None] = ignore
+    all_answered: Callable[[], None] = ignore
     progress: Callable[[int, str], AbstractContextManager[Callable[[int], None]]] = lambda total, unit: (
-        nullcontext(say_nothing)
+        nullcontext(ignore)
     )
     most_together: int = MOST_TOGETHER
 
@@ -199,12 +199,12 @@ def track_stream(
     answers.warm_up()
     nobody = answers.people()  # answers rows before their kind is known
 
-    def tell(row: Row) -> None:
+    def emit(row: Row) -> None:
         give(row if names.are_native else names.restored(row))
 
     def refuse(number: int, line: bytes) -> None:
         for row in nobody.answers(number, line):
-            tell(row)
+            emit(row)
         listener.answered(nobody)
         listener.all_answered()
 
@@ -237,10 +237,10 @@ def track_stream(
             saving.begin()
         elif saving is not None:
             restore = answers.restored_scene if are_detections else answers.restored_person
-            _go_on(saving, people, restore, listener, tell)
+            _go_on(saving, people, restore, listener, emit)
             incoming = lines_of(stream, people.line + 1)
             lines = names.native_lines(incoming)
-        rows, wrong = _answer(lines, people, saving, listener, tell, _is_here(incoming))
+        rows, wrong = _answer(lines, people, saving, listener, emit, _is_here(incoming))
         if saving is not None:
             saving.finish()
     return rows + nobody.rows, wrong + nobody.rows
@@ -257,7 +257,7 @@ def _go_on(
     people: Answering,
     restore: Callable[[Any, Any], Any],
     listener: Listener,
-    tell: Callable[[Row], None],
+    emit: Callable[[Row], None],
 ) -> None:
     """Restore people to the end of the last run, report it, and repeat answers that may be lost."""
     with listener.progress(saving.entries, "rows") as advance:
@@ -265,7 +265,7 @@ def _go_on(
     listener.went_on(people.rows, people.line, len(again))
     for answers in again:
         for row in answers:
-            tell(row)
+            emit(row)
 
 
 def _answer(
@@ -273,7 +273,7 @@ def _answer(
     people: Answering,
     saving: Saving | None,
     listener: Listener,
-    tell: Callable[[dict[str, Any]], None],
+    emit: Callable[[dict[str, Any]], None],
     is_here: Callable[[], bool],
 ) -> tuple[int, int]:
     """Answer all lines; waiting lines are answered together, up to the listener's limit."""
@@ -291,13 +291,13 @@ def _answer(
                 for answers in people.answers_together(some):
                     for row in answers:
                         wrong += "error" in row
-                        tell(row)
+                        emit(row)
                     listener.answered(people)
                 if saving is not None:
                     saving.tend()
                 listener.all_answered()
             for row in people.finish():
-                tell(row)
+                emit(row)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong

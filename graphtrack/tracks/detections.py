@@ -52,11 +52,11 @@ class Detections:
     def __len__(self) -> int:
         return len(self.t)
 
-    def taken(self, places: NDArray[np.int64]) -> Detections:
+    def taken(self, rows: NDArray[np.int64]) -> Detections:
         """Return the detections at some indices."""
-        channels = {name: values[places] for name, values in self.channels.items()}
-        frame, t, position = self.frame[places], self.t[places], self.position[places]
-        return Detections(frame, t, position, channels, self.row[places])
+        channels = {name: values[rows] for name, values in self.channels.items()}
+        frame, t, position = self.frame[rows], self.t[rows], self.position[rows]
+        return Detections(frame, t, position, channels, self.row[rows])
 
     @property
     def step(self) -> NDArray[np.int64]:

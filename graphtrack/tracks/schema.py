@@ -117,11 +117,11 @@ _KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, *ANSWER_COLUMNS))
 
 def repeated(names: Iterable[str]) -> str | None:
     """Return the first repeated name; None if all are unique."""
-    seen: set[str] = set()
+    visited: set[str] = set()
     for name in names:
-        if name in seen:
+        if name in visited:
             return name
-        seen.add(name)
+        visited.add(name)
     return None
 
 
@@ -205,12 +205,12 @@ def together(names: tuple[str, ...]) -> list[tuple[str, ...]]:
     The group of an input array is the columns present and the first one missing.
     """
     found = [group for group, members in _GROUPS if not members.isdisjoint(names)]
-    places: dict[str, set[int]] = {}
+    columns_by_name: dict[str, set[int]] = {}
     for name in names:
         column = None if name in _OF_TABLE else numeric(name)
         if column is not None and column.index:
-            places.setdefault(_heading(column.field), set()).add(column.index[0])
-    for heading, given in places.items():
+            columns_by_name.setdefault(_heading(column.field), set()).add(column.index[0])
+    for heading, given in columns_by_name.items():
         missing = next(k for k in range(len(given) + 1) if k not in given)
         wanted = given if missing > max(given) else given | {missing}
         found.append(tuple(f"{heading}_{k}" for k in sorted(wanted)))

@@ -99,7 +99,7 @@ def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dic
     found = _identities(columns, as_read)
     if as_read.time is not None and "t" in found:
         found["t"] = as_read.time.restored(columns["t"])
-    _places(found, as_read)
+    _check_placement(found, as_read)
     if as_read.metre != 1.0:
         for name in LENGTHS:
             if name in found:
@@ -125,9 +125,9 @@ def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> d
     names = as_read.names
     found = {**columns, "label": np.array([names.get(k, "") for k in columns["track_id"].tolist()], object)}
     if "target" in columns:
-        told = {str(k): name for k, name in names.items()}
+        names_by_id = {str(k): name for k, name in names.items()}
         pairs = zip(columns["kind"].tolist(), columns["target"].tolist(), strict=True)
-        of_target = [told.get(target, "") if kind == "person" else "" for kind, target in pairs]
+        of_target = [names_by_id.get(target, "") if kind == "person" else "" for kind, target in pairs]
         found["target_label"] = np.array(of_target, object)
     return found
 
@@ -138,15 +138,15 @@ def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[st
     if not as_read.names or "track_id" not in found or "track_id" not in as_read.columns:
         return found
     ids = found["track_id"].tolist()
-    others = {k: f"track {k}" if str(k) in as_read.names.values() else str(k) for k in {*ids}}
-    names = [as_read.names.get(k, others[k]) for k in ids]
+    unnamed = {k: f"track {k}" if str(k) in as_read.names.values() else str(k) for k in {*ids}}
+    names = [as_read.names.get(k, unnamed[k]) for k in ids]
     if "label" in found and "label" not in as_read.columns and found["label"].tolist() == names:
         del found["label"]
     found["track_id"] = np.array(names, dtype=object)
     return found
 
 
-def _places(found: dict[str, Any], as_read: AsRead) -> None:
+def _check_placement(found: dict[str, Any], as_read: AsRead) -> None:
     """Replace metres by geographic coordinates, or add these if they are degrees."""
     plane = as_read.plane
     if plane is None:
@@ -176,11 +176,11 @@ def merged(parts: list[tuple[AsRead | None, Mapping[int, int]]]) -> AsRead | Non
     taken: set[str] = set()
     for one, ids in parts:
         for old, new in ids.items():
-            said = name = one.names.get(old, str(old)) if one is not None else str(old)
+            label = name = one.names.get(old, str(old)) if one is not None else str(old)
             again = 1
             while name in taken:
                 again += 1
-                name = f"{said} ({again})"
+                name = f"{label} ({again})"
             taken.add(name)
             names[new] = name
     return replace(first, names=names)
@@ -289,15 +289,15 @@ class Rows:
         refused = dict(Counter(self.refused) + Counter({reason: count}))
         return replace(self.taken(np.flatnonzero(mask)), refused=refused)
 
-    def taken(self, places: NDArray[np.int64]) -> Rows:
+    def taken(self, rows: NDArray[np.int64]) -> Rows:
         """Return the rows at some indices, in that order."""
         line_of = self.line_of
         return replace(
             self,
-            track_id=self.track_id[places],
-            frame=self.frame[places],
-            channels={name: value[places] for name, value in self.channels.items()},
-            line_of=lambda i: line_of(int(places[i])),
+            track_id=self.track_id[rows],
+            frame=self.frame[rows],
+            channels={name: value[rows] for name, value in self.channels.items()},
+            line_of=lambda i: line_of(int(rows[i])),
         )
 
     def with_times(self, fps: float) -> Rows:
@@ -321,10 +321,10 @@ def sorted_rows(rows: Rows) -> Rows:
         warnings.warn(f"{rows.path}: {note}", InputWarning, stacklevel=2)
     order = np.lexsort((rows.frame, rows.track_id))
     rows = rows.taken(order)
-    late = (np.diff(rows.track_id) == 0) & (np.diff(rows.channels["t"]) <= 0.0)
-    if late.any():
+    backwards = (np.diff(rows.track_id) == 0) & (np.diff(rows.channels["t"]) <= 0.0)
+    if backwards.any():
         # The first of them in the file.
-        i = min((np.flatnonzero(late) + 1).tolist(), key=lambda i: order[i])
+        i = min((np.flatnonzero(backwards) + 1).tolist(), key=lambda i: order[i])
         raise InputError(
             f"t = {rows.channels['t'][i]:g} in frame {rows.frame[i]} of track {rows.track_id[i]}",
             "a time after that of the frame before",

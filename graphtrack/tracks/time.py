@@ -40,7 +40,7 @@ class TimeScale:
     ----------
     kind : "number": counts of a unit; "text": ISO 8601; "date": values of a type for dates
     unit : nanoseconds of a count, or of the unit of a date's type
-    whole : whether the counts are whole numbers, and are written as such
+    integer : whether the counts are whole numbers, and are written as such
     origin : nanoseconds since 1970, or since the beginning of the file, at t = 0
     between, digits, zone : of text: separator of day and time, digits after the second, and suffix ("", "Z",
         or such as "+01:00"); of dates the name of the zone, "" where they have none
@@ -48,7 +48,7 @@ class TimeScale:
 
     kind: Literal["number", "text", "date"]
     unit: int = 10**9
-    whole: bool = False
+    integer: bool = False
     origin: int = 0
     between: str = "T"
     digits: int = 0
@@ -56,7 +56,7 @@ class TimeScale:
 
     def restored(self, t: FloatArray) -> Any:
         """Return times (n,), given in seconds, in the representation of the file."""
-        if self.kind == "number" and not self.whole:
+        if self.kind == "number" and not self.integer:
             return (self.origin / 1e9 + t) * (1e9 / self.unit)
         since = self.origin + np.rint(t * 1e9).astype(np.int64)
         if self.kind == "text":
@@ -79,14 +79,14 @@ class TimeScale:
         return np.array([text[:end].replace("T", self.between) + self.zone for text in texts], dtype=object)
 
 
-def from_nanoseconds(since: NDArray[np.int64], beside: TimeScale | None) -> tuple[FloatArray, int]:
+def from_nanoseconds(since: NDArray[np.int64], reference: TimeScale | None) -> tuple[FloatArray, int]:
     """Return seconds (n,) of nanoseconds, and their origin in nanoseconds."""
-    origin = beside.origin if beside is not None else int(since.min()) // DAY * DAY if len(since) else 0
+    origin = reference.origin if reference is not None else int(since.min()) // DAY * DAY if len(since) else 0
     return (since - origin) / 1e9, origin
 
 
 def from_numbers(
-    values: NDArray[Any], unit: str, beside: TimeScale | None = None
+    values: NDArray[Any], unit: str, reference: TimeScale | None = None
 ) -> tuple[FloatArray, TimeScale]:
     """Return seconds (n,) of counts of a unit; those of an epoch from the midnight before the first.
 
@@ -94,31 +94,33 @@ def from_numbers(
     ----------
     values : (n,) int64 or float, NaN where there is none
     unit : one of `NANOSECONDS_IN`
-    beside : time scale of a table with the same origin
+    reference : time scale of a table with the same origin
     """
     each = NANOSECONDS_IN[unit]
-    whole = values.dtype.kind in "iu"
-    known = values if whole else values[np.isfinite(values)]
+    integer = values.dtype.kind in "iu"
+    known = values if integer else values[np.isfinite(values)]
     epoch = bool(len(known)) and float(np.median(known)) * (each / 1e9) >= EPOCH
     if not epoch:
         # Filling a gap may need times between whole seconds.
-        scale = TimeScale("number", each, whole and unit != "s")
+        scale = TimeScale("number", each, integer and unit != "s")
         return (values.astype(float) if unit == "s" else values / (10**9 / each)), scale
-    if whole:
-        seconds, origin = from_nanoseconds(values.astype(np.int64) * each, beside)
+    if integer:
+        seconds, origin = from_nanoseconds(values.astype(np.int64) * each, reference)
     else:
-        origin = beside.origin if beside is not None else int(known.min() * (each / 1e9)) // 86_400 * DAY
+        origin = (
+            reference.origin if reference is not None else int(known.min() * (each / 1e9)) // 86_400 * DAY
+        )
         # The difference of two doubles of one size is exact, unlike a product.
         seconds = (values - origin / each) * (each / 1e9)
-    return seconds, TimeScale("number", each, whole, origin)
+    return seconds, TimeScale("number", each, integer, origin)
 
 
-def from_dates(values: NDArray[Any], zone: str, beside: TimeScale | None) -> tuple[FloatArray, TimeScale]:
+def from_dates(values: NDArray[Any], zone: str, reference: TimeScale | None) -> tuple[FloatArray, TimeScale]:
     """Return seconds (n,) of ``datetime64`` in UTC; NaN where one is missing."""
     unit = np.datetime_data(values.dtype)[0]
     empty = np.isnat(values)
     since = values.astype("M8[ns]").astype(np.int64)
-    seconds, origin = from_nanoseconds(since[~empty], beside)
+    seconds, origin = from_nanoseconds(since[~empty], reference)
     found = np.full(len(values), np.nan)
     found[~empty] = seconds
     return found, TimeScale("date", NANOSECONDS_IN.get(unit, 1), origin=origin, zone=zone)
@@ -144,7 +146,7 @@ class NotIso(ValueError):
         super().__init__(row, expected)
 
 
-def from_text(texts: list[str], beside: TimeScale | None) -> tuple[FloatArray, TimeScale]:
+def from_text(texts: list[str], reference: TimeScale | None) -> tuple[FloatArray, TimeScale]:
     """Return seconds (n,) of ISO 8601 texts, such as 2026-11-23T10:00:00.04+01:00; NaN for an empty text.
 
     Times without a zone are read as UTC.
@@ -174,12 +176,12 @@ def from_text(texts: list[str], beside: TimeScale | None) -> tuple[FloatArray, T
         parts.append(int(fraction.ljust(9, "0")) - _offset(match[5] or ""))
         known[row] = True
     try:
-        whole = np.array(days, dtype="M8[ns]").astype(np.int64)
+        integer = np.array(days, dtype="M8[ns]").astype(np.int64)
     except ValueError:
         row = int(np.flatnonzero(known)[next(i for i, day in enumerate(days) if not _is_day(day))])
         raise NotIso(row, "a date and time that exists") from None
-    since[known] = whole + np.array(parts, dtype=np.int64)
-    seconds, origin = from_nanoseconds(since[known], beside)
+    since[known] = integer + np.array(parts, dtype=np.int64)
+    seconds, origin = from_nanoseconds(since[known], reference)
     found = np.full(len(texts), np.nan)
     found[known] = seconds
     return found, TimeScale("text", origin=origin, between=between, digits=digits, zone=zone or "")

@@ -123,8 +123,8 @@ class Track:
     inputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        is_whole = isinstance(self.track_id, int | np.integer) and not isinstance(self.track_id, bool)
-        if not is_whole or abs(int(self.track_id)) > LARGEST_ID:
+        is_integer = isinstance(self.track_id, int | np.integer) and not isinstance(self.track_id, bool)
+        if not is_integer or abs(int(self.track_id)) > LARGEST_ID:
             raise InputError(f"track_id {self.track_id!r}", f"a whole number within ±{LARGEST_ID}")
         if not is_text(self.label):
             raise InputError(f"label {self.label!r} of track {self.track_id}", TEXT)

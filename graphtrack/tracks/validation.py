@@ -274,8 +274,8 @@ class Speeds:
 
 def median_speed(t: FloatArray, position: FloatArray) -> tuple[float, int]:
     """Return the median speed (m/s) over about 1 s, and the number of positions; 0, 0 for fewer than two."""
-    seen = np.isfinite(position).all(axis=1)
-    position, t = position[seen], t[seen]
+    has_position = np.isfinite(position).all(axis=1)
+    position, t = position[has_position], t[has_position]
     if len(t) < 2:
         return 0.0, 0
     apart = max(1, round(min(_SPAN / _median(t[1:] - t[:-1]), len(t) - 1.0)))

@@ -77,16 +77,16 @@ def show_forecasts(to: Recording, columns: Mapping[str, NDArray[np.generic]], pl
     ----------
     columns : (rows,) as of `graphtrack.forecasting.recorded.Forecasts`, with ``frame``
     """
-    who, t = columns["track_id"].astype(np.int64), columns["t"].astype(float)
-    order = np.lexsort((columns["ahead"].astype(float), t, who))
-    who, t = who[order], t[order]
+    track_ids, t = columns["track_id"].astype(np.int64), columns["t"].astype(float)
+    order = np.lexsort((columns["ahead"].astype(float), t, track_ids))
+    track_ids, t = track_ids[order], t[order]
     there = np.column_stack([columns["x"], columns["y"]]).astype(float)[order]
     radius = columns["radius_90"].astype(float)[order]
     frame = columns["frame"].astype(np.int64)[order]
-    new_person = np.flatnonzero(np.diff(who, prepend=who[:1] - 1))
-    for rows in np.split(np.arange(len(who)), new_person[1:]) if len(who) else ():
+    new_person = np.flatnonzero(np.diff(track_ids, prepend=track_ids[:1] - 1))
+    for rows in np.split(np.arange(len(track_ids)), new_person[1:]) if len(track_ids) else ():
         first = np.flatnonzero(np.diff(t[rows], prepend=-np.inf))
-        _of_person(to, int(who[rows[0]]), t[rows], frame[rows], there[rows], radius[rows], first, place)
+        _of_person(to, int(track_ids[rows[0]]), t[rows], frame[rows], there[rows], radius[rows], first, place)
 
 
 def _of_person(

@@ -92,12 +92,12 @@ def layout(
         contents=f"/{GROUND}/**",
         visual_bounds=views.VisualBounds2D(x_range=[left, right], y_range=[-top, -bottom]),
     )
-    beside = [views.Spatial2DView(name="Video", origin=f"/{VIDEO}")] if video else []
+    video_views = [views.Spatial2DView(name="Video", origin=f"/{VIDEO}")] if video else []
     if person is not None:
         for name, lines in _PLOTS.items():
             known = [f"/{SERIES}/{person}/{line}" for line in lines if line in series]
             if known:
-                beside.append(
+                video_views.append(
                     views.TimeSeriesView(
                         name=f"Person {person}: {name}",
                         origin=f"/{SERIES}/{person}",
@@ -105,8 +105,8 @@ def layout(
                         plot_legend=views.PlotLegend(visible=False),
                     )
                 )
-    shares = [2.0 if k == 0 and video else 1.0 for k in range(len(beside))]
-    parts = [ground, views.Vertical(*beside, row_shares=shares)] if beside else [ground]
+    shares = [2.0 if k == 0 and video else 1.0 for k in range(len(video_views))]
+    parts = [ground, views.Vertical(*video_views, row_shares=shares)] if video_views else [ground]
     panel = views.TimePanel(state="collapsed", timeline=TIME, play_state="following" if live else None)
     return views.Blueprint(
         views.Horizontal(*parts, column_shares=[3.0, 2.0][: len(parts)]),

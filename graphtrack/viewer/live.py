@@ -28,7 +28,7 @@ _INTERVAL = 0.25
 """Polling interval in seconds."""
 _MUCH = 1 << 15
 """Largest read in bytes."""
-_SAID = 64
+_REMEMBERED = 64
 """Number of frames whose rows are kept, because they may be revised."""
 _ROOM = 0.25
 
@@ -49,7 +49,7 @@ class LiveView:
         self._people: ShownPeople
         self._extent: Extent | None = None
         self._stream: Any = None
-        self._said: OrderedDict[float, dict[int, Row]] = OrderedDict()
+        self._reported: OrderedDict[float, dict[int, Row]] = OrderedDict()
         self._held: list[Row] = []
 
     def show(self, answers: Iterable[Row]) -> None:
@@ -66,10 +66,10 @@ class LiveView:
             return
         for track_id, of_person in _by_person(known).items():
             self._people.add(track_of(track_id, of_person))
-        told = self._held + [row for row in rows if row.get("track_id") is not None]
-        newest = max((row["t"] for row in told), default=0.0)
-        self._held = [row for row in told if row["t"] == newest and _tells_more(row)]
-        self._tell(row for row in told if row["t"] != newest)
+        ready = self._held + [row for row in rows if row.get("track_id") is not None]
+        newest = max((row["t"] for row in ready), default=0.0)
+        self._held = [row for row in ready if row["t"] == newest and _adds_columns(row)]
+        self._show_scene(row for row in ready if row["t"] != newest)
         if known:
             self._people.leave(newest)
 
@@ -77,7 +77,7 @@ class LiveView:
         """Show the data of the last frame, and complete the recording."""
         if self._to is None:
             self._open([])
-        self._tell(self._held)
+        self._show_scene(self._held)
         self._stack.close()
 
     def _is_ours(self, row: Row) -> bool:
@@ -92,9 +92,9 @@ class LiveView:
         clock = bool(known) and known[0]["t"] >= CLOCK_TIMES
         if self._person is None and known:
             self._person = known[0]["track_id"]
-        self._extent = Extent.of(_places(known)).around(Extent.of(np.zeros((0, 2))), 0.0)
+        self._extent = Extent.of(_positions(known)).around(Extent.of(np.zeros((0, 2))), 0.0)
         arranged = layout(self._extent, self._person, live=True)
-        self._to = self._stack.enter_context(recording(self._target, arranged, clock=clock, whole=False))
+        self._to = self._stack.enter_context(recording(self._target, arranged, clock=clock, complete=False))
         self._people = ShownPeople(
             self._to, self._extent.size, series=[] if self._person is None else [self._person]
         )
@@ -104,15 +104,15 @@ class LiveView:
     def _see(self, known: list[Row]) -> None:
         """Store the rows, and show their part of the ground."""
         for row in known:
-            self._said.setdefault(row["t"], {})[row["track_id"]] = row
-        while len(self._said) > _SAID:
-            self._said.popitem(last=False)
-        self._reach(Extent.of(_places(known)))
+            self._reported.setdefault(row["t"], {})[row["track_id"]] = row
+        while len(self._reported) > _REMEMBERED:
+            self._reported.popitem(last=False)
+        self._reach(Extent.of(_positions(known)))
 
-    def _reach(self, seen: Extent) -> None:
+    def _reach(self, reached: Extent) -> None:
         """Extend the visible ground if an object leaves it."""
         assert self._to is not None and self._extent is not None
-        extent = self._extent.around(seen, _ROOM)
+        extent = self._extent.around(reached, _ROOM)
         if extent is not self._extent:
             self._extent = extent
             self._people.size = extent.size
@@ -123,7 +123,7 @@ class LiveView:
         """Return rows that replace rows whose detections were reassigned."""
         found: list[Row] = []
         for t in sorted({one["t"] for one in revised}):
-            there = self._said.get(t)
+            there = self._reported.get(t)
             if there is None:
                 continue
             moves = [one for one in revised if one["t"] == t and one["before"] in there]
@@ -133,20 +133,20 @@ class LiveView:
                 if row is not None and one["before"] not in moved:
                     self._people.remove(one["before"], t, row["frame"])
                     known[:] = [k for k in known if k is not row]
-            new = {who: {**row, "track_id": who} for who, row in moved.items()}
+            new = {track_id: {**row, "track_id": track_id} for track_id, row in moved.items()}
             there.update(new)
             found += new.values()
         return found
 
-    def _tell(self, rows: Iterable[Row]) -> None:
+    def _show_scene(self, rows: Iterable[Row]) -> None:
         """Show groups and forecasts of frames that have ended."""
         if self._to is None:
             return
-        told = list(rows)
-        grouped = sorted((row for row in told if "group" in row), key=lambda row: row["t"])
+        ready = list(rows)
+        grouped = sorted((row for row in ready if "group" in row), key=lambda row: row["t"])
         if grouped:
             show_groups(self._to, _groups(grouped), self._people.place)
-        ahead = [{**step, **_head(row)} for row in told for step in row.get("forecast", ())]
+        ahead = [{**step, **_head(row)} for row in ready for step in row.get("forecast", ())]
         if ahead:
             names = ("track_id", "frame", "t", "ahead", "x", "y", "radius_90")
             columns = {name: np.array([step[name] for step in ahead]) for name in names}
@@ -180,14 +180,14 @@ def _by_person(rows: list[Row]) -> dict[int, list[Row]]:
     found: dict[int, dict[float, Row]] = {}
     for row in rows:
         found.setdefault(row["track_id"], {})[row["t"]] = row
-    return {who: [of[t] for t in sorted(of)] for who, of in found.items()}
+    return {track_id: [of[t] for t in sorted(of)] for track_id, of in found.items()}
 
 
-def _places(rows: list[Row]) -> np.ndarray:
+def _positions(rows: list[Row]) -> np.ndarray:
     return np.array([[row["x"], row["y"]] for row in rows], float).reshape(-1, 2)
 
 
-def _tells_more(row: Row) -> bool:
+def _adds_columns(row: Row) -> bool:
     return "group" in row or "forecast" in row
 
 

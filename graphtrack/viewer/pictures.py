@@ -187,15 +187,15 @@ def _of_report(folder: Path) -> PersonBoxes | None:
     rows = boxes_of_file(boxes, None, ReadOptions())
     if rows is None:
         return None
-    frame, who, box = [], [], []
+    frame, track_ids, box = [], [], []
     for track in read_identified(observations):
         number = track.inputs.get(_NUMBER)
         if number is None:
             continue
         there = np.isfinite(number)
         frame.append(track.frame[there])
-        who.append(np.full(int(there.sum()), track.track_id))
+        track_ids.append(np.full(int(there.sum()), track.track_id))
         box.append(rows.channels["box"][number[there].astype(int)])
     if not frame:
         return None
-    return PersonBoxes(np.concatenate(frame), np.concatenate(who), np.concatenate(box))
+    return PersonBoxes(np.concatenate(frame), np.concatenate(track_ids), np.concatenate(box))

@@ -145,24 +145,26 @@ class Recording:
 
 
 @contextmanager
-def recording(target: Target, layout: Any, *, clock: bool = False, whole: bool = True) -> Iterator[Recording]:
+def recording(
+    target: Target, layout: Any, *, clock: bool = False, complete: bool = True
+) -> Iterator[Recording]:
     """A recording that goes to its target, complete at the end.
 
     Parameters
     ----------
     layout : of the window, as `graphtrack.viewer.layout` makes it
     clock : True if times are seconds since 1970
-    whole : whether a file is there whole or not at all; else it grows, and what is in it can be seen
+    complete : whether a file is there whole or not at all; else it grows, and what is in it can be seen
 
     Raises
     ------
     InputError
         If the file cannot be written, no window opened, or the viewer not reached.
     """
-    if target.save is not None and whole:
+    if target.save is not None and complete:
         with (
             atomic_path(target.save) as temporary,
-            recording(Target(temporary), layout, clock=clock, whole=False) as made,
+            recording(Target(temporary), layout, clock=clock, complete=False) as made,
         ):
             yield made
         return

@@ -83,7 +83,7 @@ def view(
         for track in placed:
             people.add(track)
         people.leave(end)
-        place = _Places(tracks)
+        place = _TrackPositions(tracks)
         if given is not None and given.groups is not None:
             arrange_groups(made)
             show_groups(made, given.groups, place)
@@ -96,7 +96,7 @@ def view(
             show_frames(made, frames, times)
 
 
-class _Places:
+class _TrackPositions:
     """Return positions of people, from their tracks."""
 
     def __init__(self, tracks: TrackSet) -> None:

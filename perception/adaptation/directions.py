@@ -31,7 +31,10 @@ from perception.pose.head_detection import HeadCandidates
 _STEP = 2  # pixels of a patch between searched positions
 _APART = 2  # steps between a template's cells
 _CELLS = 14
-_ABOVE, _BESIDE = 10, 14  # steps from a template's first cell to the middle of the head, down and across
+_HEAD_ROW, _HEAD_COLUMN = (
+    10,
+    14,
+)  # steps from a template's first cell to the middle of the head, down and across
 _ACROSS, _DOWN = 11, 10  # search range in steps around the usual position of a head
 _USUAL = np.array([0.0, 0.085])  # the middle of the head, in heights of the box from the middle of its top
 _MARGIN = 6  # margin of the searched part in squares, for filters
@@ -41,7 +44,7 @@ _SQUARES = (2 * _DOWN + 1 + _APART * _CELLS, 2 * _ACROSS + 1 + _APART * _CELLS)
 _SHRINKAGE = 0.05
 _QUARTERS = 4
 _SHARED = 30.0  # weight in samples of the common mean in the mean of each quarter
-_BESIDE_EACH = 5  # background positions per head, for the covariance
+_NEGATIVES_EACH = 5  # background positions per head, for the covariance
 _NOT_NEAR = 4.0  # least distance of a background position from the head, in steps
 
 HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
@@ -50,12 +53,12 @@ HEAD_WIDTH, HEAD_HEIGHT = 0.13, 0.16
 _X, _Y = (
     part.ravel() for part in np.meshgrid(np.arange(-_ACROSS, _ACROSS + 1), np.arange(-_DOWN, _DOWN + 1))
 )
-_PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) searched positions of a head
+_HEAD_POSITIONS = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) searched positions of a head
 
 
 def within_reach(head: FloatArray) -> NDArray[np.bool_]:
     """Return a mask (n,) of heads (n, 2), in heights of the box, within the searched positions."""
-    low, high = _PLACES.min(axis=0), _PLACES.max(axis=0)
+    low, high = _HEAD_POSITIONS.min(axis=0), _HEAD_POSITIONS.max(axis=0)
     return np.asarray(((head >= low) & (head <= high)).all(axis=1), np.bool_)
 
 
@@ -66,7 +69,7 @@ def orientations(patch: Image) -> NDArray[np.float32]:
     around.
     """
     middle = np.rint(in_patch(_USUAL) / _STEP).astype(int)
-    first = middle[::-1] - np.array([_ABOVE + _DOWN, _BESIDE + _ACROSS])
+    first = middle[::-1] - np.array([_HEAD_ROW + _DOWN, _HEAD_COLUMN + _ACROSS])
     small = (patch.shape[1] // _STEP, patch.shape[0] // _STEP)
     values = np.sqrt(cv2.resize(grey(patch), small, interpolation=cv2.INTER_AREA).astype(np.float32))
     rows, columns = (
@@ -90,12 +93,12 @@ def orientations(patch: Image) -> NDArray[np.float32]:
     return np.ascontiguousarray(layers[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN])
 
 
-def _windows(layers: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.float32]:
+def _windows(layers: NDArray[np.float32], window_rows: NDArray[np.int64]) -> NDArray[np.float32]:
     """Windows (n, 9 · cells²) of a template at some of the places (n,): row by row, its cells' bins."""
-    row, column = places // (2 * _ACROSS + 1), places % (2 * _ACROSS + 1)
+    row, column = window_rows // (2 * _ACROSS + 1), window_rows % (2 * _ACROSS + 1)
     cells = _APART * np.arange(_CELLS)
     found = layers[(row[:, None] + cells)[:, :, None], (column[:, None] + cells)[:, None, :]]
-    return np.ascontiguousarray(found).reshape(len(places), -1)
+    return np.ascontiguousarray(found).reshape(len(window_rows), -1)
 
 
 def _mirrored(windows: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -139,7 +142,7 @@ class HeadTemplates:
     def scores(self, patch: Image) -> FloatArray:
         """Return log ratios (n,) of a head at each searched position, by the likeliest template."""
         found = _correlated(orientations(patch), self.weight) + self.bias
-        away = (_PLACES - self.place[0]) / self.place[1]
+        away = (_HEAD_POSITIONS - self.place[0]) / self.place[1]
         return np.asarray(found.max(axis=1) - 0.5 * np.square(away).sum(axis=1), float)
 
     def candidates(self, patch: Image, most: int = 3) -> HeadCandidates:
@@ -152,7 +155,7 @@ class HeadTemplates:
             kept.append(best)
             left = left[np.maximum(np.abs(_X[left] - _X[best]), np.abs(_Y[left] - _Y[best])) > 2]
         size = np.array([HEAD_WIDTH, HEAD_HEIGHT])
-        boxes = np.hstack([_PLACES[kept] - size / 2.0, np.broadcast_to(size, (len(kept), 2))])
+        boxes = np.hstack([_HEAD_POSITIONS[kept] - size / 2.0, np.broadcast_to(size, (len(kept), 2))])
         return HeadCandidates(boxes, scores[kept])
 
 
@@ -164,14 +167,14 @@ class HeadSamples:
     ----------
     place : (n, 2) middles of heads, in heights of the box from the middle of its top
     quarter : (2, n) of the directions, of the heads and of their mirror images
-    seen : (2, n, d) windows of a template at the heads
+    observed : (2, n, d) windows of a template at the heads
     mean : (d,) of the background
     factor : of the covariance of the background, as from `scipy.linalg.cho_factor`
     """
 
     place: FloatArray
     quarter: NDArray[np.int64]
-    seen: NDArray[np.float32]
+    observed: NDArray[np.float32]
     mean: NDArray[np.float32]
     factor: tuple[NDArray[Any], bool]
 
@@ -187,18 +190,18 @@ class HeadSamples:
         place : (n, 2) as above
         angle : (n,) radians, direction of travel in the image frame
         """
-        nearest = np.argmin(np.square(place[:, None, :] - _PLACES).sum(axis=2), axis=1)
-        seen, beside = [], []
+        nearest = np.argmin(np.square(place[:, None, :] - _HEAD_POSITIONS).sum(axis=2), axis=1)
+        observed, negatives_near = [], []
         for patch, best in zip(patches, nearest.tolist(), strict=True):
             far = np.flatnonzero(np.hypot(_X - _X[best], _Y - _Y[best]) > _NOT_NEAR)
-            places = np.array([best, *rng.choice(far, _BESIDE_EACH, replace=False)])
-            windows = _windows(orientations(patch), places)
-            seen.append(windows[0])
-            beside.append(windows[1:])
-        heads, others = np.array(seen), np.concatenate(beside)
-        others = np.vstack([others, _mirrored(others)])
-        mean = others.mean(axis=0)
-        covariance = (others - mean).T @ (others - mean) / len(others)
+            window_rows = np.array([best, *rng.choice(far, _NEGATIVES_EACH, replace=False)])
+            windows = _windows(orientations(patch), window_rows)
+            observed.append(windows[0])
+            negatives_near.append(windows[1:])
+        heads, negatives = np.array(observed), np.concatenate(negatives_near)
+        negatives = np.vstack([negatives, _mirrored(negatives)])
+        mean = negatives.mean(axis=0)
+        covariance = (negatives - mean).T @ (negatives - mean) / len(negatives)
         size = len(covariance)
         covariance[np.diag_indices(size)] += _SHRINKAGE * np.trace(covariance) / size + 1e-6
         quarter = np.stack([_quarter(angle), _quarter(-angle)])
@@ -207,7 +210,7 @@ class HeadSamples:
 
     def templates(self, used: NDArray[np.bool_]) -> HeadTemplates:
         """Fit templates to the used heads (n,)."""
-        heads, quarter = self.seen[:, used].reshape(-1, len(self.mean)), self.quarter[:, used].ravel()
+        heads, quarter = self.observed[:, used].reshape(-1, len(self.mean)), self.quarter[:, used].ravel()
         shared = heads.mean(axis=0)
         means = []
         for k in range(_QUARTERS):
@@ -312,34 +315,36 @@ HEAD = View((-0.18, -0.14, 0.36, 0.36), (64, 64))
 
 
 @dataclass(frozen=True, eq=False)
-class Taught:
+class DirectionModel:
     """Linear model of the eight directions.
 
     Attributes
     ----------
     weight : (8, d); bias : (8,)
     temperature, share : as in `fit_temperature_and_share`
-    seen : (8,) whether people, or rendered people, walked in the direction or its mirror image
+    observed : (8,) whether people, or rendered people, walked in the direction or its mirror image
     """
 
     weight: NDArray[np.float32]
     bias: FloatArray
     temperature: float
     share: float
-    seen: NDArray[np.bool_]
+    observed: NDArray[np.bool_]
 
     def log_likelihoods(self, features: NDArray[np.float32], sign: NDArray[np.float32]) -> FloatArray:
         """Calibrated (n, 8), of features (n, d) and with `View.sign` (d,) of the mirror images too."""
         scores = _of_both(features, sign, self.weight, self.bias)
-        return calibrated(scores, self.temperature, self.share, self.seen)
+        return calibrated(scores, self.temperature, self.share, self.observed)
 
 
-def calibrated(scores: FloatArray, temperature: float, share: float, seen: NDArray[np.bool_]) -> FloatArray:
+def calibrated(
+    scores: FloatArray, temperature: float, share: float, observed: NDArray[np.bool_]
+) -> FloatArray:
     """Return log likelihoods (n, 8); directions without walkers have the mean of the others."""
     p = with_neighbours(np.exp(log_softmax(scores / temperature, axis=1)), share)
-    p = np.where(seen, p, 0.0)
+    p = np.where(observed, p, 0.0)
     p /= np.maximum(p.sum(axis=1, keepdims=True), 1e-12)
-    p = np.where(seen, p, 1.0 / max(int(seen.sum()), 1))
+    p = np.where(observed, p, 1.0 / max(int(observed.sum()), 1))
     return np.asarray(np.log(np.maximum(p / p.sum(axis=1, keepdims=True), 1e-6)), float)
 
 
@@ -382,14 +387,14 @@ def folds_of(person: NDArray[np.int64], rng: np.random.Generator, most: int = _F
     return np.asarray(rng.permutation(len(people))[place] % min(most, len(people)), np.int64)
 
 
-def taught(
+def fit_directions(
     features: NDArray[np.float32],
     sign: NDArray[np.float32],
     angle: FloatArray,
     person: NDArray[np.int64],
     fold: NDArray[np.int64],
     rendered: tuple[NDArray[np.float32], FloatArray] | None = None,
-) -> tuple[Taught, HeldOut]:
+) -> tuple[DirectionModel, HeldOut]:
     """Fit a model to all people, and return held-out outputs for each person.
 
     Parameters
@@ -404,8 +409,8 @@ def taught(
     label = CLASSES.index(angle)
     more, tried = None, list(_CHOICES)
     if rendered is not None:
-        others, of_others = rendered
-        more = Sums.of(others, sign, CLASSES.index(of_others), np.arange(len(others)))
+        negatives, rendered_negatives = rendered
+        more = Sums.of(negatives, sign, CLASSES.index(rendered_negatives), np.arange(len(negatives)))
         tried = [*_CHOICES, *_CHOICES_WITH_RENDERED]
     parts = np.unique(fold).tolist()
     sums = [Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
@@ -416,32 +421,32 @@ def taught(
         for s, (shrinkage, share) in enumerate(tried):
             model = rest.helped(more, share).discriminant(sign, shrinkage)
             scores[s, fold == k] = _of_both(features[fold == k], sign, *model)
-    walked = seen_directions(label, person)
+    walked = observed_directions(label, person)
     # Rendered people cover all directions.
-    seen = [walked | (share > 0.0) for _, share in tried]
-    found = [_honest(*one, label, fold) for one in zip(scores, seen, strict=True)]
+    observed = [walked | (share > 0.0) for _, share in tried]
+    found = [_honest(*one, label, fold) for one in zip(scores, observed, strict=True)]
     best = int(np.argmin([one.loss(angle) for one in found]))
-    temperature, beside = fit_temperature_and_share(scores[best], label)
+    temperature, negatives_near = fit_temperature_and_share(scores[best], label)
     shrinkage, share = tried[best]
     weight, bias = everybody.helped(more, share).discriminant(sign, shrinkage)
-    return Taught(weight, bias, temperature, beside, seen[best]), found[best]
+    return DirectionModel(weight, bias, temperature, negatives_near, observed[best]), found[best]
 
 
-def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
+def observed_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Mask (8,) of directions with enough walkers, mirror images included, by labels (n,)."""
     people = [len(np.unique(person[(label == k) | (label == _MIRROR[k])])) for k in range(len(CLASSES))]
     return np.array(people) >= _LEAST_PEOPLE
 
 
 def _honest(
-    scores: FloatArray, seen: NDArray[np.bool_], label: NDArray[np.int64], fold: NDArray[np.int64]
+    scores: FloatArray, observed: NDArray[np.bool_], label: NDArray[np.int64], fold: NDArray[np.int64]
 ) -> HeldOut:
     """Calibrate scores (n, 8) on people of the other folds."""
     result = np.empty_like(scores)
     for k in np.unique(fold).tolist():
         rest = fold != k
         values = fit_temperature_and_share(scores[rest], label[rest])
-        result[~rest] = calibrated(scores[~rest], *values, seen)
+        result[~rest] = calibrated(scores[~rest], *values, observed)
     return HeldOut(result)
 
 
@@ -492,23 +497,25 @@ class Sums:
         even, odd = (a - b for a, b in zip(self.squares, other.squares, strict=True))
         return Sums(self.weight - other.weight, self.total - other.total, (even, odd))
 
-    def helped(self, others: Sums | None, share: float) -> Sums:
+    def helped(self, negatives: Sums | None, share: float) -> Sums:
         """Add other people, shifted to these, with a total weight of ``share`` of these."""
-        if others is None or share == 0.0:
+        if negatives is None or share == 0.0:
             return self
-        factor = share * float(self.weight.sum()) / float(others.weight.sum())
-        moved = others.moved_to(self)
+        factor = share * float(self.weight.sum()) / float(negatives.weight.sum())
+        moved = negatives.moved_to(self)
         even, odd = (factor * square for square in moved.squares)
         return self + Sums(factor * moved.weight, factor * moved.total, (even, odd))
 
-    def moved_to(self, others: Sums) -> Sums:
+    def moved_to(self, negatives: Sums) -> Sums:
         """Shift these by the mean difference to others of the same direction.
 
         Features that change sign under mirroring are not shifted, by symmetry.
         """
         even = self.squares[0].shape[0]
         means = self.total[:, :even] / np.maximum(self.weight, 1e-9)[:, None]
-        apart = (others.total[:, :even] - others.weight[:, None] * means).sum(axis=0) / others.weight.sum()
+        apart = (negatives.total[:, :even] - negatives.weight[:, None] * means).sum(
+            axis=0
+        ) / negatives.weight.sum()
         total = self.total.copy()
         total[:, :even] += self.weight[:, None] * apart
         crossed = np.outer(self.total[:, :even].sum(axis=0), apart)
@@ -570,11 +577,11 @@ def class_outlier_probability(
     count : (n,) frames that each row stands for
     """
     turned = (CLASSES.index(angle)[:, None] + np.arange(len(CLASSES))) % len(CLASSES)
-    said = [np.take_along_axis(np.exp(log_softmax(part, axis=1)), turned, axis=1) for part in parts]
+    probability = [np.take_along_axis(np.exp(log_softmax(part, axis=1)), turned, axis=1) for part in parts]
     people, whose = np.unique(person, return_inverse=True)
 
     def loss(share: float) -> float:
-        of_row = sum(np.log((1.0 - share) * p + share / len(CLASSES)) for p in said)
+        of_row = sum(np.log((1.0 - share) * p + share / len(CLASSES)) for p in probability)
         of_person = np.zeros((len(people), len(CLASSES)))
         np.add.at(of_person, whose, of_row * count[:, None])
         return -float(log_softmax(of_person, axis=1)[:, 0].mean())

@@ -20,7 +20,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
 from perception.detection.boxes import PersonBox
-from perception.ground.upright import LeaningView, feet_of, heights_of, standing_in, upright_picture
+from perception.ground.upright import LeaningView, feet_of, heights_of, leaning_pose_in, upright_picture
 from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
 from perception.pose.features import LENGTH, Projection, describe, light_of
@@ -97,18 +97,18 @@ def cut(patch: Image, head: FloatArray, window: Window, size: tuple[int, int]) -
 _CENTRAL = 0.25  # share of the image, at each side, without principal points
 
 
-def looks_of(
+def descriptors_of_people(
     frames: Iterable[Frame], boxes: Sequence[PersonBox], refuse: Callable[[str], object]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return appearance of people (n, `LENGTH`), and a mask (n,) of usable boxes.
 
     ``refuse`` receives undecodable frames and empty boxes.
     """
-    looks, usable = np.zeros((len(boxes), LENGTH), np.uint8), np.zeros(len(boxes), bool)
+    descriptors, usable = np.zeros((len(boxes), LENGTH), np.uint8), np.zeros(len(boxes), bool)
     for image, inside in _in_frames(frames, boxes, refuse):
         pictures = [crop(image, boxes[k].box) for k in inside]
-        looks[inside], usable[inside] = describe(pictures, light_of(image)), True
-    return looks, usable
+        descriptors[inside], usable[inside] = describe(pictures, light_of(image)), True
+    return descriptors, usable
 
 
 def patches_in(
@@ -125,7 +125,7 @@ def patches_in(
     for image, inside in _in_frames(frames, boxes, refuse):
         for k in inside:
             box = boxes[k].box
-            found[k] = patch_of(*upright_picture(image, box, standing_in(view, box)))
+            found[k] = patch_of(*upright_picture(image, box, leaning_pose_in(view, box)))
     return found
 
 
@@ -209,9 +209,9 @@ class WalkingLabels:
     def __len__(self) -> int:
         return len(self.box)
 
-    def taken(self, places: NDArray[np.int64]) -> WalkingLabels:
+    def taken(self, rows: NDArray[np.int64]) -> WalkingLabels:
         """Return a subset of the labels."""
-        parts = {name: getattr(self, name)[places] for name in ("box", "person", "angle", "std", "count")}
+        parts = {name: getattr(self, name)[rows] for name in ("box", "person", "angle", "std", "count")}
         return WalkingLabels(**parts, tracks=self.tracks)
 
     @classmethod
@@ -219,13 +219,13 @@ class WalkingLabels:
         """Join labels of pieces with (box, person, angle, std) each, with counts of 1."""
         columns = zip(*parts, strict=True) if parts else [[np.zeros(0)]] * 4
         box, person, angle, std = (np.concatenate(column) for column in columns)
-        ones = np.ones(len(box))
-        return cls(box.astype(np.int64), person.astype(np.int64), angle, std, tracks, ones)
+        unit_column = np.ones(len(box))
+        return cls(box.astype(np.int64), person.astype(np.int64), angle, std, tracks, unit_column)
 
 
 def walking_labels(
     boxes: Sequence[PersonBox],
-    looks: NDArray[np.uint8] | None,
+    descriptors: NDArray[np.uint8] | None,
     camera: GroundCamera,
     clock: float | Clock,
     view: LeaningView | None = None,
@@ -235,7 +235,7 @@ def walking_labels(
     Parameters
     ----------
     boxes : associated if without identities
-    looks : (n, `LENGTH`) appearance, for the association; None: not known
+    descriptors : (n, `LENGTH`) appearance, for the association; None: not known
     camera : over the ground
     clock : times of the frames, or frames a second
     view : view in which people lean, so that feet are not at the lower edge of boxes
@@ -259,10 +259,10 @@ def walking_labels(
         scores = [item.score for item in boxes]
         if all(score is not None for score in scores):
             table["score"] = np.array(scores, float)[usable]
-        if looks is not None:
-            known = looks[usable].reshape(-1, LENGTH)
-            of_looks = Projection.fitted(known)(known)
-            table |= {f"appearance_{k}": column for k, column in enumerate(of_looks.T)}
+        if descriptors is not None:
+            known = descriptors[usable].reshape(-1, LENGTH)
+            projected = Projection.fitted(known)(known)
+            table |= {f"appearance_{k}": column for k, column in enumerate(projected.T)}
         tracks = associate({**table, "track_id": np.full(len(usable), -1)})
     found = _of_walkers(tracks, camera)
     height = heights_of([boxes[k] for k in found.box.tolist()], view)
@@ -272,14 +272,14 @@ def walking_labels(
 def _of_walkers(tracks: TrackSet, camera: GroundCamera) -> WalkingLabels:
     found: list[tuple[NDArray[Any], ...]] = []
     long = tracks.with_tracks(track for track in tracks if len(track) >= _LEAST_BOXES)
-    for seen, track in zip(long, smooth(long, "position") if len(long) else (), strict=True):
+    for observed, track in zip(long, smooth(long, "position") if len(long) else (), strict=True):
         assert track.velocity is not None and track.covariance is not None
         speed = np.maximum(np.linalg.norm(track.velocity, axis=1), 1e-9)
         aside = np.column_stack([-track.velocity[:, 1], track.velocity[:, 0]]) / speed[:, None]
         variance = np.einsum("ni,nij,nj->n", aside, track.covariance[:, 2:4, 2:4], aside)
         deviation = np.sqrt(variance) / speed
         sure = (speed > _LEAST_SPEED) & (deviation < _LARGEST_STD)
-        rows = seen.inputs[_ROW].reshape(-1)
+        rows = observed.inputs[_ROW].reshape(-1)
         sure &= np.isfinite(rows)
         sure &= _leads_away(sure, track.position, _LEAST_WAY)
         if int(np.isfinite(rows).sum()) < _LEAST_BOXES:

@@ -23,16 +23,16 @@ from perception.adaptation.directions import (
     HEAD_HEIGHT,
     HEAD_WIDTH,
     OUTLIERS,
+    DirectionModel,
     HeadSamples,
     HeadTemplates,
     HeldOut,
-    Taught,
     class_outlier_probability,
     crop_of,
+    fit_directions,
     folds_of,
     head_of_crop,
-    seen_directions,
-    taught,
+    observed_directions,
     within_reach,
 )
 from perception.adaptation.labels import (
@@ -43,8 +43,8 @@ from perception.adaptation.labels import (
     WalkingLabels,
     as_patch,
     check_camera,
+    descriptors_of_people,
     in_patch,
-    looks_of,
     of_patch,
     patches_in,
     surroundings,
@@ -52,8 +52,8 @@ from perception.adaptation.labels import (
 )
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox
-from perception.ground.upright import LeaningView, feet_of, standing_in, upright_picture
-from perception.images.frames import Clock, Frame, FrameSource, Progress, seconds, told_frames
+from perception.ground.upright import LeaningView, feet_of, leaning_pose_in, upright_picture
+from perception.images.frames import Clock, Frame, FrameSource, Progress, frames_with_progress, seconds
 from perception.images.pixels import Image, crop
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 from perception.pose.classifier import FeatureClassifier
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 
 _COUNT = 900
-_PLACES = 60  # positions per recording with rendered people
+_MOST_WALKERS = 60  # positions per recording with rendered people
 _FRAMES = 20  # frames in the median that shows a position without people
 _STEEPEST = 1.2  # radians; people are not upright from straight above
 _UNKNOWN = (0.0, 0.45), 10.0  # elevation (from, to) and distance in metres for an unknown camera
@@ -88,40 +88,40 @@ class Scenery:
         view: LeaningView | None,
         camera: GroundCamera,
     ) -> None:
-        self._walkers = [walkers[k] for k in _evenly(len(walkers), _PLACES).tolist()]
+        self._walkers = [walkers[k] for k in _evenly(len(walkers), _MOST_WALKERS).tolist()]
         numbers = sorted({item.frame for item in people})
         self.frames = frozenset(numbers[k] for k in _evenly(len(numbers), _FRAMES).tolist())
         """Return the numbers of the needed frames."""
         self._view, self._camera = view, camera
-        self._seen: list[list[Image]] = [[] for _ in self._walkers]
+        self._elevations: list[list[Image]] = [[] for _ in self._walkers]
 
     def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """Yield the same frames, and collect the needed backgrounds from them."""
         for frame in frames:
             if frame.image is not None and frame.number in self.frames:
-                for item, seen in zip(self._walkers, self._seen, strict=True):
+                for item, elevation in zip(self._walkers, self._elevations, strict=True):
                     found = surroundings(
-                        *upright_picture(frame.image, item.box, standing_in(self._view, item.box))
+                        *upright_picture(frame.image, item.box, leaning_pose_in(self._view, item.box))
                     )
-                    seen.append(as_patch(found) if len(found) > ROWS else found)
+                    elevation.append(as_patch(found) if len(found) > ROWS else found)
             yield frame
 
-    def places(self, rng: np.random.Generator) -> list[Place]:
+    def positions(self, rng: np.random.Generator) -> list[Place]:
         """Return the backgrounds of some walking people."""
         from perception.synthetic.inserted import Place
 
         feet = self._camera.image_to_ground(feet_of(self._walkers, self._view))
         found = []
-        for item, foot, seen in zip(self._walkers, feet, self._seen, strict=True):
-            if not seen:
+        for item, foot, elevation in zip(self._walkers, feet, self._elevations, strict=True):
+            if not elevation:
                 continue
-            image = np.median(np.stack(seen), axis=0).astype(np.uint8)
-            standing = standing_in(self._view, item.box)
+            image = np.median(np.stack(elevation), axis=0).astype(np.uint8)
+            standing = leaning_pose_in(self._view, item.box)
             _, _, width, height = item.box if standing is None else standing.box
             scale = len(image) / ROWS
             wide = TALL * width / height
             box = scale * (COLUMNS - wide) / 2.0, scale * ABOVE, scale * wide, scale * TALL
-            found.append(Place(image, box, *_seen_from(self._camera, foot, rng)))
+            found.append(Place(image, box, *_camera_elevation(self._camera, foot, rng)))
         return found
 
 
@@ -130,7 +130,9 @@ def _evenly(n: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
 
 
-def _seen_from(camera: GroundCamera, foot: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
+def _camera_elevation(
+    camera: GroundCamera, foot: FloatArray, rng: np.random.Generator
+) -> tuple[float, float]:
     """Return the elevation of the camera above a person at ``foot`` (2,), and its distance in metres."""
     centre = camera.optical_centre_on_ground
     if camera.height is None or centre is None:
@@ -149,14 +151,16 @@ class RenderedPeople:
     angle: FloatArray
 
 
-def rendered_people(places: Sequence[Place], rng: np.random.Generator, count: int = _COUNT) -> RenderedPeople:
+def rendered_people(
+    positions: Sequence[Place], rng: np.random.Generator, count: int = _COUNT
+) -> RenderedPeople:
     """Render walking people, in all directions equally, at the positions of observed walkers."""
     from perception.synthetic.inserted import with_person
 
     angle = rng.uniform(-np.pi, np.pi, count)
     patches, heads = [], []
-    for where, body in zip(rng.integers(0, len(places), count).tolist(), angle.tolist(), strict=True):
-        picture, head = with_person(places[where], body, rng)
+    for where, body in zip(rng.integers(0, len(positions), count).tolist(), angle.tolist(), strict=True):
+        picture, head = with_person(positions[where], body, rng)
         patches.append(as_patch(picture))
         heads.append(of_patch(head * (ROWS / len(picture))))
     return RenderedPeople(patches, np.array(heads), angle)
@@ -207,8 +211,8 @@ class _Attempt:
     """Models fitted with heads (n, 2) at given positions."""
 
     heads: FloatArray
-    body: Taught
-    head: Taught
+    body: DirectionModel
+    head: DirectionModel
     body_out: HeldOut
     head_out: HeldOut
 
@@ -253,7 +257,7 @@ def learn(
     rng: np.random.Generator,
     parameters: AdaptationParameters = AdaptationParameters(),
     advance: Callable[[int], None] = lambda count: None,
-    places: Sequence[Place] = (),
+    positions: Sequence[Place] = (),
 ) -> CameraModels:
     """Fit the models of a camera to walking people.
 
@@ -265,11 +269,11 @@ def learn(
     size : columns and rows of its frames
     package : initial models
     advance : called after each of the `stages`
-    places : backgrounds of walking people, for rendered people if there are few
+    positions : backgrounds of walking people, for rendered people if there are few
     """
     angle = labels.angle
     few = len(np.unique(labels.person)) < parameters.many_people
-    rendered = rendered_people(places, rng) if len(places) and few else None
+    rendered = rendered_people(positions, rng) if len(positions) and few else None
     fold = folds_of(labels.person, rng)
     some = _evenly(len(patches), parameters.first_heads)
     given_some = [patches[k] for k in some.tolist()]
@@ -367,7 +371,7 @@ def _attempt(
     rendered: _Rendered,
 ) -> _Attempt:
     found = [
-        taught(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold, known)
+        fit_directions(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold, known)
         for view, known in zip((BODY, HEAD), rendered, strict=True)
     ]
     (body, body_out), (head, head_out) = found
@@ -390,8 +394,8 @@ def _of_package(
         ("head", package.head_pose, pictures),
     ):
         classes = model.classes
-        said = classes.pan_log_likelihood(model.log_likelihoods(images))
-        error = np.abs(difference(classes.pans.mean_pan(said), angle))
+        description = classes.pan_log_likelihood(model.log_likelihoods(images))
+        error = np.abs(difference(classes.pans.mean_pan(description), angle))
         figures[f"{name}_error_deg_package"] = float(np.rad2deg(error.mean()))
     return figures
 
@@ -416,8 +420,8 @@ def _card(
     labels: WalkingLabels, length: float, best: _Attempt, figures: dict[str, float], *, aligned: bool
 ) -> ModelCard:
     people = len(np.unique(labels.person))
-    said = f"the directions of travel of {people} walking people, in {length / 60.0:.1f} minutes"
-    walked = seen_directions(CLASSES.index(labels.angle), labels.person)
+    description = f"the directions of travel of {people} walking people, in {length / 60.0:.1f} minutes"
+    walked = observed_directions(CLASSES.index(labels.angle), labels.person)
     parts = [best.body_out.log_likelihood, best.head_out.log_likelihood]
     outliers = class_outlier_probability(parts, labels.angle, labels.person, labels.count)
     parameters: dict[str, Any] = {
@@ -428,13 +432,13 @@ def _card(
     }
     fails = "another view or other light; people who look aside or stand, since labels come from walkers"
     for without, of_those in (
-        (~best.body.seen, "the likelihoods are flat there"),
-        (best.body.seen & ~walked, "these directions were trained on rendered people only"),
+        (~best.body.observed, "the likelihoods are flat there"),
+        (best.body.observed & ~walked, "these directions were trained on rendered people only"),
     ):
         if without.any():
             views = ", ".join(f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[without].tolist())
             fails += f"; no walking people at {views} to the camera: {of_those}"
-    return ModelCard(CameraModels.kind, said, fails, len(labels), parameters, figures)
+    return ModelCard(CameraModels.kind, description, fails, len(labels), parameters, figures)
 
 
 @dataclass(frozen=True, eq=False)
@@ -498,7 +502,7 @@ def adapted(
     used = [one for one in recordings if one.people]
     labels = thinned(joined(walking), parameters)
     few = len(np.unique(labels.person)) < parameters.many_people
-    taken, parts, length, places = [], [], 0.0, []
+    taken, parts, length, positions = [], [], 0.0, []
     recording = np.searchsorted(_ends(walking), labels.person, side="right")
     for number, one in enumerate(used):
         whose = np.flatnonzero(recording == number)
@@ -509,10 +513,12 @@ def adapted(
         chosen = [one.people[k] for k in labels.box[whose].tolist()]
         scenery = Scenery(chosen if few else (), one.people, view, camera)
         wanted = {item.frame for item in chosen} | (scenery.frames if few else set())
-        with told_frames(one.frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
+        with frames_with_progress(
+            one.frames, wanted.__contains__, len(wanted), progress, one_size=True
+        ) as decoded:
             found = patches_in(scenery.watched(decoded), chosen, refuse, view)
         there = np.array(sorted(found), np.int64)
-        places += scenery.places(rng)
+        positions += scenery.positions(rng)
         parts.append(whose[there])  # boxes of missing frames are dropped
         taken += [found[k] for k in there.tolist()]
         numbers = [item.frame for item in one.people]
@@ -522,7 +528,7 @@ def adapted(
     kept = thinned(replace(left, box=np.arange(len(left))), parameters)
     patches = [taken[k] for k in kept.box.tolist()]
     with progress(stages(parameters), "rounds") as advance:
-        models = learn(patches, kept, length, size, package, rng, parameters, advance, places)
+        models = learn(patches, kept, length, size, package, rng, parameters, advance, positions)
     models.upright = view is not None
     return Adapted(models, labels)
 
@@ -548,9 +554,11 @@ def _labels(
     refuse: Callable[[str], object],
 ) -> WalkingLabels:
     """Return the labels of a recording; detections need decoded frames for appearance."""
-    frames, people, looks = recording.frames, recording.people, None
+    frames, people, descriptors = recording.frames, recording.people, None
     if not people[0].identified:
         wanted = {item.frame for item in people}
-        with told_frames(frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
-            looks, _ = looks_of(decoded, people, refuse)
-    return walking_labels(people, looks, camera, recording.clock, view=view)
+        with frames_with_progress(
+            frames, wanted.__contains__, len(wanted), progress, one_size=True
+        ) as decoded:
+            descriptors, _ = descriptors_of_people(decoded, people, refuse)
+    return walking_labels(people, descriptors, camera, recording.clock, view=view)

@@ -19,12 +19,12 @@ from perception.adaptation.directions import (
     HEAD_HEIGHT,
     HEAD_WIDTH,
     OUTLIERS,
+    DirectionModel,
     HeadTemplates,
-    Taught,
     with_outliers,
 )
 from perception.adaptation.labels import patch_of
-from perception.ground.upright import Standing, upright_picture
+from perception.ground.upright import LeaningPose, upright_picture
 from perception.images.pixels import Image
 from perception.pose.head_detection import HeadCandidates
 from perception.storage import ModelCard, Stored
@@ -48,8 +48,8 @@ class CameraModels(Stored):
 
     templates: HeadTemplates | None
     place: FloatArray
-    body: Taught
-    head: Taught
+    body: DirectionModel
+    head: DirectionModel
     size: tuple[int, int]
     card: ModelCard
     upright: bool = False
@@ -67,7 +67,7 @@ class CameraModels(Stored):
         self,
         image: Image,
         boxes: Sequence[tuple[float, float, float, float]],
-        standing: Sequence[Standing | None] | None = None,
+        standing: Sequence[LeaningPose | None] | None = None,
     ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
         """Return, per box, the body's log likelihoods (8,), heads in its crop, and theirs (k, 8).
 
@@ -124,7 +124,7 @@ class CameraModels(Stored):
     def parameters(self) -> dict[str, Any]:
         """Size of the frames, and calibrations."""
         of_parts = {
-            name: {"temperature": part.temperature, "share": part.share, "seen": part.seen.tolist()}
+            name: {"temperature": part.temperature, "share": part.share, "seen": part.observed.tolist()}
             for name, part in (("body", self.body), ("head", self.head))
         }
         return {"size": list(self.size), "upright": self.upright, **of_parts}
@@ -148,7 +148,7 @@ class CameraModels(Stored):
         parts = {}
         for name in ("body", "head"):
             given = card.parameters[name]
-            parts[name] = Taught(
+            parts[name] = DirectionModel(
                 arrays[f"{name}_weight"],
                 arrays[f"{name}_bias"],
                 float(given["temperature"]),

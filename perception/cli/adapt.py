@@ -21,7 +21,7 @@ from graphtrack.tracks.display import counted
 from perception.cli.options import (
     CameraOptions,
     VideoOrFolder,
-    check_places,
+    check_output_paths,
     print_skipped,
     read_given_boxes,
 )
@@ -62,7 +62,7 @@ def calibrate(
     from perception.ground.calibration import found_view
     from perception.images.frames import FrameSource
 
-    check_places({"--output": output}, None, source, {"--boxes": boxes})
+    check_output_paths({"--output": output}, None, source, {"--boxes": boxes})
     frames = FrameSource.open(source)
     refused: dict[str, None] = {}
     people = read_boxes(boxes, refused.setdefault)
@@ -187,12 +187,12 @@ def adapt(
             "once per recording, in their order, or not at all",
         )
     # Each recording has its own journals, so that an interrupted search continues.
-    places = [output if k == 0 else output.with_name(f"{output.name}.{k}") for k in range(len(sources))]
-    journals = [path for place in places for path in search_journals(place)]
+    output_paths = [output if k == 0 else output.with_name(f"{output.name}.{k}") for k in range(len(sources))]
+    journals = [path for place in output_paths for path in search_journals(place)]
     inputs = {"--boxes": boxes, **camera.files}
     outputs = {"--output": output, "--write-model": write_model, "the journals of --output": journals}
     for source in sources:
-        check_places(outputs, None, source, inputs)
+        check_output_paths(outputs, None, source, inputs)
     on_ground = camera.on_ground()
     if on_ground is None:
         raise InputError(
@@ -206,7 +206,7 @@ def adapt(
     rng = np.random.default_rng(seed)
     recordings = []
     with ExitStack() as searches:
-        for frames, place, of_recording in zip(opened, places, given, strict=True):
+        for frames, place, of_recording in zip(opened, output_paths, given, strict=True):
             clock = camera.clock(frames)
             if of_recording is None:
                 search = PeopleSearch(frames, on_ground, clock, place, camera.stamps)

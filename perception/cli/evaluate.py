@@ -52,7 +52,7 @@ def evaluate(
     data : Folder with caviar and towncentre in it, for tables of recordings; else ../shared/data.
     heads : Heads of the table heads.
     """
-    from graphtrack.cli.reproduce import BESIDE
+    from graphtrack.cli.reproduce import DATA_FOLDER
 
     for name in tables or ():
         if name not in (*_TABLES, *_REAL):
@@ -62,7 +62,9 @@ def evaluate(
     if plot is not None and "pose" not in wanted:
         raise InputError("--plot without the table pose", "pose among the tables")
     shown: list[Table] = []
-    asked = _Asked(count, train, clips, head_pose, plot, data if data is not None else BESIDE, heads, seed)
+    asked = _Asked(
+        count, train, clips, head_pose, plot, data if data is not None else DATA_FOLDER, heads, seed
+    )
     for name in (*_TABLES, *_REAL):
         if name in wanted:
             for table in asked.tables(name):

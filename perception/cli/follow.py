@@ -18,7 +18,7 @@ from perception.cli.options import (
     CameraOptions,
     Render,
     VideoOrFolder,
-    check_places,
+    check_output_paths,
     in_time,
     print_camera_note,
     print_skipped,
@@ -84,7 +84,7 @@ def follow(
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
     never = {f"--background {p}": p for given in background or () for p in FrameSource.files(given)}
-    check_places({"--output": output}, render, source, {**camera.files, **never})
+    check_output_paths({"--output": output}, render, source, {**camera.files, **never})
     box = None if init is None else following.parse_box(init)
     frames = FrameSource.open(source)
     clock, ground = camera.clock(frames), camera.on_ground()

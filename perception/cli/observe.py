@@ -22,7 +22,7 @@ from perception.cli.options import (
     FirstFrame,
     Render,
     VideoOrFolder,
-    check_places,
+    check_output_paths,
     decoded_frames,
     in_time,
     print_camera_note,
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
     from perception.observe.live import LiveObserver
-    from perception.observe.pipeline import Models, SeenFrame
-    from perception.observe.tables import SeenTracks
+    from perception.observe.pipeline import FrameObservation, Models
+    from perception.observe.tables import ObservedTracks
 
 
 @dataclass(frozen=True)
@@ -153,13 +153,13 @@ def observe(
         check_adapt(streamed, camera.homography or camera.calibration, given_models)
     if streamed:
         _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
-    places: dict[str, Path | Sequence[Path] | None] = {
+    outputs: dict[str, Path | Sequence[Path] | None] = {
         "--output": output,
-        "the journals of --output": [*search_journals(output), *_places(output)],
+        "the journals of --output": [*search_journals(output), *_output_paths(output)],
         "--write-boxes": write_boxes_to,
     }
-    check_places(
-        {} if streamed else places,
+    check_output_paths(
+        {} if streamed else outputs,
         render,
         source,
         {"--boxes": boxes, **camera.files, **model.files, **network.files},
@@ -174,8 +174,8 @@ def observe(
     identified = given is not None and (not given or given[0].identified)
     if not (identified or streamed):
         check_table_name(output)
-    looks = not identified if appearance is None else appearance
-    models = model.load(appearance=looks, has_keypoints=networks.has_keypoints)
+    with_appearance = not identified if appearance is None else appearance
+    models = model.load(appearance=with_appearance, has_keypoints=networks.has_keypoints)
     ground = camera.on_ground()
     models = models.seeing(ground, frames.size)
     if streamed:
@@ -198,7 +198,7 @@ def observe(
     )
 
 
-def _places(output: Path) -> list[Path]:
+def _output_paths(output: Path) -> list[Path]:
     """Return the journals of keypoints and frames, and the file of the camera's models, of a run."""
     return [output.with_name(f"{output.name}.{name}") for name in ("keypoints", "journal", "camera.npz")]
 
@@ -223,12 +223,12 @@ def _observe_file(
     from perception.detection.boxes import Detections, write_boxes
     from perception.images.pixels import is_video
     from perception.observe.journal import FrameJournal, while_unfinished
-    from perception.observe.pipeline import SeenFrame
+    from perception.observe.pipeline import FrameObservation
     from perception.observe.tables import to_detections, to_tracks
 
     refuse, given = refused.setdefault, people is not None
     camera, clock = options_of_camera.on_ground(), options_of_camera.clock(frames)
-    points_place, frames_place, taught_place = _places(output)
+    points_place, frames_place, taught_place = _output_paths(output)
     one_size = render is not None and is_video(render)
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
@@ -254,30 +254,30 @@ def _observe_file(
         leaning = None if models.view is None else stamp_of_camera(camera)
         asked_of = (chosen.head_pose, own, people, models.appearance, networks.has_keypoints, leaning)
         key = key_of(frames.stamp(), *asked_of)
-        journal = unfinished.enter_context(FrameJournal(frames_place, key, SeenFrame))
+        journal = unfinished.enter_context(FrameJournal(frames_place, key, FrameObservation))
         # Frames without detections need no second pass.
         empty = frozenset() if given else searched - {item.frame for item in people}
         count = look_at_people(frames, people, models, journal, refuse, empty, one_size=one_size)
         seconds = time.perf_counter() - looked
-        seen = journal, models.head_classes, camera, clock
+        frames_observed = journal, models.head_classes, camera, clock
         drawn = identified or render is not None
-        observed = to_tracks(*seen, causal=causal) if drawn else None
+        observed = to_tracks(*frames_observed, causal=causal) if drawn else None
         if not identified:
-            alone = to_detections(*seen, causal=causal)
+            alone = to_detections(*frames_observed, causal=causal)
             write_table(alone.columns, output)
-            left_out, said = alone.refused, counted(len(alone.number), "detection")
+            left_out, summary = alone.refused, counted(len(alone.number), "detection")
         if observed is not None and render is not None:
             _render(frames, observed, journal, render, clock.rate)
         if observed is not None and identified:
             tracks = observed.tracks
             write_tracks(tracks, output)
             left_out = tracks.summary.refused
-            said = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
+            summary = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
     print_skipped(refused)
     for reason, times in left_out.items():
         emit(f"  refused {times}: {reason}")
     print_camera_note(camera)
-    emit(f"observed {said}; {in_time(count, seconds)}")
+    emit(f"observed {summary}; {in_time(count, seconds)}")
     print_written(output, render)
 
 
@@ -320,13 +320,17 @@ def _stream(
 
 
 def _render(
-    frames: FrameSource, observed: SeenTracks, seen: Mapping[int, SeenFrame], path: Path, fps: float
+    frames: FrameSource,
+    observed: ObservedTracks,
+    frames_observed: Mapping[int, FrameObservation],
+    path: Path,
+    fps: float,
 ) -> None:
     """Decode the frames again, now that all tracks are known, and draw the observations."""
     from perception.drawing.people import draw_people, people_by_frame
     from perception.images.pixels import pictures
 
-    people, camera = people_by_frame(observed, seen), observed.tracks.camera
+    people, camera = people_by_frame(observed, frames_observed), observed.tracks.camera
     assert camera is not None
     every = decoded_frames(frames, lambda number: True, frames.count, unit="frames drawn")
     with pictures(path, fps) as write_picture, every as decoded:

@@ -115,7 +115,7 @@ def stamp_of(path: Path | None) -> object:
     return str(path), state.st_size, state.st_mtime_ns
 
 
-def check_places(
+def check_output_paths(
     outputs: Mapping[str, Path | Sequence[Path] | None],
     render: Path | None,
     source: Path,
@@ -160,9 +160,9 @@ def decoded_frames(
     ----------
     one_size : whether a change of the frames' size is an `InputError`
     """
-    from perception.images.frames import told_frames
+    from perception.images.frames import frames_with_progress
 
-    with told_frames(frames, wanted, count, progress_bar, unit=unit, one_size=one_size) as decoded:
+    with frames_with_progress(frames, wanted, count, progress_bar, unit=unit, one_size=one_size) as decoded:
         yield decoded
 
 

@@ -210,17 +210,17 @@ class _Run:
         def work(key: str) -> list[str]:
             assert self.camera is not None
             refused: dict[str, None] = {}
-            said = "no models of the camera's own are fitted, the package's models are used"
+            summary = "no models of the camera's own are fitted, the package's models are used"
             if not adapt or self.to_scale:
                 place.unlink(missing_ok=True)
-                return [f"{said}: {'as asked' if not adapt else 'no ground is known'}"]
+                return [f"{summary}: {'as asked' if not adapt else 'no ground is known'}"]
             refuse, seed = refused.setdefault, self.seed
-            models, said = teach(
+            models, summary = teach(
                 place, key, self.frames, self.people, self.camera, self.clock, refuse, seed=seed
             )
             if models is None:
                 place.unlink(missing_ok=True)
-            return [said]
+            return [summary]
 
         self.assumed += self.folder.stage("models", (adapt, self.clock, self.seed), (), work)
 
@@ -228,7 +228,7 @@ class _Run:
         """Stage 4: observations of all people, and data association."""
         from graphtrack.io import write
         from perception.observe.journal import FrameJournal
-        from perception.observe.pipeline import SeenFrame
+        from perception.observe.pipeline import FrameObservation
         from perception.observe.tables import associated, numbered, to_detections, to_tracks
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
@@ -239,15 +239,15 @@ class _Run:
             chosen = ModelOptions(camera_models=taught if taught.is_file() else None)
             models = chosen.load(appearance=not identified, has_keypoints=False)
             models = models.seeing(self.camera, self.frames.size)
-            with FrameJournal(place.with_name(f"{place.name}.journal"), key, SeenFrame) as journal:
+            with FrameJournal(place.with_name(f"{place.name}.journal"), key, FrameObservation) as journal:
                 look_at_people(self.frames, self.people, models, journal, refused.setdefault)
-                seen = journal, models.head_classes, self.camera, self.clock
+                inputs = journal, models.head_classes, self.camera, self.clock
                 if identified:
-                    observed = to_tracks(*seen).tracks
+                    observed = to_tracks(*inputs).tracks
                     beyond = observed.summary.refused
                     tracks = numbered(observed, self.people)
                 else:
-                    found = to_detections(*seen)
+                    found = to_detections(*inputs)
                     beyond = found.refused
                     tracks = associated(found.columns, found.number, self.people)
                 write(tracks, place)
@@ -269,9 +269,9 @@ class _Run:
             own = taught.is_file() and method not in FILTERS
             adapted = CameraModels.load(taught).graph if own else lambda model: model
             with progress_bar(observations.n_frames) as advance:
-                found, said = estimated(observations, self.camera, method, advance, adapted)
+                found, summary = estimated(observations, self.camera, method, advance, adapted)
             write(found, self.folder.file("tracks"))
-            return said
+            return summary
 
         self.assumed += self.folder.stage("estimates", method, ("tracks",), work)
 

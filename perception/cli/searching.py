@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from perception.images.frames import Clock, Frame, FrameSource
     from perception.images.pixels import Image
     from perception.observe.journal import FrameJournal
-    from perception.observe.pipeline import Models, SeenFrame
+    from perception.observe.pipeline import FrameObservation, Models
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,7 @@ def searched(
     return count
 
 
-def say_how_far(journal: FrameJournal[Any]) -> None:
+def report_progress(journal: FrameJournal[Any]) -> None:
     """Report the number of known frames, if there are any."""
     if journal:
         emit(f"going on after {counted(len(journal), 'frame')}")
@@ -196,7 +196,7 @@ def find_keypoints(
     found = networks.known
     if found is None:
         start = time.perf_counter()
-        say_how_far(journal)
+        report_progress(journal)
         numbers = None if people is None else {item.frame for item in people}
         count = searched(frames, journal, networks.look, refuse, numbers, unit="frames", one_size=one_size)
         emit(f"detected keypoints in {in_time(count, time.perf_counter() - start)}")
@@ -214,7 +214,7 @@ def look_at_people(
     frames: FrameSource,
     people: Iterable[PersonBox],
     models: Models,
-    journal: FrameJournal[SeenFrame],
+    journal: FrameJournal[FrameObservation],
     refuse: Refuse,
     empty: frozenset[int] = frozenset(),
     *,
@@ -228,7 +228,7 @@ def look_at_people(
     """
     from perception.observe import pipeline
 
-    say_how_far(journal)
+    report_progress(journal)
     known = frozenset(journal) | empty
     left = frames.count - len(known)
     with decoded_frames(frames, lambda number: number not in known, left, one_size=one_size) as decoded:
@@ -283,7 +283,7 @@ class PeopleSearch:
         with ExitStack() as journals:
             journal = journals.enter_context(FrameJournal(of_detections, key, Detections))
             taught = journals.enter_context(FrameJournal(of_taught, key, PersonProbability))
-            say_how_far(journal)
+            report_progress(journal)
             count = len(journal)
             if self.detector is None and self.camera is not None:
                 self._on_ground(self.camera, journal, taught, refuse)

@@ -190,7 +190,7 @@ class Detector(Protocol):
 
 _LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1  # least share of points in a box, and overlap of boxes
 _SURE = 0.3
-_ABOVE, _BELOW, _BESIDE = 0.09, 0.04, 0.06
+_ABOVE, _BELOW, _ASIDE = 0.09, 0.04, 0.06
 """Extent of a person beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
 _TRUNKS = 1.86  # from hips to soles, in lengths from shoulders to hips
 
@@ -237,7 +237,7 @@ def box_of(points: FloatArray) -> FloatArray | None:
         top -= 0.6 * trunk
     else:
         return None
-    aside = _BESIDE * height
+    aside = _ASIDE * height
     box = np.array([left - aside, top, right - left + 2.0 * aside, bottom - top])
     return box if box[2] >= 1.0 and box[3] >= 1.0 else None
 
@@ -280,14 +280,14 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) 
     result = list(boxes)
     for place, item in enumerate(result):
         groups.setdefault(item.frame, []).append(place)
-    for frame, places in groups.items():
+    for frame, rows in groups.items():
         people = found.get(frame)
         if people is None or people.points is None or not len(people):
             continue
-        fit = np.array([[_fit(result[place].box, people, k) for k in range(len(people))] for place in places])
+        fit = np.array([[_fit(result[place].box, people, k) for k in range(len(people))] for place in rows])
         for row, k in zip(*linear_sum_assignment(fit, maximize=True), strict=True):
             if fit[row, k] > 0.0:
-                place = places[row]
+                place = rows[row]
                 result[place] = replace(result[place], keypoints=as_points(people.points[k]))
     return result
 
@@ -343,10 +343,10 @@ def from_supervision(
     found = boxes_of_supervision(detections, person)
     points = None
     if keypoints is not None:
-        places = array_of(keypoints, "xy", "a supervision.KeyPoints")
-        said = array_of(keypoints, "keypoint_confidence")
-        sure = said if said is not None else array_of(keypoints, "confidence")
-        points = _joined(places, None if sure is None or sure.ndim != 2 else sure, found.among)
+        rows = array_of(keypoints, "xy", "a supervision.KeyPoints")
+        confidence = array_of(keypoints, "keypoint_confidence")
+        sure = confidence if confidence is not None else array_of(keypoints, "confidence")
+        points = _joined(rows, None if sure is None or sure.ndim != 2 else sure, found.among)
     return _boxes(found, points, frame, first, refuse)
 
 
@@ -375,24 +375,24 @@ def from_ultralytics(
     points = None
     keypoints = getattr(results, "keypoints", None)
     if keypoints is not None and getattr(keypoints, "xy", None) is not None:
-        places = array_of(keypoints, "xy", "keypoints with xy")
-        points = _joined(places, array_of(keypoints, "conf"), found.among)
+        rows = array_of(keypoints, "xy", "keypoints with xy")
+        points = _joined(rows, array_of(keypoints, "conf"), found.among)
     return _boxes(found, points, frame, first, refuse)
 
 
-def _joined(places: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArray:
+def _joined(rows: FloatArray, sure: FloatArray | None, boxes: int) -> FloatArray:
     """Return COCO's points (n, 17, 3) from positions (n, k, 2) and confidences (n, k)."""
-    if places.ndim != 3 or places.shape[2] != 2:
-        raise InputError(f"keypoints of shape {places.shape}", "(n, k, 2)")
-    if places.shape[1] not in BY_NUMBER:
-        raise InputError(f"{places.shape[1]} keypoints", KNOWN)
+    if rows.ndim != 3 or rows.shape[2] != 2:
+        raise InputError(f"keypoints of shape {rows.shape}", "(n, k, 2)")
+    if rows.shape[1] not in BY_NUMBER:
+        raise InputError(f"{rows.shape[1]} keypoints", KNOWN)
     if sure is None:
-        sure = (places != 0.0).any(axis=2).astype(float)  # missing points are at 0, 0
-    if sure.shape != places.shape[:2]:
-        raise InputError(f"confidences of shape {sure.shape}", f"{places.shape[:2]}")
-    if len(places) != boxes:
-        raise InputError(f"{len(places)} keypoints of {boxes} boxes", "as many as boxes")
-    return in_coco_order(np.concatenate([places, sure[..., None]], axis=2), BY_NUMBER[places.shape[1]])
+        sure = (rows != 0.0).any(axis=2).astype(float)  # missing points are at 0, 0
+    if sure.shape != rows.shape[:2]:
+        raise InputError(f"confidences of shape {sure.shape}", f"{rows.shape[:2]}")
+    if len(rows) != boxes:
+        raise InputError(f"{len(rows)} keypoints of {boxes} boxes", "as many as boxes")
+    return in_coco_order(np.concatenate([rows, sure[..., None]], axis=2), BY_NUMBER[rows.shape[1]])
 
 
 def _boxes(

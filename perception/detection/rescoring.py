@@ -35,7 +35,7 @@ from perception.images.frames import Clock, seconds
 from perception.images.pixels import Image
 
 _PARTS = 3  # folds of frames
-_LEAST_SEEN = 3  # least detections in other frames, for a track to predict a position
+_LEAST_DETECTIONS = 3  # least detections in other frames, for a track to predict a position
 _ORDER = 1e-3  # slope beyond the ends, which keeps the order
 
 
@@ -45,27 +45,27 @@ class Certainty:
 
     Attributes
     ----------
-    said, found : (k,) log odds, increasing
+    scores, found : (k,) log odds, increasing
     """
 
-    said: FloatArray
+    scores: FloatArray
     found: FloatArray
 
     @classmethod
-    def fitted(cls, said: FloatArray, truth: NDArray[np.bool_]) -> Self:
+    def fitted(cls, scores: FloatArray, truth: NDArray[np.bool_]) -> Self:
         """Fit to log odds (n,) and the truth (n,): blocks of equal frequency, by their means."""
         from sklearn.isotonic import IsotonicRegression
 
         least = 1.0 / (len(truth) + 2)
         model = IsotonicRegression(y_min=least, y_max=1.0 - least)
-        frequency, block = np.unique(model.fit_transform(said, truth.astype(float)), return_inverse=True)
-        means = np.bincount(block, said) / np.bincount(block)
+        frequency, block = np.unique(model.fit_transform(scores, truth.astype(float)), return_inverse=True)
+        means = np.bincount(block, scores) / np.bincount(block)
         return cls(means, np.asarray(logit(frequency), float))
 
     def of(self, log_odds: FloatArray) -> FloatArray:
         """Probabilities (n,) of log odds (n,), in the same order."""
-        beyond = log_odds - np.clip(log_odds, self.said[0], self.said[-1])
-        return np.asarray(expit(np.interp(log_odds, self.said, self.found) + _ORDER * beyond), float)
+        beyond = log_odds - np.clip(log_odds, self.scores[0], self.scores[-1])
+        return np.asarray(expit(np.interp(log_odds, self.scores, self.found) + _ORDER * beyond), float)
 
 
 def judged_by_other_frames(
@@ -90,7 +90,7 @@ def judged_by_other_frames(
     least_boxes, least_way : least number of detections, and metres from first to last position, of a
         confirmed person's track
     """
-    known = _places(tracks, least_boxes, least_way)
+    known = _walking_positions(tracks, least_boxes, least_way)
     right = np.full(len(frame), np.nan)
     for number in np.unique(frame).tolist():
         rows = np.flatnonzero(frame == number)
@@ -107,15 +107,17 @@ def judged_by_other_frames(
     return right
 
 
-def _places(tracks: TrackSet, least_boxes: int, least_way: float) -> dict[int, list[tuple[FloatArray, bool]]]:
+def _walking_positions(
+    tracks: TrackSet, least_boxes: int, least_way: float
+) -> dict[int, list[tuple[FloatArray, bool]]]:
     """Return by frame: each track's position, and whether it is confirmed and observed before and after."""
     frames = np.unique(np.concatenate([track.frame for track in tracks]))
     found: dict[int, list[tuple[FloatArray, bool]]] = {}
     for part in range(_PARTS):
         left_out = frames[part::_PARTS]
-        rest, seen = _without(tracks, left_out)
+        rest, walking = _without(tracks, left_out)
         for track in smooth(tracks.with_tracks(rest), "position") if rest else ():
-            boxes, first, last = seen[track.track_id]
+            boxes, first, last = walking[track.track_id]
             way = float(np.linalg.norm(track.position[-1] - track.position[0]))
             person = boxes >= least_boxes and way >= least_way
             for k in np.flatnonzero(np.isin(track.frame, left_out)).tolist():
@@ -129,16 +131,16 @@ def _without(
     tracks: TrackSet, left_out: Sequence[int] | NDArray[np.int64]
 ) -> tuple[list[Any], dict[int, tuple[int, int, int]]]:
     """Return tracks without some frames; their number of detections, and first and last other frames."""
-    rest, seen = [], {}
+    rest, walking = [], {}
     for track in tracks:
         detected = np.isfinite(track.position).all(axis=1)
         other = detected & ~np.isin(track.frame, left_out)
-        if int(other.sum()) < _LEAST_SEEN:
+        if int(other.sum()) < _LEAST_DETECTIONS:
             continue
         rest.append(replace(track, position=np.where(other[:, None], track.position, np.nan)))
         at = track.frame[other]
-        seen[track.track_id] = int(detected.sum()), int(at[0]), int(at[-1])
-    return rest, seen
+        walking[track.track_id] = int(detected.sum()), int(at[0]), int(at[-1])
+    return rest, walking
 
 
 _FRAMES, _RUNS, _STEP = 150, 3, 0.4  # frames to learn from, pieces of the recording, seconds between frames
@@ -241,12 +243,12 @@ def taught(
     weights, biases = zip(*_linear(features, truth, fold[known]), strict=True)
     del features
     # Held-out scores: models without the person, and without the time for background.
-    said = np.vstack([frames[k].features.astype(np.float32) @ np.transpose(weights[:-1]) for k in order])
-    linear = np.take_along_axis(said + biases[:-1], fold[:, None], axis=1)[:, 0]
-    best, places = _met(frames, linear, camera)
+    scores = np.vstack([frames[k].features.astype(np.float32) @ np.transpose(weights[:-1]) for k in order])
+    linear = np.take_along_axis(scores + biases[:-1], fold[:, None], axis=1)[:, 0]
+    best, rows = _met(frames, linear, camera)
     right = judged_by_other_frames(
         numbers[best],
-        places,
+        rows,
         tracks,
         radius=_HIT,
         least_boxes=LEAST_BOXES,
@@ -265,14 +267,14 @@ def _met(
     frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Return candidates that are local maxima of both scores, and their positions (n, 2)."""
-    kept, places, start = [], [], 0
+    kept, rows, start = [], [], 0
     for k in sorted(frames):
         stop = start + len(frames[k])
         scored = frames[k].scored(np.asarray(expit(frames[k].score + linear[start:stop]), float))
         kept.append(start + strongest(scored.foot, scored.height, scored.score, APART))
-        places.append(camera.image_to_ground(joined(scored).foot))
+        rows.append(camera.image_to_ground(joined(scored).foot))
         start = stop
-    return np.concatenate(kept), np.vstack(places)
+    return np.concatenate(kept), np.vstack(rows)
 
 
 def _best_of_frames(

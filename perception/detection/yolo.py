@@ -69,12 +69,12 @@ class Letterbox:
         (left, top), (width, height) = self.margin, self.shown
         right, bottom = self.size[0] - width - left, self.size[1] - height - top
         small = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
-        whole = cv2.copyMakeBorder(small, top, bottom, left, right, cv2.BORDER_CONSTANT, value=_GREY)
-        return np.asarray(cv2.dnn.blobFromImage(whole, 1.0 / 255.0, swapRB=True), np.float32)
+        padded = cv2.copyMakeBorder(small, top, bottom, left, right, cv2.BORDER_CONSTANT, value=_GREY)
+        return np.asarray(cv2.dnn.blobFromImage(padded, 1.0 / 255.0, swapRB=True), np.float32)
 
-    def back(self, places: FloatArray) -> FloatArray:
+    def back(self, image_points: FloatArray) -> FloatArray:
         """Convert positions (..., 2) of the input to pixels of the image."""
-        return np.asarray((places - np.array(self.margin)) / self.scale, float)
+        return np.asarray((image_points - np.array(self.margin)) / self.scale, float)
 
 
 Kind = Literal["anchors", "cells", "selected"]
@@ -186,8 +186,8 @@ def layout_of(
             raise InputError(found, expected, path=path)
         return Layout(kind, names, points, each)
     if rest < 1 or (names is not None and rest != names):
-        told = f", and {names} classes by name" if names is not None else ""
-        raise InputError(found + told, f"{before} + classes{' + keypoints' if points else ''}", path=path)
+        suffix = f", and {names} classes by name" if names is not None else ""
+        raise InputError(found + suffix, f"{before} + classes{' + keypoints' if points else ''}", path=path)
     return Layout(kind, rest, points, each)
 
 
@@ -298,8 +298,8 @@ class YoloNetwork:
             order, boxes = order[kept], boxes[kept]
         if points is not None:
             points = points[order]
-            places = np.where(points[..., 2:] > 0.0, box.back(points[..., :2]), 0.0)
-            points = np.concatenate([places, points[..., 2:]], axis=2)
+            image_points = np.where(points[..., 2:] > 0.0, box.back(points[..., :2]), 0.0)
+            points = np.concatenate([image_points, points[..., 2:]], axis=2)
         return Detections(boxes, scores[order], points)
 
 

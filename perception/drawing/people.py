@@ -11,11 +11,11 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
-from perception.drawing import marks
-from perception.drawing.marks import FONT, Place
+from perception.drawing import overlays
+from perception.drawing.overlays import FONT, Place
 from perception.images.pixels import Image
-from perception.observe.pipeline import SeenFrame, head_in_image
-from perception.observe.tables import SeenTracks
+from perception.observe.pipeline import FrameObservation, head_in_image
+from perception.observe.tables import ObservedTracks
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 
@@ -43,7 +43,9 @@ class DrawnPerson:
     head: FloatArray
 
 
-def people_by_frame(observed: SeenTracks, frames: Mapping[int, SeenFrame]) -> dict[int, list[DrawnPerson]]:
+def people_by_frame(
+    observed: ObservedTracks, frames: Mapping[int, FrameObservation]
+) -> dict[int, list[DrawnPerson]]:
     """Return the people to draw in each frame, from tracks and their observations."""
     row_of = {
         (track.track_id, frame): (track, row)
@@ -80,28 +82,28 @@ def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera
     number : of the frame
     camera : over the ground
     """
-    picture, factor = marks.enlarged_image(image), marks.enlargement(image)
-    width = marks.line_width(picture)
+    picture, factor = overlays.enlarged_image(image), overlays.enlargement(image)
+    width = overlays.line_width(picture)
     people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # nearer people in front
     for person in people:  # sectors first, so that they hide no box
         on_ground, at_head = _planes(person, camera, factor)
-        marks.fan(picture, on_ground, person.body, _BODY, marks.person_colour(person.track_id))
-        marks.fan(picture, at_head, person.head, _HEAD, marks.LIGHT)
+        overlays.fan(picture, on_ground, person.body, _BODY, overlays.person_colour(person.track_id))
+        overlays.fan(picture, at_head, person.head, _HEAD, overlays.LIGHT)
     for person in people:
-        colour = marks.person_colour(person.track_id)
+        colour = overlays.person_colour(person.track_id)
         on_ground, at_head = _planes(person, camera, factor)
-        marks.box(picture, person.box * factor, colour, width)
-        marks.box(picture, person.head_box * factor, marks.LIGHT, width)
-        marks.arrow(picture, on_ground, marks.peak(person.body, _BODY), colour, 2 * width)
-        marks.arrow(picture, at_head, marks.peak(person.head, _HEAD), marks.LIGHT, width)
-        marks.identity(picture, person.track_id, person.box * factor, colour, width)
-    marks.text(picture, f"frame {number}", (8, 26), marks.LIGHT, 0.3 + 0.25 * width)
+        overlays.box(picture, person.box * factor, colour, width)
+        overlays.box(picture, person.head_box * factor, overlays.LIGHT, width)
+        overlays.arrow(picture, on_ground, overlays.peak(person.body, _BODY), colour, 2 * width)
+        overlays.arrow(picture, at_head, overlays.peak(person.head, _HEAD), overlays.LIGHT, width)
+        overlays.identity(picture, person.track_id, person.box * factor, colour, width)
+    overlays.text(picture, f"frame {number}", (8, 26), overlays.LIGHT, 0.3 + 0.25 * width)
     return picture
 
 
 def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
     head = person.head_box[:2] + person.head_box[2:] / 2.0
-    return marks.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)
+    return overlays.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)
 
 
 _TRACKED_RADII = 0.8, 0.6  # metres on the ground, of the arrows of body and head
@@ -118,7 +120,7 @@ class ShownPerson:
     ----------
     track_id : determines the colour
     box : (4,) left, top, width, height in pixels
-    seen : whether the person was observed; else the box is predicted
+    visible : whether the person was observed; else the box is predicted
     position : (2,) metres
     body, body_std, head, head_std : radians; NaN where not known
     path : (n, 2) pixels on the ground, of the last seconds
@@ -126,7 +128,7 @@ class ShownPerson:
 
     track_id: int
     box: FloatArray
-    seen: bool
+    visible: bool
     position: FloatArray
     body: float
     body_std: float
@@ -147,41 +149,43 @@ def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera
     words : text in the corner
     camera : over the ground
     """
-    picture, factor = marks.enlarged_image(image), marks.enlargement(image)
-    width = marks.line_width(picture)
+    picture, factor = overlays.enlarged_image(image), overlays.enlargement(image)
+    width = overlays.line_width(picture)
     people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # nearer people in front
     for person in people:
         path = person.path[np.isfinite(person.path).all(axis=1)] * factor
         if len(path) > 1:
-            for shade, wide in ((marks.DARK, width + 2), (marks.person_colour(person.track_id), width)):
-                cv2.polylines(picture, [marks.points(path)], False, shade, wide, cv2.LINE_AA, marks.FRACTION)
+            for shade, wide in ((overlays.DARK, width + 2), (overlays.person_colour(person.track_id), width)):
+                cv2.polylines(
+                    picture, [overlays.points(path)], False, shade, wide, cv2.LINE_AA, overlays.FRACTION
+                )
     for person in people:
-        colour = marks.person_colour(person.track_id)
+        colour = overlays.person_colour(person.track_id)
         on_ground, at_head = _planes_of(person, camera, factor)
         _sector(picture, on_ground, person.body, person.body_std, colour)
-        _sector(picture, at_head, person.head, person.head_std, marks.LIGHT)
+        _sector(picture, at_head, person.head, person.head_std, overlays.LIGHT)
     for person in people:
-        colour = marks.person_colour(person.track_id)
+        colour = overlays.person_colour(person.track_id)
         on_ground, at_head = _planes_of(person, camera, factor)
-        (marks.box if person.seen else marks.dashed_box)(picture, person.box * factor, colour, width)
+        (overlays.box if person.visible else overlays.dashed_box)(picture, person.box * factor, colour, width)
         if np.isfinite(person.body):
-            marks.arrow(picture, on_ground, person.body, colour, 2 * width)
+            overlays.arrow(picture, on_ground, person.body, colour, 2 * width)
         if np.isfinite(person.head):
-            marks.arrow(picture, at_head, person.head, marks.LIGHT, width)
-        marks.identity(picture, person.track_id, person.box * factor, colour, width)
-    marks.text(picture, words, (8, round(16 + 12 * width)), marks.LIGHT, 0.3 + 0.25 * width)
+            overlays.arrow(picture, at_head, person.head, overlays.LIGHT, width)
+        overlays.identity(picture, person.track_id, person.box * factor, colour, width)
+    overlays.text(picture, words, (8, round(16 + 12 * width)), overlays.LIGHT, 0.3 + 0.25 * width)
     return picture
 
 
-def _sector(picture: Image, place: Place, angle: float, std: float, colour: marks.Colour) -> None:
+def _sector(picture: Image, place: Place, angle: float, std: float, colour: overlays.Colour) -> None:
     if np.isfinite(angle) and np.isfinite(std):
-        marks.sector(picture, place, angle, min(_INTERVAL * std, _WIDEST), colour)
+        overlays.sector(picture, place, angle, min(_INTERVAL * std, _WIDEST), colour)
 
 
 def _planes_of(person: ShownPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
     left, top, width, height = person.box
     head = np.array([left + width / 2.0, top + _HEAD_BELOW * height])
-    return marks.planes(camera, person.position, head, _TRACKED_RADII, lambda pixel: pixel * factor)
+    return overlays.planes(camera, person.position, head, _TRACKED_RADII, lambda pixel: pixel * factor)
 
 
 _FOUND, _LOST, _PARTICLE = (80, 220, 80), (80, 80, 230), (240, 200, 60)
@@ -199,8 +203,8 @@ def draw(image: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClas
     number : of the frame
     pan_classes : of the tracker; None for one without pans
     """
-    factor = marks.enlargement(image)
-    shown = marks.enlarged_image(image)
+    factor = overlays.enlargement(image)
+    shown = overlays.enlarged_image(image)
     _particles(shown, estimate, factor)
     if estimate.pan is not None and pan_classes is not None:
         _pointer(shown, estimate, pan_classes, factor)
@@ -226,11 +230,11 @@ def _particles(shown: Image, estimate: BoxEstimate, factor: int) -> None:
 
 def _box(shown: Image, estimate: BoxEstimate, factor: int) -> None:
     left, top, width, height = (value * factor for value in estimate.box)
-    marks.box(shown, (left, top, width, height), _FOUND if estimate.found else _LOST, 2)
+    overlays.box(shown, (left, top, width, height), _FOUND if estimate.found else _LOST, 2)
     if not estimate.found:
         first, last = (round(left), round(top)), (round(left + width), round(top + height))
         cv2.line(shown, first, last, _LOST, 1, cv2.LINE_AA)
-        marks.text(shown, "not found", (10, 26), _LOST, 0.7)
+        overlays.text(shown, "not found", (10, 26), _LOST, 0.7)
 
 
 def _pointer(shown: Image, estimate: BoxEstimate, pan_classes: PoseClasses, factor: int) -> None:
@@ -241,8 +245,8 @@ def _pointer(shown: Image, estimate: BoxEstimate, pan_classes: PoseClasses, fact
     def place(offset: FloatArray) -> FloatArray:
         return np.asarray(estimate.centre * factor + length * offset[:, ::-1], float)
 
-    marks.fan(shown, place, estimate.pan, pan_classes, _PAN)
-    marks.arrow(shown, place, mean_pan(estimate, pan_classes), _PAN, 2)
+    overlays.fan(shown, place, estimate.pan, pan_classes, _PAN)
+    overlays.arrow(shown, place, mean_pan(estimate, pan_classes), _PAN, 2)
 
 
 def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClasses | None) -> None:
@@ -265,14 +269,14 @@ def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseCl
 
 def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
     """Draw a bar with its full length at ``full``."""
-    whole = _PANEL_WIDTH - 20
+    width = _PANEL_WIDTH - 20
     share = float(np.clip(value / full, 0.0, 1.0)) if np.isfinite(value) else 0.0
     # OpenCV's font is ASCII; long names are written smaller to fit.
     text = f"{name} {value:.2f}".replace("·", " x ").encode("ascii", "replace").decode()
     length = cv2.getTextSize(text, FONT, 0.4, 1)[0][0]
-    cv2.putText(panel, text, (10, row + 12), FONT, 0.4 * min(1.0, whole / length), _TEXT, 1, cv2.LINE_AA)
-    cv2.rectangle(panel, (10, row + 16), (10 + whole, row + 20), _TRACK, -1)
-    cv2.rectangle(panel, (10, row + 16), (10 + round(share * whole), row + 20), _PARTICLE, -1)
+    cv2.putText(panel, text, (10, row + 12), FONT, 0.4 * min(1.0, width / length), _TEXT, 1, cv2.LINE_AA)
+    cv2.rectangle(panel, (10, row + 16), (10 + width, row + 20), _TRACK, -1)
+    cv2.rectangle(panel, (10, row + 16), (10 + round(share * width), row + 20), _PARTICLE, -1)
 
 
 def _clock(panel: Image, middle: tuple[int, int], estimate: BoxEstimate, pan_classes: PoseClasses) -> None:

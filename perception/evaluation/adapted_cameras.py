@@ -26,7 +26,7 @@ from graphtrack.io.formats.caviar import FPS, lobby_camera
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import Track, TrackSet
 from perception.adaptation.directions import CLASSES, folds_of, with_outliers
-from perception.adaptation.labels import looks_of, patches_in, walking_labels
+from perception.adaptation.labels import descriptors_of_people, patches_in, walking_labels
 from perception.adaptation.learning import (
     AdaptationParameters,
     PackageModels,
@@ -39,7 +39,7 @@ from perception.adaptation.models import CameraModels
 from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import Clock, FrameSource
-from perception.observe.pipeline import Models, SeenPerson, by_frame, observe_frame
+from perception.observe.pipeline import Models, PersonObservation, by_frame, observe_frame
 from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
 
 
@@ -103,9 +103,9 @@ def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress)
     package = PackageModels.load()
     rows = []
     for one in sequences:
-        others = [other.recording for other in sequences if other is not one]
+        training = [other.recording for other in sequences if other is not one]
         rng = np.random.default_rng(seed)
-        found = adapted(others, lobby_camera(), package, rng, _silent, _ignore)
+        found = adapted(training, lobby_camera(), package, rng, _silent, _ignore)
         rows.append(_sequence_errors(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)
@@ -124,7 +124,7 @@ def _sequence_errors(
     }
     wanted = walking.keys() | sequence.gaze.keys()
     parts = package.head_localiser, package.body_pose, package.head_pose
-    said = {}
+    answered = {}
     for name, of_camera in (("taught", models), ("package", None)):
         looking = Models(*parts, of_camera=of_camera).seeing(camera, recording.frames.size)
         body, head, everybody = {}, {}, []
@@ -133,15 +133,15 @@ def _sequence_errors(
             of_frame = [item for item in of_frame if item.frame == frame.number]
             if frame.image is None or not of_frame:
                 continue
-            for seen in observe_frame(frame.image, frame.number, of_frame, looking, _ignore):
-                key = seen.frame, seen.track_id
-                everybody += [seen] if key in walking else []
-                body[key] = float(CLASSES.mean_pan(seen.body[None])[0])
-                head[key] = float(looking.head_classes.mean_pan(seen.pan[:1])[0])
-        said[name] = body, head
+            for people_observed in observe_frame(frame.image, frame.number, of_frame, looking, _ignore):
+                key = people_observed.frame, people_observed.track_id
+                everybody += [people_observed] if key in walking else []
+                body[key] = float(CLASSES.mean_pan(people_observed.body[None])[0])
+                head[key] = float(looking.head_classes.mean_pan(people_observed.pan[:1])[0])
+        answered[name] = body, head
         if of_camera is not None:
             smoothed = _smoothed(everybody, of_camera, recording.clock)
-    body, head = said["taught"]
+    body, head = answered["taught"]
     return {
         "judged on": sequence.name,
         "learned from (people)": taught_by,
@@ -153,17 +153,17 @@ def _sequence_errors(
         "head against gaze": _error(head, sequence.gaze),
         "travel against gaze": _error(walking, sequence.gaze),
         "gazes": len(sequence.gaze),
-        "the package's body, walking": _error(said["package"][0], walking),
+        "the package's body, walking": _error(answered["package"][0], walking),
         "in learning: body of people left out": models.card.figures["body_error_deg"],
     }
 
 
 def _smoothed(
-    seen: list[SeenPerson], models: CameraModels, clock: float | Clock
+    people_observed: list[PersonObservation], models: CameraModels, clock: float | Clock
 ) -> dict[tuple[int, int], float]:
     """Return the body angle smoothed by the graph with motion, radians in the image frame."""
     camera = lobby_camera()
-    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, clock).tracks
+    tracks = to_tracks(by_frame(people_observed), CLASSES.pans, camera, clock).tracks
     found: dict[tuple[int, int], float] = {}
     for track in estimated(tracks, camera, "smoother", _ignore, models.graph)[0]:
         if track.body is None:
@@ -175,12 +175,12 @@ def _smoothed(
     return found
 
 
-def _error(said: dict[tuple[int, int], float], truth: dict[tuple[int, int], float]) -> float | None:
+def _error(answered: dict[tuple[int, int], float], truth: dict[tuple[int, int], float]) -> float | None:
     """Return the mean error where the truth is known, degrees."""
-    shared = sorted(said.keys() & truth.keys())
+    shared = sorted(answered.keys() & truth.keys())
     if not shared:
         return None
-    apart = difference(np.array([said[k] for k in shared]), np.array([truth[k] for k in shared]))
+    apart = difference(np.array([answered[k] for k in shared]), np.array([truth[k] for k in shared]))
     return float(np.rad2deg(np.abs(apart).mean()))
 
 
@@ -195,7 +195,9 @@ _WALKING = 0.5
 _BAND = 1.96
 
 
-def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[TrackSet, GroundCamera, float]:
+def observed_by_other_people(
+    folder: Path, seed: int, progress: Progress
+) -> tuple[TrackSet, GroundCamera, float]:
     """Observe Town Centre's first minute with models fitted to other people.
 
     Walking people are divided into folds; each is observed with models fitted to the rest. Also returns the
@@ -204,16 +206,16 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
     camera = read_calibration(folder / "calibration.ci")
     frames = FrameSource.open(folder / "frames_001_150" / "img1")
     people = read_boxes(folder / "frames_001_150" / "det.txt")
-    looks, usable = looks_of(frames, people, _ignore)
+    appearance, usable = descriptors_of_people(frames, people, _ignore)
     found = patches_in(frames, people, _ignore)
-    labels = walking_labels(people, looks, camera, RATE)
+    labels = walking_labels(people, appearance, camera, RATE)
     rng = np.random.default_rng(seed)
     fold = folds_of(labels.person, rng, PARTS)
     part_of = np.zeros(len(people), np.int64)
     part_of[labels.box] = fold
     seconds = len(frames.numbers()) / RATE
     package = PackageModels.load()
-    seen: list[SeenPerson] = []
+    people_observed: list[PersonObservation] = []
     shares: list[float] = []
     for part in range(PARTS):
         parameters = AdaptationParameters()
@@ -221,21 +223,23 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
         patches = [found[k] for k in rest.box.tolist()]
         models = learn(patches, rest, seconds, frames.size(), package, rng, parameters)
         rows = [k for k in np.flatnonzero(usable & (part_of == part)).tolist() if k in found]
-        said = models.look_at([found[k] for k in rows], [people[k].box for k in rows])
-        for k, one in zip(rows, said, strict=True):
+        answered = models.look_at([found[k] for k in rows], [people[k].box for k in rows])
+        for k, one in zip(rows, answered, strict=True):
             item = people[k]
-            seen.append(
-                SeenPerson(item.frame, item.track_id, item.box, *one, score=item.score, looks=looks[k])
+            people_observed.append(
+                PersonObservation(
+                    item.frame, item.track_id, item.box, *one, score=item.score, appearance=appearance[k]
+                )
             )
         shares.append(models.class_outlier_probability or 0.0)
         progress(1)
-    table = to_detections(by_frame(seen), CameraModels.classes.pans, camera, RATE)
+    table = to_detections(by_frame(people_observed), CameraModels.classes.pans, camera, RATE)
     return associated(table.columns, table.number, people), camera, float(np.mean(shares))
 
 
 def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
     """Evaluate position, body and head of walking people, and identities, by every method of the report."""
-    tracks, camera, share = observed_by_others(folder, seed, progress)
+    tracks, camera, share = observed_by_other_people(folder, seed, progress)
     truth = read_identified(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
     reference = _travel(truth)
     rows = []
@@ -284,8 +288,10 @@ def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
     for frame, rows in of_frame.items():
         if frame not in reference:
             continue
-        places, (ways, speeds) = reference[frame][:, :2], reference[frame][:, 2:].T
-        apart = np.linalg.norm(np.array([track.position[k] for track, k in rows])[:, None] - places, axis=2)
+        positions, (ways, speeds) = reference[frame][:, :2], reference[frame][:, 2:].T
+        apart = np.linalg.norm(
+            np.array([track.position[k] for track, k in rows])[:, None] - positions, axis=2
+        )
         for i, j in zip(*linear_sum_assignment(np.minimum(apart, 2.0 * _MATCH)), strict=True):
             if apart[i, j] > _MATCH or speeds[j] < _WALKING:
                 continue

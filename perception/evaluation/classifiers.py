@@ -55,9 +55,9 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 def class_rates(confusion: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """Return the true and false positive rates (k,) of each class; NaN for unobserved classes."""
-    of_class, said, hits = confusion.sum(axis=1), confusion.sum(axis=0), np.diag(confusion)
+    of_class, predicted, hits = confusion.sum(axis=1), confusion.sum(axis=0), np.diag(confusion)
     with np.errstate(invalid="ignore", divide="ignore"):
-        false = (said - hits) / (of_class.sum() - of_class)
+        false = (predicted - hits) / (of_class.sum() - of_class)
         return hits / of_class, np.where(of_class > 0, false, np.nan)
 
 
@@ -283,10 +283,10 @@ def _one_of_each(
 ) -> tuple[HeadSet, NDArray[np.int64]]:
     """Render every person at every pan, person by person."""
     labels = np.tile(np.arange(len(classes)), len(persons))
-    looks = [person for person in persons for _ in range(len(classes))]
+    appearances = [person for person in persons for _ in range(len(classes))]
     count = len(labels)
     return make_heads(
-        count, rng, ALIGNED, pan=classes.pan[labels], tilt=np.zeros(count), people=looks
+        count, rng, ALIGNED, pan=classes.pan[labels], tilt=np.zeros(count), people=appearances
     ), labels
 
 

@@ -50,38 +50,38 @@ def reliability_table(folder: Path, seed: int, progress: Progress) -> Table:
         known = taught(of_half, camera, RATE, np.random.default_rng(seed))
         assert known is not None
         parts += [_judged(candidates[k], known, search, camera, truth.get(k)) for k in judged.tolist()]
-    said, right, inside, written = np.concatenate(parts).T
+    confidence, right, inside, written = np.concatenate(parts).T
     people = sum(map(len, truth.values()))
     rows: list[Mapping[str, Cell]] = []
-    place = np.minimum((said * _BINS).astype(int), _BINS - 1)
+    place = np.minimum((confidence * _BINS).astype(int), _BINS - 1)
     for k in range(_BINS):
         name = f"{k / _BINS:g}-{(k + 1) / _BINS:g}"
-        rows.append(_row(name, said, right, inside, place == k) | {"recall (%)": None})
-    for name, chosen in (("all", said >= 0.0), ("that are written", written > 0)):
+        rows.append(_row(name, confidence, right, inside, place == k) | {"recall (%)": None})
+    for name, chosen in (("all", confidence >= 0.0), ("that are written", written > 0)):
         recall = 100.0 * float(right[chosen].sum()) / people
-        rows.append(_row(name, said, right, inside, chosen) | {"recall (%)": recall})
+        rows.append(_row(name, confidence, right, inside, chosen) | {"recall (%)": recall})
     title = "Town Centre's first minute: detections within 1 m of a person, taught by the other half"
     return Table.of(title, rows)
 
 
-def calibration_error(said: FloatArray, right: FloatArray) -> float:
+def calibration_error(confidence: FloatArray, right: FloatArray) -> float:
     """Return the expected calibration error of probabilities (n,) of events (n,), in bins of a tenth."""
-    place = np.minimum((said * _BINS).astype(int), _BINS - 1)
-    off = np.bincount(place, said - right, _BINS)
-    return float(np.abs(off).sum() / max(len(said), 1))
+    place = np.minimum((confidence * _BINS).astype(int), _BINS - 1)
+    off = np.bincount(place, confidence - right, _BINS)
+    return float(np.abs(off).sum() / max(len(confidence), 1))
 
 
 def _row(
-    name: str, said: FloatArray, right: FloatArray, inside: FloatArray, chosen: NDArray[np.bool_]
+    name: str, confidence: FloatArray, right: FloatArray, inside: FloatArray, chosen: NDArray[np.bool_]
 ) -> dict[str, Cell]:
     row: dict[str, Cell] = {"said": name}
     for of, rows in (("", chosen), (" inside", chosen & (inside > 0))):
         some = bool(rows.any())
         row |= {
             f"detections{of}": int(rows.sum()),
-            f"mean{of} (%)": 100.0 * float(said[rows].mean()) if some else None,
+            f"mean{of} (%)": 100.0 * float(confidence[rows].mean()) if some else None,
             f"found{of} (%)": 100.0 * float(right[rows].mean()) if some else None,
-            f"ECE{of}": calibration_error(said[rows], right[rows]) if some else None,
+            f"ECE{of}": calibration_error(confidence[rows], right[rows]) if some else None,
         }
     return row
 
@@ -101,9 +101,9 @@ def _judged(
         one, other = linear_sum_assignment(np.minimum(away, 2.0 * _MATCH))
         right[one] = away[one, other] < _MATCH
     columns, rows = search.size
-    top, beside = found.foot[:, 1] - found.height, 0.2 * found.height
+    top, tolerance = found.foot[:, 1] - found.height, 0.2 * found.height
     inside = (top >= 0.0) & (found.foot[:, 1] < rows)
-    inside &= (found.foot[:, 0] >= beside) & (found.foot[:, 0] < columns - beside)
+    inside &= (found.foot[:, 0] >= tolerance) & (found.foot[:, 0] < columns - tolerance)
     return np.column_stack([found.score, right, inside, found.score >= probability.even])
 
 

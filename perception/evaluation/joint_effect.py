@@ -20,7 +20,7 @@ from graphtrack.tracks.track import Track, TrackSet
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import (
     Models,
-    SeenPerson,
+    PersonObservation,
     by_frame,
     channels_of,
     head_in_image,
@@ -44,7 +44,7 @@ class ObservedPerson:
     Attributes
     ----------
     causal : likelihoods in the world, heads chosen from past frames only
-    whole : the same with heads chosen offline
+    offline : the same with heads chosen offline
     image : as ``causal``, but the likelihoods are in the image
     truth : of the same frames
     camera : over the ground
@@ -52,7 +52,7 @@ class ObservedPerson:
     """
 
     causal: Track
-    whole: Track
+    offline: Track
     image: Track
     truth: Track
     camera: GroundCamera
@@ -117,40 +117,44 @@ METHODS: Mapping[str, Method] = {
 """Online methods and the first smoother share observations; the last smoother has offline heads."""
 
 
-def seen_in_clip(clip: Clip, models: Models) -> list[SeenPerson]:
+def observed_in_clip(clip: Clip, models: Models) -> list[PersonObservation]:
     """Return the models' outputs for all people in a clip."""
-    seen: list[SeenPerson] = []
+    people_observed: list[PersonObservation] = []
     for k, image in enumerate(clip.images):
         boxes = [item for item in clip.boxes if item.frame == k]
-        seen += observe_frame(image, k, boxes, models, lambda reason: None)
-    return seen
+        people_observed += observe_frame(image, k, boxes, models, lambda reason: None)
+    return people_observed
 
 
 def observed(clip: Clip, models: Models, *, causal: bool = False) -> TrackSet:
     """Return the observations of a clip, as `perception observe` writes them."""
-    seen = seen_in_clip(clip, models)
-    return to_tracks(by_frame(seen), models.head_pose.classes, clip.camera, clip.fps, causal=causal).tracks
+    people_observed = observed_in_clip(clip, models)
+    return to_tracks(
+        by_frame(people_observed), models.head_pose.classes, clip.camera, clip.fps, causal=causal
+    ).tracks
 
 
 def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     """Return the people of a clip observed in at least `LEAST_FRAMES` frames."""
-    seen, classes = seen_in_clip(clip, models), models.head_pose.classes
-    if not seen:
+    people_observed, classes = observed_in_clip(clip, models), models.head_pose.classes
+    if not people_observed:
         return []
-    causal = to_tracks(by_frame(seen), classes, clip.camera, clip.fps, causal=True)
-    whole = to_tracks(by_frame(seen), classes, clip.camera, clip.fps).tracks
+    causal = to_tracks(by_frame(people_observed), classes, clip.camera, clip.fps, causal=True)
+    offline = to_tracks(by_frame(people_observed), classes, clip.camera, clip.fps).tracks
     found = []
     for track in causal.tracks:
         if len(track) < LEAST_FRAMES:
             continue
         key, truth = track.track_id, clip.truth.by_id(track.track_id)
         heads = causal.heads[key]
-        of_track = sorted((item for item in seen if item.track_id == key), key=lambda item: item.frame)
+        of_track = sorted(
+            (item for item in people_observed if item.track_id == key), key=lambda item: item.frame
+        )
         items = [item for item in of_track if is_on_ground(item, clip.camera)]
         found.append(
             ObservedPerson(
                 track,
-                whole.by_id(key),
+                offline.by_id(key),
                 Track(key, **channels_of(items, heads, classes, clip.camera, clip.fps, in_image=True)),
                 truth[np.searchsorted(truth.frame, track.frame)],
                 clip.camera,
@@ -170,7 +174,7 @@ def joint_scores(
     for person in people:
         count += 1
         for angle in ANGLES:
-            for name, track in (("", person.causal), ("whole track", person.whole)):
+            for name, track in (("", person.causal), ("whole track", person.offline)):
                 error = most_likely_error(track, person.truth, angle)
                 found.setdefault(("observation", name, angle), []).append(error)
         for name, method in METHODS.items():

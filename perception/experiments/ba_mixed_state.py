@@ -64,9 +64,9 @@ def _jobs(settings: Settings) -> dict[str, list[HeadJob]]:
     nods = HeadClipParameters(frames, tilt=_NODDING)
     nodding = [HeadJob((settings.seed, k, 50), nods) for k in range(seeds)]
     # The paper's filter has no poses that face away.
-    others = tuple(name for name in METHODS if name not in (AS_PRINTED, OUR_EXEMPLARS))
+    methods = tuple(name for name in METHODS if name not in (AS_PRINTED, OUR_EXEMPLARS))
     turns = HeadClipParameters(frames, all_around=True)
-    around = [HeadJob((settings.seed, k, 4), turns, others) for k in range(seeds)]
+    around = [HeadJob((settings.seed, k, 4), turns, methods) for k in range(seeds)]
     return {_FACING: facing, f"{_FACING}, nodding": nodding, "all around": around}
 
 
@@ -107,7 +107,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         _by_place(facing),
         _on_top(facing),
         _survived(hidden),
-        _beside(facing),
+        _published_table(facing),
     )
     notes = (
         "e(t) is the mean share that the two boxes do not have in common; lost: no overlap in some frame.",
@@ -238,7 +238,7 @@ def _over_seeds(runs: Sequence[tuple[int, Run]], attribute: str, form: str = ".1
     return f"{values.mean():{form}}{spread}"
 
 
-def _beside(facing: Done) -> Table:
+def _published_table(facing: Done) -> Table:
     def mean(name: str, attribute: str) -> float:
         return float(np.mean([getattr(result[1][name], attribute).mean() for _, result in facing]))
 

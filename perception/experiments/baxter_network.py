@@ -193,8 +193,8 @@ def splits(
         return found
     images = [image for person in people for image in person.images]
     pan = np.concatenate([person.pan for person in people])
-    who = np.repeat(np.arange(len(people)), [len(person.images) for person in people])
-    for name, groups in (("50:50", None), ("50:50 of the people", who)):
+    person_index = np.repeat(np.arange(len(people)), [len(person.images) for person in people])
+    for name, groups in (("50:50", None), ("50:50 of the people", person_index)):
         scores = split_scores(
             model, images, pan, 0.5, settings.rng(3), repetitions=2 * repetitions, groups=groups
         )
@@ -206,11 +206,11 @@ def splits(
 def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settings) -> Table:
     """Compute MSE and CLL gains over Baxter et al.'s Kalman filter, with labelled and the network's heads."""
     records: list[dict[str, Cell]] = []
-    seen = {"labelled": [person.track for person in people]}
-    seen["network"] = [network_heads(model, person) for person in people]
+    recordings = {"labelled": [person.track for person in people]}
+    recordings["network"] = [network_heads(model, person) for person in people]
     for rate in RATES:
         seeds = 1 if rate == 1.0 else 2 if settings.quick else 10
-        for heads, tracks in seen.items():
+        for heads, tracks in recordings.items():
             for method, parameters in OWN_FILTERS.items():
                 ratios = np.empty((seeds, len(tracks), 2))
                 for k, track in enumerate(tracks):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from graphtrack.evaluation.metrics import bootstrap, mean_difference
 from graphtrack.experiments import chen_classes
 from graphtrack.experiments.chen_classes import scores
-from graphtrack.experiments.chen_joint import POSITION_STD, Scores, beside, detail, draw_errors
+from graphtrack.experiments.chen_joint import POSITION_STD, Scores, detail, draw_errors, published_table
 from graphtrack.experiments.harness import (
     ASKANCE,
     MOCAP,
@@ -38,7 +38,7 @@ from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
-from perception.drawing.marks import Cues, draw_cues
+from perception.drawing.overlays import Cues, draw_cues
 from perception.evaluation.joint_effect import LAG, METHODS, ObservedPerson, joint_scores, people_of
 from perception.images.pixels import Image
 from perception.models import load_classifier, load_head_localiser
@@ -210,17 +210,17 @@ class Answers:
 
     Attributes
     ----------
-    body, said_body : (n,) classes of 45°, true and likeliest
-    pan, said_pan : (n,) classes of the head's pan
-    tilt, said_tilt : (n,) its tilt classes, `LEVELS`
+    body, answered_body : (n,) classes of 45°, true and likeliest
+    pan, answered_pan : (n,) classes of the head's pan
+    tilt, answered_tilt : (n,) its tilt classes, `LEVELS`
     """
 
     body: NDArray[np.int64]
-    said_body: NDArray[np.int64]
+    answered_body: NDArray[np.int64]
     pan: NDArray[np.int64]
-    said_pan: NDArray[np.int64]
+    answered_pan: NDArray[np.int64]
     tilt: NDArray[np.int64]
-    said_tilt: NDArray[np.int64]
+    answered_tilt: NDArray[np.int64]
 
 
 def captured_people(settings: Settings) -> dict[str, TrackSet]:
@@ -258,7 +258,7 @@ def classified(
     heads = make_heads(len(track), rng, FOUND_AS_WALKING, pan=at_head)
     of_body, of_head = body.log_likelihoods(crops), head.log_likelihoods(heads.images)
     pans = head.classes.pan_log_likelihood(of_head)
-    seen = replace(
+    observed = replace(
         track,
         body=None,
         body_kappa=None,
@@ -278,7 +278,7 @@ def classified(
         true // n_pan,
         np.logaddexp.reduce(levels, axis=2).argmax(axis=1),
     )
-    return seen, answers
+    return observed, answers
 
 
 def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: float) -> FloatArray:
@@ -298,12 +298,12 @@ def known_poses(
     """Compute errors of every method of `chen-classes`, by source, and return the classifiers' outputs."""
     found, answers = [], []
     for name, tracks in everyone.items():
-        seen = []
+        observed = []
         for track in tracks:
             one, of_one = classified(track, body, head, rng)
-            seen.append(one)
+            observed.append(one)
             answers.append(of_one)
-        found.append(scores(name, tracks.with_tracks(seen), lambda count: None))
+        found.append(scores(name, tracks.with_tracks(observed), lambda count: None))
         progress(1)
     return found, answers
 
@@ -318,16 +318,16 @@ def confusions(answers: list[Answers], head: PoseClasses) -> tuple[Table, Table,
         return [f"{360 * k // count}°" for k in range(count)]
 
     return (
-        _confusion("body, by `body_pose`", degrees(BODY_CLASSES), joined("body"), joined("said_body")),
-        _confusion("the head's pan", degrees(head.n_pan), joined("pan"), joined("said_pan")),
-        _confusion("the head's tilt", list(LEVELS), joined("tilt"), joined("said_tilt")),
+        _confusion("body, by `body_pose`", degrees(BODY_CLASSES), joined("body"), joined("answered_body")),
+        _confusion("the head's pan", degrees(head.n_pan), joined("pan"), joined("answered_pan")),
+        _confusion("the head's tilt", list(LEVELS), joined("tilt"), joined("answered_tilt")),
     )
 
 
-def _confusion(of: str, names: list[str], true: NDArray[np.int64], said: NDArray[np.int64]) -> Table:
+def _confusion(of: str, names: list[str], true: NDArray[np.int64], predicted: NDArray[np.int64]) -> Table:
     records: list[dict[str, Cell]] = []
     for k, name in enumerate(names):
-        answered = np.bincount(said[true == k], minlength=len(names))
+        answered = np.bincount(predicted[true == k], minlength=len(names))
         pictures = int(answered.sum())
         row: dict[str, Cell] = {"true": name, "pictures": pictures}
         for other, count in zip(names, answered.tolist(), strict=True):
@@ -339,7 +339,7 @@ def _confusion(of: str, names: list[str], true: NDArray[np.int64], said: NDArray
 HEADS = ("deep_belief", "templates")
 """Head pose classifiers: ours, and Chen et al.'s with distances after a Fisher projection."""
 
-BESIDE = "Paper / ours: mean error in degrees (Chen et al. 2011 on CHIL with its particle filter; "
+PUBLISHED_TITLE = "Paper / ours: mean error in degrees (Chen et al. 2011 on CHIL with its particle filter; "
 "ours on rendered people)"
 
 GROUPS = {name: method.group for name, method in METHODS.items()}
@@ -392,12 +392,16 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "classified by body_pose (8 classes) and templates (12 pans × 3 tilts, summed out), in heads boxed "
         "as the localiser does; errors are independent from frame to frame.",
     )
-    whole, effect, table_2 = detail(found, GROUPS, rng), _effect(found, rng), beside(found, GROUPS, BESIDE)
+    details, effect, table_2 = (
+        detail(found, GROUPS, rng),
+        _effect(found, rng),
+        published_table(found, GROUPS, PUBLISHED_TITLE),
+    )
     of_posed = replace(
         detail(posed, chen_classes.GROUPS, settings.rng(98)),
         title="Known poses: body and head of motion capture from the answers of Chen et al.'s classifiers",
     )
-    tables = (whole, effect, of_posed, *confusions(answers, head.classes), table_2)
+    tables = (details, effect, of_posed, *confusions(answers, head.classes), table_2)
     return Reproduction("chen-pixels", tables, _figure(found, first, rng), notes)
 
 
@@ -406,9 +410,9 @@ def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Table:
     records: list[dict[str, Cell]] = []
     for one in found:
         pairs = [(name, "joint − joint-body", ("joint", name), ("joint-body", name)) for name in METHODS]
-        whole = "smoother, heads of the whole track"
+        details = "smoother, heads of the whole track"
         cost = "heads of the whole track − causal heads"
-        pairs += [("smoother", f"{cost}, {p}", (p, whole), (p, "smoother")) for p in ("separate", "joint")]
+        pairs += [("smoother", f"{cost}, {p}", (p, details), (p, "smoother")) for p in ("separate", "joint")]
         pairs += [
             (name, "full − joint", ("full", name), ("joint", name))
             for name, method in METHODS.items()

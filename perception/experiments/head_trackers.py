@@ -262,7 +262,7 @@ def tracking_error(boxes: ArrayLike, truth: ArrayLike) -> FloatArray:
 
 _FEWEST, _MOST = 12, 25
 """Least number of consecutive images of a person, and number of evaluated images."""
-_TOLD = 0.5
+_PROPOSAL_STD = 0.5
 """1-σ, in sizes of the head, of the given position."""
 
 
@@ -349,11 +349,15 @@ def heads_table(folder: Path, people: int, seed: int, progress: Progress) -> Tab
         moved = np.linalg.norm(np.diff(head.boxes[:, :2] + head.boxes[:, 2:] / 2.0, axis=0), axis=1)
         step = float(np.median(moved / head.boxes[1:, 2]))
         pictures = list(frames.where(set(head.frame.tolist()).__contains__))
-        for name, (tracker, told) in _methods(seed).items():
-            figures = _followed(tracker, pictures, head, told=told)
+        for name, (tracker, proposes) in _methods(seed).items():
+            figures = _followed(tracker, pictures, head, proposes=proposes)
             every.setdefault(name, []).append({"step": step, **figures})
-            who: dict[str, Cell] = {"person": str(head.person), "pictures": len(head.frame), "method": name}
-            rows.append({**who, **_row(every[name][-1:])})
+            labels: dict[str, Cell] = {
+                "person": str(head.person),
+                "pictures": len(head.frame),
+                "method": name,
+            }
+            rows.append({**labels, **_row(every[name][-1:])})
         progress(1)
     for name, figures_of in every.items():
         mean: dict[str, Cell] = {"person": "mean", "pictures": None, "method": name}
@@ -374,10 +378,10 @@ def _row(figures: list[dict[str, float]]) -> dict[str, Cell]:
 
 
 def _followed(
-    tracker: Tracker, pictures: Sequence[Frame], head: WalkingHead, *, told: bool
+    tracker: Tracker, pictures: Sequence[Frame], head: WalkingHead, *, proposes: bool
 ) -> dict[str, float]:
     """Return figures of a tracker, optionally with a proposal at the true position in every image."""
-    said: list[BoxEstimate] = []
+    estimates: list[BoxEstimate] = []
     known = []
     at = {frame: k for k, frame in enumerate(head.frame.tolist())}
     for picture in pictures:
@@ -385,25 +389,25 @@ def _followed(
             continue
         k = at[picture.number]
         left, top, width, height = (float(value) for value in head.boxes[k])
-        if not said:
-            said.append(tracker.start(picture.image, (left, top, width, height)))
+        if not estimates:
+            estimates.append(tracker.start(picture.image, (left, top, width, height)))
         else:
             place = np.array([left + width / 2.0, top + height / 2.0])
-            about = Proposal(place, np.diag(np.square([_TOLD * width, _TOLD * height])))
-            said.append(tracker.step(picture.image, about if told else None))
+            about = Proposal(place, np.diag(np.square([_PROPOSAL_STD * width, _PROPOSAL_STD * height])))
+            estimates.append(tracker.step(picture.image, about if proposes else None))
         known.append(k)
-    boxes, truth = np.array([one.box for one in said]), head.boxes[known]
+    boxes, truth = np.array([one.box for one in estimates]), head.boxes[known]
     centre = boxes[:, :2] + boxes[:, 2:] / 2.0
     inside = (centre >= truth[:, :2]) & (centre <= truth[:, :2] + truth[:, 2:])
     on = np.asarray(inside.all(axis=1))
     off = np.flatnonzero(tracking_error(boxes, truth) >= 1.0)
     assert tracker.pan_classes is not None
-    pan = tracker.pan_classes.mean_of(np.array([one.pan for one in said]))
+    pan = tracker.pan_classes.mean_of(np.array([one.pan for one in estimates]))
     error = np.asarray(np.abs(difference(pan, head.pan[known])))
     return {
         "on": 100.0 * float(on[1:].mean()),
         "touching": 100.0 * float(np.mean(tracking_error(boxes, truth)[1:] < 1.0)),
-        "until": float(off[0]) if len(off) else float(len(said)),
+        "until": float(off[0]) if len(off) else float(len(estimates)),
         "pan": float(np.rad2deg(error[on].mean())) if on.any() else float("nan"),
     }
 

@@ -81,7 +81,7 @@ FROM_BOXES: Mapping[str, SigmaPiParameters] = {
 }
 """Methods with the first box: the tracker; without views; and motion only."""
 
-_SEEN = 0.5
+_LEAST_VISIBLE = 0.5
 """Share of a rendered person that must be visible for the frame to count."""
 
 
@@ -220,7 +220,11 @@ class PersonJob:
         for frame in ceiling_sequence(kind, rng, frames=self.frames or 0, oversampling=1):
             target = frame.target
             box = None if target is None else target.body_box
-            yield frame.image, box, target is None or (box is not None and target.visibility >= _SEEN)
+            yield (
+                frame.image,
+                box,
+                target is None or (box is not None and target.visibility >= _LEAST_VISIBLE),
+            )
 
 
 def run_job(job: PersonJob) -> dict[str, Tally]:

@@ -163,7 +163,7 @@ def packaged_pans(model: DeepBelief, people: Sequence[StreetPerson]) -> list[Flo
     return [model.classes.most_likely_pan(model.log_likelihoods(person.images)) for person in people]
 
 
-def taught_pans(
+def pans_by_travel(
     model: DeepBelief, people: Sequence[StreetPerson], teachers: Sequence[StreetPerson]
 ) -> list[FloatArray]:
     """Return pans by a last layer trained on other people's directions of travel, and reflections."""
@@ -192,8 +192,8 @@ def windows(track: Track, pan: FloatArray, camera: GroundCamera) -> list[tuple[T
     found = []
     for begin in range(BEFORE, len(track) - HIDDEN + 1, APART):
         part, window = track[: begin + HIDDEN], np.arange(begin + HIDDEN) >= begin
-        seen_from = np.where(window[:, None], track.position[begin - 1], part.position)
-        head = camera.world_angle(pan[: begin + HIDDEN], seen_from)
+        viewpoint = np.where(window[:, None], track.position[begin - 1], part.position)
+        head = camera.world_angle(pan[: begin + HIDDEN], viewpoint)
         found.append((withhold(replace(part, head=head), window, ("position",)), window))
     return found
 
@@ -245,19 +245,19 @@ def occlusion_tables(
         judged, fitting, teaching = (by_part[(k + shift) % PARTS] for shift in range(PARTS))
         for heads in HEADS:
             both = [*fitting, *judged]
-            pans = packaged_pans(model, both) if heads == HEADS[0] else taught_pans(model, both, teaching)
+            pans = packaged_pans(model, both) if heads == HEADS[0] else pans_by_travel(model, both, teaching)
             off = [difference(pan, person.travel) for pan, person in zip(pans, both, strict=True)]
             errors[heads] += off[len(fitting) :]
             pairs = [windows(person.track, pan, camera) for person, pan in zip(both, pans, strict=True)]
             kappa = concentration(np.concatenate(off[: len(fitting)]))
             training = [pair for of in pairs[: len(fitting)] for pair in of]
             methods = _fitted(training, kappa, 4 if quick else 20)
-            for seen, hide in (("visible", False), ("hidden", True)):
+            for visibility, hide in (("visible", False), ("hidden", True)):
                 for of in pairs[len(fitting) :]:
                     shown = [(withhold(t, w, ("head",)), w) for t, w in of] if hide else of
                     for name, predictor in methods.items():
                         mean = float(np.mean(error_of(predictor, shown)))
-                        squares.setdefault((heads, seen, name), []).append(mean)
+                        squares.setdefault((heads, visibility, name), []).append(mean)
     sizes = np.concatenate([person.size for person in people])
     return [_heads_table(errors, len(people), float(np.median(sizes))), _window_table(squares, rng)]
 
@@ -289,14 +289,14 @@ def _heads_table(errors: Mapping[str, Sequence[FloatArray]], people: int, size: 
 
 def _window_table(squares: Mapping[tuple[str, str, str], Sequence[float]], rng: np.random.Generator) -> Table:
     records: list[dict[str, Cell]] = []
-    for (heads, seen, name), found in squares.items():
+    for (heads, visibility, name), found in squares.items():
         own = np.array(found)
-        base = np.array(squares[heads, seen, CONSTANT])
+        base = np.array(squares[heads, visibility, CONSTANT])
         interval = bootstrap(reduction, own, base, rng=rng)
         records.append(
             {
                 "heads": heads,
-                "in the window": seen,
+                "in the window": visibility,
                 "method": name,
                 "people": len(own),
                 "RMSE (m)": float(np.sqrt(own.mean())),

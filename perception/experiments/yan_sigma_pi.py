@@ -132,7 +132,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     panels.append(
         Panel(tables[1].title, tables[1].records(), "sequence", apart, "ours less", ("low", "high"))
     )
-    return Reproduction("yan-sigma-pi", (*tables, _beside(drawn)), page(panels, columns=1), tuple(notes))
+    return Reproduction(
+        "yan-sigma-pi", (*tables, _published_table(drawn)), page(panels, columns=1), tuple(notes)
+    )
 
 
 def success(runs: Sequence[Mapping[str, Tally]], method: str) -> np.ndarray:
@@ -192,7 +194,7 @@ def difference_table(runs: Runs, rng: np.random.Generator) -> Table:
     return Table.of("Paired differences of success on rendered sequences, 95 % intervals", records)
 
 
-def _beside(runs: Runs) -> Table:
+def _published_table(runs: Runs) -> Table:
     records: list[dict[str, Cell]] = []
     for kind, found in runs.items():
         printed = PAPER.get(kind)
@@ -221,11 +223,11 @@ def _beside(runs: Runs) -> Table:
         cells = [record[column] for record in of_persons]
         values = [float(cell) for cell in cells if isinstance(cell, int | float)]
         mean[column] = float(np.mean(values)) if values else None
-    whole, unseen, astray = (sum(values[k] for values in PAPER.values()) for k in range(3))
+    total, unseen, astray = (sum(values[k] for values in PAPER.values()) for k in range(3))
     mean |= {
-        "paper: frames": int(whole),
-        "paper: missing": 100.0 * unseen / whole,
-        "paper: mismatch": 100.0 * astray / whole,
+        "paper: frames": int(total),
+        "paper: missing": 100.0 * unseen / total,
+        "paper: mismatch": 100.0 * astray / total,
         "ours: frames": sum(one[OURS].frames for kind in PAPER for one in runs[kind]),
         "paper: success": PAPER_MEAN,
         "paper: motion": PAPER_MOTION,

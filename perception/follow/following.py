@@ -217,10 +217,10 @@ def to_track(
     pixel, position = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
     std, head = np.full(n, np.nan), np.full((n, HEAD_CLASSES), np.nan)
     for k, item in enumerate(found):
-        seen = boxes.sighting(item.estimate, pan_classes, filtered=filtered) if item.believed else None
-        if seen is not None:
-            pixel[k], position[k], std[k] = seen.pixel, seen.position, seen.position_std
-            head[k] = np.nan if seen.head_likelihood is None else seen.head_likelihood
+        sighting = boxes.sighting(item.estimate, pan_classes, filtered=filtered) if item.believed else None
+        if sighting is not None:
+            pixel[k], position[k], std[k] = sighting.pixel, sighting.position, sighting.position_std
+            head[k] = np.nan if sighting.head_likelihood is None else sighting.head_likelihood
     return Track(
         track_id,
         frame,
@@ -245,11 +245,11 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
         If the path cannot be written to; an existing file is then kept.
     """
     columns = to_columns(TrackSet((track,)))
-    beside = np.array([(*item.estimate.box, item.estimate.confidence) for item in found])
+    boxes_of_head = np.array([(*item.estimate.box, item.estimate.confidence) for item in found])
     first = ("track_id", "frame", "t")
     position = ("u", "v", "x", "y", "pos_std")
     table = {name: columns[name] for name in first}
-    table |= dict(zip(BOX_COLUMNS, beside.T, strict=True))
+    table |= dict(zip(BOX_COLUMNS, boxes_of_head.T, strict=True))
     table |= {name: columns[name] for name in position}
     table |= {name: columns[name] for name in columns if name.startswith("head_p")}
     tilts = [item.estimate.tilt if item.estimate.found else None for item in found]
@@ -263,16 +263,16 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
 
 def notes(found: Sequence[Followed], track: Track) -> list[str]:
     """Return notes on the table: frames without the target, and positions beyond the horizon."""
-    said = []
+    lines = []
     lost = [item.frame for item in found if not item.estimate.found]
     if lost:
-        said.append(
+        lines.append(
             f"the target was not found in {len(lost)} of {len(found)} frames, first in frame {lost[0]}"
         )
     doubted = sum(item.estimate.found and not item.believed for item in found)
     if doubted:
-        said.append(f"the graph rejects the tracker in {doubted} more frames")
+        lines.append(f"the graph rejects the tracker in {doubted} more frames")
     beyond = int(np.isnan(track.position[:, 0]).sum()) - len(lost) - doubted
     if beyond:
-        said.append(f"in {beyond} frames the foot point is at or beyond the camera's horizon")
-    return said
+        lines.append(f"in {beyond} frames the foot point is at or beyond the camera's horizon")
+    return lines

@@ -155,8 +155,8 @@ class BoxCamera:
 
         The camera is linearised about the box; both axes have the mean variance.
         """
-        marks = self._mark(particles)
-        away = marks - weights @ marks
+        mark = self._mark(particles)
+        away = mark - weights @ mark
         least = self.smallest_std * float(np.asarray(box, float)[2])
         covariance = (weights[:, None] * away).T @ away + least**2 * np.eye(2)
         jacobian = self._jacobian(self._mark(box))

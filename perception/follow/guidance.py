@@ -121,7 +121,7 @@ class GraphGuide:
         self.rejected: set[int] = set()
         self._lost_at: float | None = None
         self._again: list[Observation] = []
-        self._seen: deque[tuple[int, Observation, FloatArray]] = deque()
+        self._sightings: deque[tuple[int, Observation, FloatArray]] = deque()
         """Frames of the last ``lag`` seconds: numbers, observations and the middles of their boxes."""
 
     def observe(self, frame: int, estimate: BoxEstimate) -> None:
@@ -129,14 +129,14 @@ class GraphGuide:
         t = float(seconds(frame, self.clock))
         observation = Observation(t)
         if estimate.found and self._doubt.sure(estimate.confidence, t):
-            seen = self.boxes.sighting(estimate, self.pan_classes)
-            if seen is not None:
-                x, y = seen.position.tolist()
-                head = None if seen.head_likelihood is None else tuple(seen.head_likelihood.tolist())
+            sighting = self.boxes.sighting(estimate, self.pan_classes)
+            if sighting is not None:
+                x, y = sighting.position.tolist()
+                head = None if sighting.head_likelihood is None else tuple(sighting.head_likelihood.tolist())
                 observation = Observation(
-                    t, position=(x, y), position_std=seen.position_std, head_likelihood=head
+                    t, position=(x, y), position_std=sighting.position_std, head_likelihood=head
                 )
-        if observation.position is None and self._lost_at is None and self._seen:
+        if observation.position is None and self._lost_at is None and self._sightings:
             self._lost_at = t
             self._forget(FORGET * estimate.box[2])
         if observation.position is None:
@@ -157,9 +157,9 @@ class GraphGuide:
         else:
             self.rejected.add(frame)
         self._last = self._smoother.update(observation)
-        self._seen.append((frame, observation, estimate.centre))
-        while self._seen[0][1].t < t - self._smoother.lag:
-            self._seen.popleft()
+        self._sightings.append((frame, observation, estimate.centre))
+        while self._sightings[0][1].t < t - self._smoother.lag:
+            self._sightings.popleft()
 
     def _is_target(self) -> bool:
         """Return True if the position and motion of a recovered target match the prediction."""
@@ -180,18 +180,18 @@ class GraphGuide:
 
     def _forget(self, width: float) -> None:
         """Remove the observations since the target was ``width`` pixels from its last position."""
-        seen = list(self._seen)
-        _, last, centre = seen[-1]
+        sighting = list(self._sightings)
+        _, last, centre = sighting[-1]
         from_there = last.t - _FORGET_AT_MOST
-        for _, observation, before in seen:
+        for _, observation, before in sighting:
             if np.linalg.norm(before - centre) > width:
                 from_there = max(from_there, observation.t)
         self._smoother = self._new_smoother()
-        for place, (frame, observation, middle) in enumerate(seen):
+        for place, (frame, observation, middle) in enumerate(sighting):
             if observation.t > from_there and place > 0:
                 observation = Observation(observation.t)
                 self.rejected.add(frame)
-                self._seen[place] = frame, observation, middle
+                self._sightings[place] = frame, observation, middle
             self._last = self._smoother.update(observation)
 
     def predict(self, frame: int) -> Proposal | None:

@@ -22,7 +22,7 @@ _OVERLAP = 0.3
 _BORDER = 2.0
 
 
-def whole(box: FloatArray, size: tuple[int, int]) -> NDArray[np.bool_]:
+def complete_boxes(box: FloatArray, size: tuple[int, int]) -> NDArray[np.bool_]:
     """Return a mask (n,) of boxes (n, 4) that do not touch the border of an image (columns, rows)."""
     left, top, width, height = box.T
     columns, rows = size
@@ -40,7 +40,7 @@ def people_of(boxes: Sequence[PersonBox]) -> NDArray[np.int64]:
         return np.asarray(np.unique(ids, return_inverse=True)[1], np.int64)
     frame = np.array([item.frame for item in boxes], np.int64)
     box = np.array([item.box for item in boxes], float).reshape(-1, 4)
-    who: NDArray[np.int64] = np.full(len(boxes), -1)
+    person: NDArray[np.int64] = np.full(len(boxes), -1)
     order = np.argsort(frame, kind="stable")
     before: NDArray[np.int64] = np.zeros(0, np.int64)
     count = 0
@@ -49,29 +49,29 @@ def people_of(boxes: Sequence[PersonBox]) -> NDArray[np.int64]:
             overlap = intersection_over_union(box[now][:, None], box[before])
             first, second = linear_sum_assignment(-overlap)
             near = overlap[first, second] > _OVERLAP
-            who[now[first[near]]] = who[before[second[near]]]
-        new = now[who[now] < 0]
-        who[new] = count + np.arange(len(new))
+            person[now[first[near]]] = person[before[second[near]]]
+        new = now[person[now] < 0]
+        person[new] = count + np.arange(len(new))
         count += len(new)
         before = now
-    return who
+    return person
 
 
-def thinned(who: NDArray[np.int64], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def thinned(person: NDArray[np.int64], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Return indices of at most ``most`` boxes, evenly over people, in their order.
 
     Parameters
     ----------
-    who : (n,) person in each box
+    person : (n,) person in each box
     """
-    if len(who) <= most:
-        return np.arange(len(who))
-    order = rng.permutation(len(who))
-    by_person = order[np.argsort(who[order], kind="stable")]
-    start = np.flatnonzero(np.diff(who[by_person], prepend=-1))
-    turn = np.arange(len(who)) - np.repeat(start, np.diff(np.append(start, len(who))))
+    if len(person) <= most:
+        return np.arange(len(person))
+    order = rng.permutation(len(person))
+    by_person = order[np.argsort(person[order], kind="stable")]
+    start = np.flatnonzero(np.diff(person[by_person], prepend=-1))
+    turn = np.arange(len(person)) - np.repeat(start, np.diff(np.append(start, len(person))))
     # Round robin over people, in random order within a round.
-    chosen = by_person[np.lexsort((rng.permutation(len(who)), turn))[:most]]
+    chosen = by_person[np.lexsort((rng.permutation(len(person)), turn))[:most]]
     return np.sort(chosen)
 
 
@@ -170,11 +170,11 @@ def found_view(
     """
     _check_size(boxes, size)
     box = np.array([item.box for item in boxes], float).reshape(-1, 4)
-    kept = np.flatnonzero(whole(box, size))
-    who = people_of(boxes)[kept]
-    places = thinned(who, _MOST_BOXES, rng)
-    kept, who = kept[places], np.unique(who[places], return_inverse=True)[1]
-    people = int(who.max(initial=-1)) + 1
+    kept = np.flatnonzero(complete_boxes(box, size))
+    person = people_of(boxes)[kept]
+    rows = thinned(person, _MOST_BOXES, rng)
+    kept, person = kept[rows], np.unique(person[rows], return_inverse=True)[1]
+    people = int(person.max(initial=-1)) + 1
     if people < _LEAST_PEOPLE or len(kept) < _LEAST_BOXES:
         raise ViewUnknown(
             f"{len(kept)} whole boxes of {people} people: too few to calibrate the view",
@@ -189,10 +189,10 @@ def found_view(
             "the ground plane is not observable",
             "people near and far, or a calibration",
         )
-    fit = fitted(HeightData(feet, height, who, people, float(max(size))))
+    fit = fitted(HeightData(feet, height, person, people, float(max(size))))
     draws = rng.multivariate_normal(fit.vector, fit.covariance, _DRAWS)
     distance_std = _distance_std(draws, fit.vector, feet, size, rng)
-    _check_told(fit, distance_std)
+    _check_options(fit, distance_std)
     view = View.from_vector(fit.vector, person_height)
     deviation = np.sqrt(np.diag(fit.covariance)).tolist()
     std = {
@@ -246,7 +246,7 @@ def _distance_std(
     return float(np.median((high - low) / 2.0))
 
 
-def _check_told(fit: Fit, distance_std: float) -> None:
+def _check_options(fit: Fit, distance_std: float) -> None:
     focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
     if fit.inliers < _LEAST_INLIERS or fit.error > 0.3:
         raise ViewUnknown(

@@ -96,15 +96,15 @@ def box_heights(vector: FloatArray, feet: FloatArray, radius: float = RADIUS) ->
     up = up_of(vector[1], vector[2])
     ray = np.column_stack([feet / focal, np.ones(len(feet))])
     down = -ray @ up
-    seen = down > _AHEAD
+    in_front = down > _AHEAD
     down = np.maximum(down, _AHEAD)
     away = ray + down[:, None] * up
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
     depth = 2.0 * radius * expit((height - 1.0) / _LEVEL)
     top = ray * (height / down)[:, None] + up + depth * away
-    seen &= top[:, 2] > _AHEAD
+    in_front &= top[:, 2] > _AHEAD
     found = feet[:, 1] - focal * top[:, 1] / np.maximum(top[:, 2], _AHEAD)
-    return np.where(seen & (found > 0.0), found, np.nan)
+    return np.where(in_front & (found > 0.0), found, np.nan)
 
 
 _TAILS = 3.0  # degrees of freedom of Student's distribution
@@ -146,7 +146,7 @@ class HeightData:
 
     feet: FloatArray
     height: FloatArray
-    who: NDArray[np.int64]
+    person: NDArray[np.int64]
     people: int
     width: float
     """Of the image, in pixels; the longer side."""
@@ -208,7 +208,7 @@ def _climbed(data: HeightData, start: FloatArray, steps: int) -> Fit:
     state.update(residual)
     covariance = _covariance(data, vector, slope, residual, state, known)
     score = state.score(residual) - 0.5 * float((((vector - mean) / spread) ** 2).sum())
-    left = np.abs(residual - state.own[data.who])
+    left = np.abs(residual - state.own[data.person])
     inliers = float((left < 3.0 * state.error).mean())
     return Fit(vector, covariance, state.error, state.deviation, inliers, score)
 
@@ -230,7 +230,7 @@ def _covariance(
     """Return the sandwich covariance (4, 4) over people, plus the uncertainty of the people's radius."""
     curvature = state.curvature(slope, residual)
     bread = np.linalg.inv(curvature + known)
-    votes = state.summed((residual - state.own[data.who])[:, None] * slope)
+    votes = state.summed((residual - state.own[data.person])[:, None] * slope)
     scatter = votes.T @ votes * data.people / max(data.people - len(vector), 1)
     # With few people the curvature is more reliable than their scatter.
     meat = known + (scatter if data.people > 4 * len(vector) else np.maximum(scatter, curvature))
@@ -246,16 +246,16 @@ class _Weights:
     """Weights of boxes, probabilities of people, their deviations, and both spreads."""
 
     def __init__(self, data: HeightData) -> None:
-        self._who, self._people = data.who, data.people
+        self._person, self._people = data.person, data.people
         self.error, self.deviation, self._share = 0.2, 0.1, 0.8
         self.own: FloatArray = np.zeros(data.people)
-        self._weight = np.ones(len(data.who))
+        self._weight = np.ones(len(data.person))
         self._true = np.full(data.people, self._share)
         self._bent = 1.0
 
     def update(self, residual: FloatArray) -> None:
         """Update for residuals (n,): one step of expectation maximisation."""
-        left = residual - self.own[self._who]
+        left = residual - self.own[self._person]
         self._weight = (_TAILS + 1.0) / (_TAILS + (left / self.error) ** 2)
         of_person = self._sum(self._weight) / self.error**2
         mean = self._sum(self._weight * residual) / self.error**2 / of_person
@@ -267,7 +267,7 @@ class _Weights:
         self._bent = float(np.clip(bent, 0.1, 1.0))
         precision = self._precision()
         self.own = of_person * mean / precision
-        left = residual - self.own[self._who]
+        left = residual - self.own[self._person]
         spread = np.sqrt(np.mean(self._weight * left**2))
         self.error = float(np.clip(spread, _LEAST_ERROR, _LARGEST_ERROR))
         self._share = float(np.clip(self._true.mean(), *_SHARE))
@@ -283,7 +283,7 @@ class _Weights:
         return self._sum(self._weight) / self.error**2 + self._true / self.deviation**2
 
     def _sum(self, values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(self._who, values, self._people), float)
+        return np.asarray(np.bincount(self._person, values, self._people), float)
 
     def summed(self, values: FloatArray) -> FloatArray:
         """Return weighted sums (people, k) of values (n, k)."""
@@ -304,7 +304,7 @@ class _Weights:
     def curvature(self, slope: FloatArray, residual: FloatArray) -> FloatArray:
         """Curvature (k, k) of the log density: less than of the squares, since outliers count little."""
         weight, true = self._weight, self._true
-        scaled = (residual - self.own[self._who]) / self.error
+        scaled = (residual - self.own[self._person]) / self.error
         relative = 1.0 / (_TAILS + scaled**2)
         self._weight = weight * float(((_TAILS - scaled**2) * relative**2).sum() / relative.sum())
         self._true = true * self._bent
@@ -314,7 +314,7 @@ class _Weights:
 
     def score(self, residual: FloatArray) -> float:
         """Log density of residuals (n,), up to a constant."""
-        left = residual - self.own[self._who]
+        left = residual - self.own[self._person]
         of_boxes = -0.5 * (_TAILS + 1.0) * np.log1p((left / self.error) ** 2 / _TAILS) - np.log(self.error)
         of_person = self._sum(self._weight) / self.error**2
         mean = self._sum(self._weight * residual) / self.error**2 / of_person

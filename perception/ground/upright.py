@@ -34,7 +34,7 @@ Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Standing:
+class LeaningPose:
     """Pose of a person who leans in the image.
 
     Attributes
@@ -94,7 +94,7 @@ class LeaningView:
         up = sizes.heads(feet) - feet
         return cls(sizes) if bool(_leans(up[np.isfinite(up).all(axis=1)]).any()) else None
 
-    def standing(self, box: Box) -> Standing | None:
+    def standing(self, box: Box) -> LeaningPose | None:
         """Return the pose of the person in a box; None for people who do not lean."""
         left, top, width, height = box
         middle = np.array([left + width / 2.0, top + height / 2.0])
@@ -113,7 +113,7 @@ class LeaningView:
         length = max(float(np.linalg.norm(up)), _SHORTEST * wide)
         if not np.isfinite(length) or length < 1.0:
             return None
-        return Standing((float(foot[0]), float(foot[1])), float(np.arctan2(up[0], -up[1])), length)
+        return LeaningPose((float(foot[0]), float(foot[1])), float(np.arctan2(up[0], -up[1])), length)
 
     def _up(self, foot: FloatArray) -> FloatArray:
         """Return the vector (2,) from the feet to above the head, pixels."""
@@ -125,12 +125,12 @@ def _leans(up: FloatArray) -> np.ndarray:
     return np.abs(up[:, 0]) > LEAN * -up[:, 1]
 
 
-def standing_in(view: LeaningView | None, box: Box) -> Standing | None:
+def leaning_pose_in(view: LeaningView | None, box: Box) -> LeaningPose | None:
     """Return the pose of the person in a box; None for people who are upright."""
     return None if view is None else view.standing(box)
 
 
-def upright_picture(image: Image, box: Box, standing: Standing | None) -> tuple[Image, Box]:
+def upright_picture(image: Image, box: Box, standing: LeaningPose | None) -> tuple[Image, Box]:
     """Return the image and the box, rotated upright for a leaning person."""
     return (image, box) if standing is None else (standing.turned(image), standing.box)
 
@@ -139,12 +139,12 @@ def feet_of(boxes: Sequence[PersonBox], view: LeaningView | None) -> FloatArray:
     """Return pixels (n, 2) of the feet of people in boxes."""
     feet = []
     for item in boxes:
-        standing = standing_in(view, item.box)
+        standing = leaning_pose_in(view, item.box)
         feet.append(foot_point(item.box) if standing is None else np.array(standing.foot))
     return np.array(feet).reshape(-1, 2)
 
 
 def heights_of(boxes: Sequence[PersonBox], view: LeaningView | None) -> FloatArray:
     """Return pixels (n,) from the feet of people in boxes to above their heads."""
-    standing = [(item.box[3], standing_in(view, item.box)) for item in boxes]
+    standing = [(item.box[3], leaning_pose_in(view, item.box)) for item in boxes]
     return np.array([height if how is None else how.length for height, how in standing])

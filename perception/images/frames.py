@@ -219,8 +219,8 @@ class FrameSource:
         try:
             fps, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
             if not video.isOpened() or not video.read()[0]:
-                whole = "a whole video (an MP4 that was cut off has lost its index)"
-                kind = whole if is_cut_off(path) else "a video"
+                intact = "a whole video (an MP4 that was cut off has lost its index)"
+                kind = intact if is_cut_off(path) else "a video"
                 raise InputError("no video that can be decoded", f"{kind} or a folder of images", path=path)
             if may_be_picture and not video.read()[0]:
                 expected = "a video, or the folder that the picture is in"
@@ -389,7 +389,7 @@ Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
 
 
 @contextmanager
-def told_frames(
+def frames_with_progress(
     frames: FrameSource,
     wanted: Callable[[int], bool],
     count: int,
@@ -408,9 +408,9 @@ def told_frames(
     found = frames.where(wanted)
     with progress(count, unit) as advance:
 
-        def told() -> Iterator[Frame]:
+        def reported() -> Iterator[Frame]:
             for frame in of_one_size(found) if one_size else found:
                 advance(1)
                 yield frame
 
-        yield told()
+        yield reported()

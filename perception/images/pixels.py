@@ -74,13 +74,13 @@ def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     """
     left, top, width, height = values = np.asarray(box, float)
     h, w = shape[:2]
-    said = box_text(values)
+    text = box_text(values)
     if not np.isfinite(values).all() or min(width, height) <= 0.0:
-        raise InputError(said, "left, top, width and height above 0")
+        raise InputError(text, "left, top, width and height above 0")
     if left >= w or top >= h or left + width <= 0.0 or top + height <= 0.0:
-        raise InputError(said, f"one inside the image of {w} × {h} pixels")
+        raise InputError(text, f"one inside the image of {w} × {h} pixels")
     if width > LARGEST_BOX * w or height > LARGEST_BOX * h:
-        raise InputError(said, f"one at most {LARGEST_BOX:g} times as large as the image of {w} × {h} pixels")
+        raise InputError(text, f"one at most {LARGEST_BOX:g} times as large as the image of {w} × {h} pixels")
     return values
 
 

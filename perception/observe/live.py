@@ -22,9 +22,9 @@ from perception.detection.rescoring import GroundDetector
 from perception.images.frames import Clock, Frame
 from perception.images.pixels import Image
 from perception.observe.pipeline import (
+    FrameObservation,
     Models,
-    SeenFrame,
-    SeenPerson,
+    PersonObservation,
     channels_of,
     in_heights,
     is_on_ground,
@@ -67,13 +67,13 @@ class LiveObserver:
 
         Frames come in order. ``refuse`` receives empty boxes and feet beyond the horizon.
         """
-        seen = observe_frame(image, frame, boxes, self.models, refuse)
-        if self.camera is None and seen:
-            self.camera = scaled_camera({frame: SeenFrame(seen, [])}, causal=True)
-        found = [self._row(item, refuse) for item in sorted(seen, key=lambda item: item.track_id)]
+        observed = observe_frame(image, frame, boxes, self.models, refuse)
+        if self.camera is None and observed:
+            self.camera = scaled_camera({frame: FrameObservation(observed, [])}, causal=True)
+        found = [self._row(item, refuse) for item in sorted(observed, key=lambda item: item.track_id)]
         return [row for row in found if row is not None]
 
-    def _row(self, item: SeenPerson, refuse: Callable[[str], object]) -> dict[str, Any] | None:
+    def _row(self, item: PersonObservation, refuse: Callable[[str], object]) -> dict[str, Any] | None:
         assert self.camera is not None
         if not is_on_ground(item, self.camera):
             refuse(f"frame {item.frame}, track {item.track_id}: feet beyond the horizon")

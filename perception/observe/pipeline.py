@@ -16,7 +16,7 @@ from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox, boxes_by_frame, foot_point, points_of
-from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
+from perception.ground.upright import LeaningPose, LeaningView, leaning_pose_in, upright_picture
 from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
 from perception.observe.journal import FrameJournal
@@ -28,7 +28,7 @@ from perception.pose.keypoints import FACE, KeypointPose
 
 
 @dataclass(eq=False)
-class SeenPerson:
+class PersonObservation:
     """Observation of one person in one frame.
 
     Attributes
@@ -38,7 +38,7 @@ class SeenPerson:
     heads : candidates of the head's box, in the crop of the person
     pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
     score : of a detection; None: not known
-    looks : (`appearance.LENGTH`,) uint8 appearance descriptor; None: not requested
+    appearance : (`appearance.LENGTH`,) uint8 appearance descriptor; None: not requested
     standing : pose of a person who leans in the image; the heads are then in the crop of the rotated image
     """
 
@@ -49,8 +49,8 @@ class SeenPerson:
     heads: HeadCandidates
     pan: FloatArray
     score: float | None = None
-    looks: NDArray[np.uint8] | None = None
-    standing: Standing | None = None
+    appearance: NDArray[np.uint8] | None = None
+    standing: LeaningPose | None = None
 
     @property
     def height(self) -> float:
@@ -64,18 +64,18 @@ class SeenPerson:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenFrame:
+class FrameObservation:
     """The people of one frame, and the reasons why other boxes are refused."""
 
-    people: list[SeenPerson]
+    people: list[PersonObservation]
     refused: list[str]
 
 
-def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
+def by_frame(people_observed: Iterable[PersonObservation]) -> dict[int, FrameObservation]:
     """Group people by frame number."""
-    frames: dict[int, SeenFrame] = {}
-    for item in seen:
-        frames.setdefault(item.frame, SeenFrame([], [])).people.append(item)
+    frames: dict[int, FrameObservation] = {}
+    for item in people_observed:
+        frames.setdefault(item.frame, FrameObservation([], [])).people.append(item)
     return frames
 
 
@@ -83,7 +83,7 @@ _HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065  # of a head and its middle, in hei
 _LEAST = 0.2  # least confidence of a point of the face that locates the head
 
 
-def said_by_keypoints(
+def keypoint_likelihoods(
     people: Sequence[PersonBox], model: KeypointPose
 ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
     """Return, per box, the body's log likelihoods (8,), the head in its crop, and the head's (1, 12).
@@ -165,19 +165,19 @@ class Models:
 
 def observe_frame(
     image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], object]
-) -> list[SeenPerson]:
+) -> list[PersonObservation]:
     """Observe the people of one frame; ``refuse`` receives empty boxes."""
-    seen: list[SeenPerson] = []
+    people_observed: list[PersonObservation] = []
     people: list[_Cut] = []
     light = light_of(image) if models.appearance else None
     for item in _usable(image, frame, boxes, refuse):
-        standing = standing_in(models.view, item.box)
+        standing = leaning_pose_in(models.view, item.box)
         people.append((item, crop(*upright_picture(image, item.box, standing)), standing))
         # Batches limit the memory for crops to a few whole images.
         if sum(picture.size for _, picture, _ in people) > image.size:
-            seen += _look(image, people, models, light)
+            people_observed += _look(image, people, models, light)
             people = []
-    return seen + _look(image, people, models, light)
+    return people_observed + _look(image, people, models, light)
 
 
 def _usable(
@@ -193,29 +193,33 @@ def _usable(
             yield item
 
 
-_Cut = tuple[PersonBox, Image, Standing | None]
+_Cut = tuple[PersonBox, Image, LeaningPose | None]
 """A person, the crop of the box, and the pose in the image of a leaning person."""
 
 
-def _look(image: Image, people: list[_Cut], models: Models, light: FloatArray | None) -> list[SeenPerson]:
+def _look(
+    image: Image, people: list[_Cut], models: Models, light: FloatArray | None
+) -> list[PersonObservation]:
     """Observe people in the crops of their boxes; given the light, their appearance too."""
     if not people:
         return []
     items, shown, standing = zip(*people, strict=True)
     if models.of_keypoints is not None:
-        said = said_by_keypoints(items, models.of_keypoints)
+        likelihoods = keypoint_likelihoods(items, models.of_keypoints)
     elif models.of_camera is not None:
-        said = models.of_camera.look(image, [item.box for item in items], standing)
+        likelihoods = models.of_camera.look(image, [item.box for item in items], standing)
     else:
-        said = _said(shown, models)
-    looks = [None] * len(people) if light is None else describe(shown, light)
+        likelihoods = _camera_likelihoods(shown, models)
+    appearance = [None] * len(people) if light is None else describe(shown, light)
     return [
-        SeenPerson(item.frame, item.track_id, item.box, *of_person, item.score, look, how)
-        for item, of_person, look, how in zip(items, said, looks, standing, strict=True)
+        PersonObservation(item.frame, item.track_id, item.box, *of_person, item.score, look, how)
+        for item, of_person, look, how in zip(items, likelihoods, appearance, standing, strict=True)
     ]
 
 
-def _said(pictures: Sequence[Image], models: Models) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
+def _camera_likelihoods(
+    pictures: Sequence[Image], models: Models
+) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
     """Return, per crop, the body's log likelihoods, heads, and theirs, by the package's models."""
     body = models.body_pose.log_likelihoods(pictures)
     candidates = [models.head_localiser.locate(picture) for picture in pictures]
@@ -225,11 +229,11 @@ def _said(pictures: Sequence[Image], models: Models) -> list[tuple[FloatArray, H
         for box in found.boxes
     ]
     pan = models.head_pose.classes.pan_log_likelihood(models.head_pose.log_likelihoods(heads))
-    said, start = [], 0
+    likelihoods, start = [], 0
     for found, of_body in zip(candidates, body, strict=True):
-        said.append((of_body, found, np.asarray(pan[start : start + len(found.boxes)])))
+        likelihoods.append((of_body, found, np.asarray(pan[start : start + len(found.boxes)])))
         start += len(found.boxes)
-    return said
+    return likelihoods
 
 
 def _head_crop(picture: Image, box: FloatArray) -> Image:
@@ -245,7 +249,7 @@ def observe(
     frames: Iterable[Frame],
     boxes: Iterable[PersonBox],
     models: Models,
-    journal: FrameJournal[SeenFrame],
+    journal: FrameJournal[FrameObservation],
     *,
     refuse: Callable[[str], object],
 ) -> int:
@@ -267,7 +271,7 @@ def observe(
         elif frame.number not in journal:
             refused: list[str] = []
             people = observe_frame(frame.image, frame.number, of_frame, models, refused.append)
-            journal.add(frame.number, SeenFrame(people, refused))
+            journal.add(frame.number, FrameObservation(people, refused))
             for reason in refused:
                 refuse(reason)
             count += 1
@@ -279,13 +283,13 @@ def observe(
     return count
 
 
-def is_on_ground(item: SeenPerson, camera: GroundCamera) -> bool:
+def is_on_ground(item: PersonObservation, camera: GroundCamera) -> bool:
     """Return whether the feet are on this side of the horizon."""
     return bool(np.isfinite(camera.image_to_ground(item.foot)).all())
 
 
 def channels_of(
-    items: Sequence[SeenPerson],
+    items: Sequence[PersonObservation],
     heads: NDArray[np.int64],
     head_classes: PoseClasses,
     camera: GroundCamera,
@@ -316,8 +320,8 @@ def channels_of(
     else:
         of_body, of_head = (world_likelihood(*channel, camera, position) for channel in channels)
     inputs = {}
-    if projection is not None and all(item.looks is not None for item in items):
-        inputs[APPEARANCE] = projection(np.array([item.looks for item in items], np.uint8))
+    if projection is not None and all(item.appearance is not None for item in items):
+        inputs[APPEARANCE] = projection(np.array([item.appearance for item in items], np.uint8))
     scores = np.array([item.score for item in items], float)  # None is NaN
     return {
         "frame": frame,
@@ -331,12 +335,12 @@ def channels_of(
     }
 
 
-def in_heights(item: SeenPerson) -> HeadCandidates:
+def in_heights(item: PersonObservation) -> HeadCandidates:
     """Return the head's candidates relative to the person's height, which removes changes of scale."""
     return HeadCandidates(item.heads.boxes / item.height, item.heads.scores)
 
 
-def head_in_image(item: SeenPerson, candidate: int) -> FloatArray:
+def head_in_image(item: PersonObservation, candidate: int) -> FloatArray:
     """Return the box (4,) of a head candidate in the image; crops begin at whole pixels."""
     left, top, _, _ = item.box if item.standing is None else item.standing.box
     box = item.heads.boxes[candidate] + np.array([round(left), round(top), 0.0, 0.0])

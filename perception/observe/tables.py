@@ -23,17 +23,23 @@ from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
 from perception.images.frames import Clock
-from perception.observe.pipeline import SeenFrame, SeenPerson, channels_of, in_heights, is_on_ground
+from perception.observe.pipeline import (
+    FrameObservation,
+    PersonObservation,
+    channels_of,
+    in_heights,
+    is_on_ground,
+)
 from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
 from perception.pose.head_detection import HeadCandidates, HeadPath, select_along_track, select_so_far
 
 _AT_ONCE = 512  # rows per batch
-_LOOKS = 8192  # people to fit the projection to
+_SAMPLE = 8192  # people to fit the projection to
 
 
 @dataclass(frozen=True, eq=False)
-class SeenDetections:
+class DetectionTable:
     """Table of detections, with refused rows.
 
     Attributes
@@ -51,7 +57,7 @@ class SeenDetections:
 
 
 def scene_of(
-    frames: Mapping[int, SeenFrame], camera: GroundCamera | None, *, causal: bool
+    frames: Mapping[int, FrameObservation], camera: GroundCamera | None, *, causal: bool
 ) -> tuple[GroundCamera, Projection]:
     """Return the camera, or a scale from people's height, and the projection of appearance.
 
@@ -67,13 +73,13 @@ def scene_of(
 
 
 def to_detections(
-    frames: Mapping[int, SeenFrame],
+    frames: Mapping[int, FrameObservation],
     head_classes: PoseClasses,
     camera: GroundCamera | None,
     clock: float | Clock,
     *,
     causal: bool = False,
-) -> SeenDetections:
+) -> DetectionTable:
     """Return the rows of `to_tracks` for people without identities.
 
     Parameters
@@ -87,7 +93,7 @@ def to_detections(
         If there are no observations, or all are beyond the horizon.
     """
     camera, projection = scene_of(frames, camera, causal=causal)
-    seen = sum(len(known.people) for known in frames.values())
+    count = sum(len(known.people) for known in frames.values())
     number, known = _channels(
         frames, lambda item: HeadPath().update(in_heights(item)), head_classes, camera, clock, projection
     )
@@ -95,13 +101,13 @@ def to_detections(
     place, score = np.arange(len(number)), known["score"]
     track = _track(0, known | {"frame": place, "t": place.astype(float), "score": score})
     columns = to_columns(TrackSet((track,))) | at | {"track_id": np.full(len(number), -1, np.int64)}
-    beyond = seen - len(number)
-    return SeenDetections(columns, number, camera, {BEYOND_HORIZON: beyond} if beyond else {})
+    beyond = count - len(number)
+    return DetectionTable(columns, number, camera, {BEYOND_HORIZON: beyond} if beyond else {})
 
 
 def _channels(
-    frames: Mapping[int, SeenFrame],
-    head_of: Callable[[SeenPerson], int],
+    frames: Mapping[int, FrameObservation],
+    head_of: Callable[[PersonObservation], int],
     head_classes: PoseClasses,
     camera: GroundCamera,
     clock: float | Clock,
@@ -139,9 +145,9 @@ def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
     return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)
 
 
-def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]:
+def _some_at_once(frames: Mapping[int, FrameObservation]) -> Iterator[list[PersonObservation]]:
     """Iterate over all people, by frame, then by number."""
-    items: list[SeenPerson] = []
+    items: list[PersonObservation] = []
     for number in sorted(frames):
         items += sorted(frames[number].people, key=lambda item: item.track_id)
         if len(items) >= _AT_ONCE:
@@ -151,7 +157,7 @@ def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]
         yield items
 
 
-def scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCamera:
+def scaled_camera(frames: Mapping[int, FrameObservation], *, causal: bool) -> GroundCamera:
     """Return a scale at which the median box (of the first frame if ``causal``) has a person's height."""
     heights: list[float] = []
     for number in sorted(frames):
@@ -161,19 +167,19 @@ def scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCam
     return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median(heights)))
 
 
-def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
+def projection_of(frames: Mapping[int, FrameObservation]) -> Projection:
     """Fit the projection of appearance to a sample of people, as `Projection.fitted`."""
-    count = sum(item.looks is not None for known in frames.values() for item in known.people)
-    step = -(-count // _LOOKS) or 1
-    looks: list[NDArray[np.uint8]] = []
+    count = sum(item.appearance is not None for known in frames.values() for item in known.people)
+    step = -(-count // _SAMPLE) or 1
+    appearance: list[NDArray[np.uint8]] = []
     at = 0
     for items in _some_at_once(frames):
         for item in items:
-            if item.looks is not None:
+            if item.appearance is not None:
                 if at % step == 0:
-                    looks.append(item.looks)
+                    appearance.append(item.appearance)
                 at += 1
-    return Projection.fitted(np.array(looks, np.uint8).reshape(-1, LENGTH))
+    return Projection.fitted(np.array(appearance, np.uint8).reshape(-1, LENGTH))
 
 
 @dataclass(eq=False)
@@ -194,7 +200,7 @@ class _Heads:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenTracks:
+class ObservedTracks:
     """Tracks with positions and likelihoods in the world, and their heads.
 
     Attributes
@@ -208,13 +214,13 @@ class SeenTracks:
 
 
 def to_tracks(
-    frames: Mapping[int, SeenFrame],
+    frames: Mapping[int, FrameObservation],
     head_classes: PoseClasses,
     camera: GroundCamera | None,
     clock: float | Clock,
     *,
     causal: bool = False,
-) -> SeenTracks:
+) -> ObservedTracks:
     """Return tracks with positions in metres and class likelihoods in the world frame.
 
     People at or beyond the camera's horizon are refused, and counted in the summary.
@@ -222,7 +228,7 @@ def to_tracks(
     Parameters
     ----------
     frames : observations by number, each person once a frame; they are read three or four times
-    head_classes : pan classes of ``SeenPerson.pan``
+    head_classes : pan classes of ``PersonObservation.pan``
     camera : the ground plane; None: a scale at which the median box has a person's height
     clock : times of the frames, or frames a second
     causal : whether rows depend on past frames only: heads by `select_so_far`, the scale of the first frame
@@ -236,7 +242,7 @@ def to_tracks(
     """
     camera, projection = scene_of(frames, camera, causal=causal)
     candidates: dict[int, _Heads] = {}
-    seen = sum(len(known.people) for known in frames.values())
+    count = sum(len(known.people) for known in frames.values())
     for items in _some_at_once(frames):
         for item in items:
             if is_on_ground(item, camera):
@@ -251,9 +257,9 @@ def to_tracks(
         _track(track_id, {name: values[of_track] for name, values in known.items()})
         for track_id, of_track in zip(heads, rows, strict=True)
     )
-    beyond = seen - len(number)
+    beyond = count - len(number)
     refused = {BEYOND_HORIZON: beyond} if beyond else {}
-    return SeenTracks(TrackSet(tracks, camera, ReadSummary("video", seen, refused)), heads)
+    return ObservedTracks(TrackSet(tracks, camera, ReadSummary("video", count, refused)), heads)
 
 
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
@@ -326,13 +332,13 @@ def estimated(
     """
     chosen = make_method(method, adapted(own_model(method)))
     placed = replace(tracks, camera=camera)
-    said: list[str] = []
+    lines: list[str] = []
     if method == "smoother":
         model = adapted(Model.named(None))
         found = solve_tracks(placed, model, engine_of(model), progress=advance)
         good = [result.track for result in found if isinstance(result, Solution)]
         bad = [one for one in found if not isinstance(one, Solution)]
-        said += [f"track {one.track_id} is left out: {one.reason}" for one in bad]
+        lines += [f"track {one.track_id} is left out: {one.reason}" for one in bad]
     else:
         good = []
         for track in placed:
@@ -340,4 +346,4 @@ def estimated(
             advance(len(track))
     if not good:
         raise InputError("no track that can be estimated", "people who are observed for longer")
-    return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *said]
+    return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *lines]

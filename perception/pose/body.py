@@ -85,8 +85,10 @@ class BodyPose(FeatureClassifier):
         self._dictionary, self._label = self._projected(features[index]), labels[index]
 
     def _projected(self, features: FloatArray) -> FloatArray:
-        seen = (features - self._mean) @ self._projection if self.projection == "fisher" else features
-        return np.asarray(seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9), float)
+        projected = (features - self._mean) @ self._projection if self.projection == "fisher" else features
+        return np.asarray(
+            projected / np.maximum(np.linalg.norm(projected, axis=1, keepdims=True), 1e-9), float
+        )
 
     def scores(self, features: FloatArray) -> FloatArray:
         """Logarithm of each class's share of the weights (n, n_classes)."""

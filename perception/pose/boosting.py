@@ -217,8 +217,8 @@ def _scores(
             for k in range(count[t]):
                 d = used[t, k]
                 along += direction[t, d] * (high[b, d] - low[b, d] - high[a, d] + low[a, d])
-            whole = 1.0
+            norm = 1.0
             if normalised:
-                whole += high[b, BINS] - low[b, BINS] - high[a, BINS] + low[a, BINS]
-            total[i] += weight[t] if along > threshold[t] * whole else -weight[t]
+                norm += high[b, BINS] - low[b, BINS] - high[a, BINS] + low[a, BINS]
+            total[i] += weight[t] if along > threshold[t] * norm else -weight[t]
     return total

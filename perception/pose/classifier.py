@@ -41,8 +41,8 @@ def fit_temperature(scores: FloatArray, labels: NDArray[np.int64], *, groups: in
 
 def with_neighbours(probability: FloatArray, share: float) -> FloatArray:
     """Smooth probabilities (..., k) around a circle: each class gives ``share`` to both neighbours."""
-    beside = np.roll(probability, 1, axis=-1) + np.roll(probability, -1, axis=-1)
-    return np.asarray((1.0 - 2.0 * share) * probability + share * beside, float)
+    neighbours = np.roll(probability, 1, axis=-1) + np.roll(probability, -1, axis=-1)
+    return np.asarray((1.0 - 2.0 * share) * probability + share * neighbours, float)
 
 
 def fit_temperature_and_share(

@@ -91,17 +91,17 @@ def boltzmann_machine(x: torch.Tensor, count: int, epochs: int) -> BoltzmannMach
     for epoch in range(epochs):
         rate = _PRETRAINING_RATE * (1.0 - epoch / epochs)
         for chosen in torch.randperm(len(x)).split(_BATCH):
-            seen = x[chosen]
-            active = seen @ weight + hidden
+            batch = x[chosen]
+            active = batch @ weight + hidden
             up = torch.relu(active)
             noisy = torch.relu(active + torch.randn_like(active) * torch.sigmoid(active).sqrt())
             again = noisy @ weight.T + visible
             down = torch.relu(again @ weight + hidden)
-            n = len(seen)
+            n = len(batch)
             steps = (
-                (seen.T @ up - again.T @ down) / n - 1e-3 * weight,
+                (batch.T @ up - again.T @ down) / n - 1e-3 * weight,
                 (up - down).mean(dim=0),
-                (seen - again).mean(dim=0),
+                (batch - again).mean(dim=0),
             )
             for part, moved, step in zip((weight, hidden, visible), moving, steps, strict=True):
                 moved.mul_(_MOMENTUM).add_(step, alpha=rate)

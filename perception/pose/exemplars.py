@@ -104,11 +104,11 @@ class Exemplars(FeatureClassifier):
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
         """Fit exemplars, deviations and weights of every class, and the weights of the filters."""
         if self.weigh_filters:
-            made_of, others = split(labels, 0.2, rng)
-            others = rng.permutation(others)[:_WEIGHED_ON]
+            made_of, held_out = split(labels, 0.2, rng)
+            held_out = rng.permutation(held_out)[:_WEIGHED_ON]
             self._make_exemplars(features[made_of], labels[made_of], rng)
             self._exponent = _best_exponents(
-                self._by_filter(features[others]), self.log_weight, labels[others]
+                self._by_filter(features[held_out]), self.log_weight, labels[held_out]
             )
         self._make_exemplars(features, labels, rng)
 

@@ -382,7 +382,7 @@ _COLOURS = len(PARTS) * int(np.prod(LEVELS))
 LENGTH = _COLOURS + len(_TEXTURED) * BINS
 """Length of a descriptor before projection."""
 
-Looks = NDArray[np.uint8]
+Descriptors = NDArray[np.uint8]
 """(n, `LENGTH`) square roots of histograms, in 255ths, to store all detections of a recording."""
 
 
@@ -392,7 +392,7 @@ def light_of(image: Image) -> FloatArray:
     return np.asarray(np.median(_lab(few).reshape(-1, 3), axis=0), float)
 
 
-def describe(pictures: Sequence[Image], light: FloatArray) -> Looks:
+def describe(pictures: Sequence[Image], light: FloatArray) -> Descriptors:
     """Return appearance descriptors (n, `LENGTH`) of crops (h, w, 3) of people in one frame.
 
     Parameters
@@ -459,16 +459,16 @@ class Projection:
     mean: FloatArray
     basis: FloatArray
 
-    def __call__(self, looks: Looks) -> FloatArray:
+    def __call__(self, descriptors: Descriptors) -> FloatArray:
         """Project descriptors (n, `LENGTH`) to (n, size), with four decimals; most are within ±1."""
-        return np.asarray(np.round((looks / 255.0 - self.mean) @ self.basis, 4), float)
+        return np.asarray(np.round((descriptors / 255.0 - self.mean) @ self.basis, 4), float)
 
     @classmethod
-    def fitted(cls, looks: Looks, size: int = 32) -> Projection:
+    def fitted(cls, descriptors: Descriptors, size: int = 32) -> Projection:
         """Fit the principal components of a recording; with less than 2 · ``size`` people, `fixed`."""
-        if len(looks) < 2 * size:
+        if len(descriptors) < 2 * size:
             return cls.fixed()
-        some = looks[:: -(-len(looks) // 8192)] / 255.0
+        some = descriptors[:: -(-len(descriptors) // 8192)] / 255.0
         mean = some.mean(axis=0)
         _, vectors = np.linalg.eigh((some - mean).T @ (some - mean))
         return cls(mean, np.asarray(vectors[:, : -size - 1 : -1], float))

@@ -105,7 +105,7 @@ class HeadLocaliser(Stored):
             raise InputError(f"{len(images)} images and boxes of shape {boxes.shape}", "a box for each image")
         rng = np.random.default_rng(self.seed)
         held_out = rng.permutation(len(images)) < max(1, round(_HELD_OUT * len(images)))
-        features, labels, places = [], [], []
+        features, labels, window_index = [], [], []
         for k in np.flatnonzero(~held_out).tolist():
             image, box = images[k], boxes[k]
             integral, factor = _prepared(image)
@@ -119,11 +119,11 @@ class HeadLocaliser(Stored):
             corners = corner_sums(integral, enlarged(chosen, self.around))
             features.append(block_histograms(corners, normalised=self.normalised))
             labels += [1, 1] + [-1] * (len(far) + len(edge))
-            places.append(_places(true[None], integral.shape[1] - 1)[0])
+            window_index.append(_relative_windows(true[None], integral.shape[1] - 1)[0])
         self._detector = BoostedBlocks.fit(
             np.concatenate(features), np.array(labels), self.weak, rounds=self.rounds
         )
-        self._place = np.stack([np.mean(places, axis=0), np.std(places, axis=0) + 1e-3])
+        self._place = np.stack([np.mean(window_index, axis=0), np.std(window_index, axis=0) + 1e-3])
         self.threshold = _ANYTHING
         rest = np.flatnonzero(held_out).tolist()
         best = -1.0
@@ -134,11 +134,13 @@ class HeadLocaliser(Stored):
                 [intersection_over_union(f.boxes[0], boxes[k]) for f, k in zip(found, rest, strict=True)]
             )
             if mean > best:
-                best, others = float(mean), np.concatenate([f.scores[1:] for f in found])
+                best, background_scores = float(mean), np.concatenate([f.scores[1:] for f in found])
             else:
                 self._place_weight = before
-        others = np.sort(others)[::-1]  # one more on average in addition to the best
-        self.threshold = float(others[len(rest)]) if len(others) > len(rest) else _ANYTHING
+        background_scores = np.sort(background_scores)[::-1]  # one more on average in addition to the best
+        self.threshold = (
+            float(background_scores[len(rest)]) if len(background_scores) > len(rest) else _ANYTHING
+        )
         self.card = replace(self.card, images=len(images))
         return self
 
@@ -164,7 +166,9 @@ class HeadLocaliser(Stored):
         if self.plain:
             return windows, self._detector.scores(integral, surrounded, normalised=normalised)
         # Cascade: the first weak classifiers reject most windows, the others score the rest.
-        away = np.square((_places(windows, integral.shape[1] - 1) - self._place[0]) / self._place[1])
+        away = np.square(
+            (_relative_windows(windows, integral.shape[1] - 1) - self._place[0]) / self._place[1]
+        )
         cost = 0.5 * self._place_weight * away.sum(axis=1)
         first = (
             self._detector.scores(integral, surrounded, rounds=_FIRST_ROUNDS, normalised=normalised) - cost
@@ -196,7 +200,7 @@ class HeadLocaliser(Stored):
         return model
 
 
-def _places(windows: FloatArray, width: int) -> FloatArray:
+def _relative_windows(windows: FloatArray, width: int) -> FloatArray:
     """Centres over the size of a crop of 128 rows, and logarithms of sizes, (n, 4) of windows (n, 4)."""
     centre = (windows[:, :2] + windows[:, 2:] / 2.0) / (width, _HEIGHT)
     return np.hstack([centre, np.log(windows[:, 2:] / _HEIGHT)])

@@ -65,19 +65,19 @@ Points = tuple[tuple[float, float, float], ...]
 """Columns, rows and confidences of one person's 17 points; confidence 0: missing."""
 
 
-def places_of(names: Sequence[str]) -> tuple[int, ...] | None:
+def coco_indices(names: Sequence[str]) -> tuple[int, ...] | None:
     """Return indices of COCO's points among named points; None if any but a limb's is missing."""
     plain = [name.lower().replace(" ", "_").replace("-", "_") for name in names]
-    places = tuple(plain.index(name) if name in plain else -1 for name in NAMES)
-    return None if any(places[k] < 0 for k in USED) else places
+    indices = tuple(plain.index(name) if name in plain else -1 for name in NAMES)
+    return None if any(indices[k] < 0 for k in USED) else indices
 
 
-def in_coco_order(points: FloatArray, places: Sequence[int], *, clipped: bool = True) -> FloatArray:
+def in_coco_order(points: FloatArray, indices: Sequence[int], *, clipped: bool = True) -> FloatArray:
     """Convert points (..., k, 3) of another convention to COCO's (..., 17, 3); missing points are 0.
 
     Points without a position have confidence 0; confidences are clipped to 0…1 unless disabled.
     """
-    chosen = np.where((np.array(places) >= 0)[:, None], points[..., list(places), :], 0.0)
+    chosen = np.where((np.array(indices) >= 0)[:, None], points[..., list(indices), :], 0.0)
     there = np.isfinite(chosen).all(axis=-1) & (chosen[..., 2] > 0.0)
     found = np.where(there[..., None], chosen, 0.0)
     if clipped:
@@ -121,12 +121,12 @@ def features(points: FloatArray) -> NDArray[np.float32]:
     """
     points = np.asarray(points, float)
     confidence = np.where(points[..., 2] > _UNSEEN, np.minimum(points[..., 2], _SURE), 0.0)
-    whole, spread = _relative(points, confidence)
+    document, spread = _relative(points, confidence)
     face, of_face = _relative(points[:, :_FACE], confidence[:, :_FACE])
     n = len(points)
     ratio = np.where((spread > 0.0) & (of_face > 0.0), of_face / np.maximum(spread, 1e-6), 0.0)
     found = [
-        (whole * confidence[..., None]).reshape(n, -1),
+        (document * confidence[..., None]).reshape(n, -1),
         (face * confidence[:, :_FACE, None]).reshape(n, -1),
         confidence,
         (confidence > 0.0).astype(float),
@@ -188,8 +188,8 @@ class Layers:
         scores = self.scores(points)
         p = with_neighbours(np.exp(log_softmax(scores / self.temperature, axis=1)), self.share)
         p = (1.0 - FLOOR) * p + FLOOR / p.shape[1]
-        seen = np.any(points[..., 2] > _UNSEEN, axis=1)
-        p = np.where(seen[:, None], p / p.sum(axis=1, keepdims=True), 1.0 / p.shape[1])
+        detected = np.any(points[..., 2] > _UNSEEN, axis=1)
+        p = np.where(detected[:, None], p / p.sum(axis=1, keepdims=True), 1.0 / p.shape[1])
         return np.asarray(np.log(p), float)
 
 
@@ -294,9 +294,9 @@ def _checked(path: Path, people: Iterable[PersonPoints]) -> list[PersonPoints]:
         raise InputError("no people", "at least one person's keypoints", path=path)
     # Annotations have visibilities 0, 1 (hidden) and 2 (visible) instead of confidences.
     every = np.array([person.points[:, 2] for person in found])
-    whole = 2.0 if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any() else 1.0
+    document = 2.0 if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any() else 1.0
     for person in found:
-        person.points[:, 2] = np.clip(person.points[:, 2] / whole, 0.0, 1.0)
+        person.points[:, 2] = np.clip(person.points[:, 2] / document, 0.0, 1.0)
     return found
 
 
@@ -375,14 +375,14 @@ def _of_openpose(path: Path, data: Mapping[str, Any], frame: int) -> Iterator[Pe
 
 
 def _of_coco(
-    path: Path, entries: object, whole: Mapping[str, Any], frame_of: Callable[[str], int | None]
+    path: Path, entries: object, document: Mapping[str, Any], frame_of: Callable[[str], int | None]
 ) -> Iterator[PersonPoints]:
     images = {
         item.get("id"): str(item.get("file_name", item.get("id")))
-        for item in _entries(whole.get("images", []), path, "images")
+        for item in _entries(document.get("images", []), path, "images")
     }
     names = next(
-        (item["keypoints"] for item in _entries(whole.get("categories", []), path, "categories")
+        (item["keypoints"] for item in _entries(document.get("categories", []), path, "categories")
          if item.get("keypoints")), None
     )  # fmt: skip
     for k, item in enumerate(_entries(entries, path, "entries")):
@@ -417,12 +417,12 @@ def _of_instances(
         place = f"frame {frame}, instance {k}"
         if "keypoints" not in item or "keypoint_scores" not in item:
             raise InputError(f"{place} without keypoints and keypoint_scores", _EXPECTED, path=path)
-        places, sure = (_array(item[key], path, place) for key in ("keypoints", "keypoint_scores"))
-        if places.ndim != 2 or places.shape[1] < 2 or sure.shape != places.shape[:1]:
+        indices, sure = (_array(item[key], path, place) for key in ("keypoints", "keypoint_scores"))
+        if indices.ndim != 2 or indices.shape[1] < 2 or sure.shape != indices.shape[:1]:
             raise InputError(
-                f"{place}: keypoints of shape {places.shape}", "pairs and a score of each", path=path
+                f"{place}: keypoints of shape {indices.shape}", "pairs and a score of each", path=path
             )
-        values = np.column_stack([places[:, :2], sure])
+        values = np.column_stack([indices[:, :2], sure])
         box = item.get("bbox")
         if isinstance(box, list) and len(box) == 1:
             box = box[0]
@@ -451,16 +451,16 @@ def _points(values: object, path: Path, place: str, names: Sequence[str] | None)
     if row.ndim != 1 or len(row) % 3:
         raise InputError(f"{place}: {row.size} numbers", "x, y and confidence of each point", path=path)
     points = row.reshape(-1, 3)
-    places = None
+    indices = None
     if names is not None:
-        places = places_of(names) if len(names) == len(points) else None
-        if places is None:
+        indices = coco_indices(names) if len(names) == len(points) else None
+        if indices is None:
             found = f"{place}: {len(points)} points named {', '.join(map(str, names[:4]))}, …"
             raise InputError(found, "COCO's names (nose, left_eye, …)", path=path)
     elif len(points) not in BY_NUMBER:
         raise InputError(f"{place}: {len(points)} points", KNOWN, path=path)
     points = np.where(np.abs(points) < _LARGEST, points, np.nan)
-    return in_coco_order(points, places or BY_NUMBER[len(points)], clipped=False)
+    return in_coco_order(points, indices or BY_NUMBER[len(points)], clipped=False)
 
 
 def _box(values: object, path: Path, k: int) -> FloatArray:

@@ -117,9 +117,9 @@ class Templates(FeatureClassifier):
         With the Fisher metric the first is the distance after the projection and the second is 0.
         """
         if self.metric == "fisher":
-            seen = features * _scale() @ self._projection
+            projected = features * _scale() @ self._projection
             means = np.hstack([self._texture, self._colour]) * _scale() @ self._projection
-            distance = np.linalg.norm(seen[:, None, :] - means, axis=2)
+            distance = np.linalg.norm(projected[:, None, :] - means, axis=2)
             return np.stack([distance, np.zeros_like(distance)], axis=1)
         texture, colour = features[:, :_TEXTURE], features[:, _TEXTURE:]
         squares = (

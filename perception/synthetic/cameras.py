@@ -59,8 +59,8 @@ class Camera:
 
     def project(self, point: ArrayLike) -> FloatArray:
         """Project world points (..., 3) to pixels (..., 2); NaN behind the camera."""
-        seen = (np.asarray(point, dtype=float) - np.asarray(self.position)) @ self.rotation.T
-        x, y, z = seen[..., 0], seen[..., 1], seen[..., 2]
+        in_camera = (np.asarray(point, dtype=float) - np.asarray(self.position)) @ self.rotation.T
+        x, y, z = in_camera[..., 0], in_camera[..., 1], in_camera[..., 2]
         if self.lens == "fisheye":
             radius = np.hypot(x, y)
             angle = np.arctan2(radius, z)

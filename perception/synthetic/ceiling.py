@@ -205,7 +205,7 @@ class CeilingSequence:
     Attributes
     ----------
     scene : the room and static furniture
-    looks : appearance of the person or robot, and of the distracter
+    appearances : appearance of the person or robot, and of the distracter
     walks : of the person, and of the distracter if there is one
     moved : moved furniture, with positions (n, 2) in metres
     sensor : of the camera
@@ -215,7 +215,7 @@ class CeilingSequence:
     """
 
     scene: Scene
-    looks: tuple[Appearance | RobotLook, Appearance]
+    appearances: tuple[Appearance | RobotLook, Appearance]
     walks: tuple[Walk, ...]
     moved: tuple[tuple[Furniture, FloatArray], ...]
     sensor: Sensor
@@ -237,7 +237,7 @@ class CeilingSequence:
                 room = furniture, StillScene(scene, oversampling=self.oversampling)
             postures = [one.posture(k) for one in self.walks]
             present = [(i, posture) for i, posture in enumerate(postures) if posture is not None]
-            people = [Person(self.looks[i], posture) for i, posture in present]
+            people = [Person(self.appearances[i], posture) for i, posture in present]
             frame = room[1].render(people, self.sensor, rng, moving=pushed)
             labels = {i: label for (i, _), label in zip(present, frame.labels, strict=True)}
             yield CeilingFrame(frame.image, labels.get(0), labels.get(1))
@@ -246,10 +246,10 @@ class CeilingSequence:
         """Return the moved furniture at rest in frame k, and the furniture in motion."""
         resting: list[Furniture] = []
         pushed: list[Furniture] = []
-        for item, places in self.moved:
-            near = places[max(k - 1, 0) : k + 2]
-            placed = replace(item, position=(float(places[k, 0]), float(places[k, 1])))
-            (resting if (near == places[k]).all() else pushed).append(placed)
+        for item, positions in self.moved:
+            near = positions[max(k - 1, 0) : k + 2]
+            placed = replace(item, position=(float(positions[k, 0]), float(positions[k, 1])))
+            (resting if (near == positions[k]).all() else pushed).append(placed)
         return resting, pushed
 
 

@@ -61,14 +61,14 @@ class Walks:
     Attributes
     ----------
     scene : the scene and its camera
-    looks : appearance of each person
+    appearances : appearance of each person
     sensor : of the camera
     truth : positions (metres) and angles (radians) of every person in every frame
     fps : frames a second
     """
 
     scene: Scene
-    looks: list[Appearance]
+    appearances: list[Appearance]
     sensor: Sensor
     truth: TrackSet
     fps: float
@@ -79,7 +79,7 @@ class Walks:
     def people(self, k: int) -> list[Person]:
         """Return the people in frame k, in the order of the tracks."""
         postures = [_posture(track, k) for track in self.truth]
-        return [Person(*both) for both in zip(self.looks, postures, strict=True)]
+        return [Person(*both) for both in zip(self.appearances, postures, strict=True)]
 
     def frames(self, rng: np.random.Generator) -> Iterator[tuple[Image, list[PersonBox]]]:
         """Render the images of frames 0, 1, 2 …, with people's boxes."""
@@ -126,8 +126,8 @@ def draw_walks(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fp
     )
     floor = Ground(tuple(rng.uniform(0.2, 0.6) + rng.normal(0.0, 0.03, 3)), 0.6, rng.uniform(0.0, 0.2))
     scene = Scene(camera, random_light(rng), floor, furniture, tuple(rng.uniform(0.3, 0.7, 3)))
-    looks, sensor = [random_appearance(rng) for _ in range(people)], random_sensor(rng)
-    return Walks(scene, looks, sensor, TrackSet(tuple(_moved(track, rng) for track in walks)), fps)
+    appearances, sensor = [random_appearance(rng) for _ in range(people)], random_sensor(rng)
+    return Walks(scene, appearances, sensor, TrackSet(tuple(_moved(track, rng) for track in walks)), fps)
 
 
 def _moved(track: Track, rng: np.random.Generator) -> Track:
@@ -174,7 +174,7 @@ _NEAR = 620.0
 _TALL = 64
 _STEPS = 7
 _MARGIN = 1.5
-_SEEN = PedestrianVariation(
+_VARIATION = PedestrianVariation(
     size=(60, 70), offset=0.0, scale=0.0, margin=_MARGIN, elevation=(0.9, 1.1), occluded=0.0, floor=1.0
 )
 """Elevation of a high camera, for which the package's models fail."""
@@ -204,18 +204,18 @@ def pasted_street(
     """
     view = replace(CAMERA, focal=_NEAR) if upright else CAMERA
     camera = view.ground_camera()
-    places: list[FloatArray] = []
+    positions: list[FloatArray] = []
     angles: list[float] = []
     ways = 2.0 * np.pi * (np.arange(people) + rng.uniform(0, 1, people)) / people
     for way in rng.permutation(ways).tolist():
         velocity = speed * np.array([np.cos(way), np.sin(way)])
         path = velocity * (np.arange(_STEPS) - _STEPS / 2)[:, None] / FPS + rng.uniform(-1.0, 1.0, 2)
-        places += list(path)
+        positions += list(path)
         angles += camera.image_angle(np.full(_STEPS, direction(velocity)), path).tolist()
-    variation = replace(_SEEN, elevation=(0.3, 0.5)) if upright else _SEEN
-    shown = make_pedestrians(len(places), rng, variation, body=np.array(angles))
+    variation = replace(_VARIATION, elevation=(0.3, 0.5)) if upright else _VARIATION
+    shown = make_pedestrians(len(positions), rng, variation, body=np.array(angles))
     frames, boxes = [], []
-    for k, (place, picture) in enumerate(zip(places, shown.images, strict=True)):
+    for k, (place, picture) in enumerate(zip(positions, shown.images, strict=True)):
         foot = camera.ground_to_image(place)
         tall = float(foot[1] - view.project(np.append(place, 1.7))[1]) if upright else _TALL
         box = np.array([foot[0] - 0.2 * tall, foot[1] - tall, 0.4 * tall, tall])

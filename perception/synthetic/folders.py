@@ -25,7 +25,7 @@ from perception.synthetic.clips import Walks, draw_walks
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.synthetic.heads import HeadVariation, make_heads
 from perception.synthetic.pedestrians import make_pedestrians
-from perception.synthetic.skeletons import seen_keypoints
+from perception.synthetic.skeletons import projected_keypoints
 
 _TITLE_HEIGHT = 18
 
@@ -105,7 +105,7 @@ def _write_keypoints(path: Path, walks: Walks, boxes: Iterable[PersonBox], rng: 
     entries = []
     for item in boxes:
         person = walks.people(item.frame)[place[item.track_id]]
-        points = seen_keypoints(person, walks.scene.camera, walks.scene.furniture, rng)
+        points = projected_keypoints(person, walks.scene.camera, walks.scene.furniture, rng)
         values = {"keypoints": points.round(3).ravel().tolist(), "bbox": [round(x, 2) for x in item.box]}
         entries.append({"image_id": item.frame, "category_id": 1, **values, "score": 0.9})
     path.write_text(json.dumps(entries), encoding="ascii")

@@ -258,18 +258,18 @@ def _person(
     left, right = max(int(u - 2.3 * width), 0), min(int(u + 2.3 * width), w)
     top = max(int(v - 1.5 * width), 0)
     part = rays[top * _RAYS :, left * _RAYS : right * _RAYS]
-    seen = cast_scene(Scene(lowered, light, None), [Person(look, posture)], part)
-    first_u, last_u, first_v, last_v = seen.extent[_CORE].astype(float)
-    extra = seen.extent[_EXTRA]
+    rendered = cast_scene(Scene(lowered, light, None), [Person(look, posture)], part)
+    first_u, last_u, first_v, last_v = rendered.extent[_CORE].astype(float)
+    extra = rendered.extent[_EXTRA]
     box = np.array([first_u, first_v, last_u + 1.0 - first_u, last_v + 1.0 - first_v]) / _RAYS
     reach = first_u, last_u + 1.0
     if extra[0] >= 0:
         reach = min(reach[0], float(extra[0])), max(reach[1], float(extra[1]) + 1.0)
     return _Shown(
         (top, left),
-        seen.colour,
-        seen.covered,
-        seen.nearest >= _CORE,
+        rendered.colour,
+        rendered.covered,
+        rendered.nearest >= _CORE,
         box + np.array([left, top, 0.0, 0.0]),
         (reach[0] / _RAYS + left, reach[1] / _RAYS + left),
     )

@@ -176,13 +176,15 @@ def furniture_solids(item: Furniture) -> Solids:
 def _label(k: int, shown: Cast, oversampling: int) -> Label:
     body, head, extra = shown.extent[3 * k : 3 * k + 3]
     found = [e for e in (body, head, extra) if e[0] >= 0]
-    whole = None
+    outline = None
     if found:
         corners = np.array(found)
-        whole = np.array([corners[:, 0].min(), corners[:, 1].max(), corners[:, 2].min(), corners[:, 3].max()])
+        outline = np.array(
+            [corners[:, 0].min(), corners[:, 1].max(), corners[:, 2].min(), corners[:, 3].max()]
+        )
     covers, shows = int(shown.covers[k]), int(shown.shows[k])
-    seen_head = _box(head if head[0] >= 0 else None, oversampling)
-    return Label(_box(whole, oversampling), seen_head, shows / covers if covers else 0.0)
+    observed_head = _box(head if head[0] >= 0 else None, oversampling)
+    return Label(_box(outline, oversampling), observed_head, shows / covers if covers else 0.0)
 
 
 def _box(extent: FloatArray | None, oversampling: int) -> tuple[float, float, float, float] | None:
@@ -246,9 +248,9 @@ class StillScene:
         corners = (solids.centre[:, None] + half[:, None] * _CORNERS).reshape(-1, 3)
         toward = np.array(self._scene.light.direction)
         shadow = corners - corners[:, 2:] / toward[2] * toward
-        seen: FloatArray = self._scene.camera.project(np.vstack([corners, shadow]))
-        if not np.isfinite(seen).all():
+        pixels: FloatArray = self._scene.camera.project(np.vstack([corners, shadow]))
+        if not np.isfinite(pixels).all():
             return slice(None), slice(None)
-        low = np.maximum((np.floor(seen.min(axis=0)) - _MARGIN) * self._oversampling, 0).astype(int)
-        high = np.maximum((np.ceil(seen.max(axis=0)) + _MARGIN) * self._oversampling, 0).astype(int)
+        low = np.maximum((np.floor(pixels.min(axis=0)) - _MARGIN) * self._oversampling, 0).astype(int)
+        high = np.maximum((np.ceil(pixels.max(axis=0)) + _MARGIN) * self._oversampling, 0).astype(int)
         return slice(low[1], high[1]), slice(low[0], high[0])

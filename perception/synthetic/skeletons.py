@@ -49,7 +49,7 @@ _DEVIATION = 0.45 * np.array([0.026, 0.025, 0.025, 0.035, 0.035, 0.079, 0.079, 0
 
 COCO gives it in square roots of the person's area, which are 0.45 heights.
 """
-_SEEN, _HIDDEN = 2.6, np.array([-2.0] * 5 + [0.8] * 4)
+_VISIBLE_LEVEL, _HIDDEN = 2.6, np.array([-2.0] * 5 + [0.8] * 4)
 """Log odds of the confidence in visible and in hidden points."""
 _SWAPPED = (0, 2, 1, 4, 3, 6, 5, 8, 7)
 N_USED = len(USED)
@@ -130,9 +130,9 @@ def make_skeletons(
     pixels = np.exp(rng.uniform(np.log(size[0]), np.log(size[1]), count))
     ends = np.zeros((count, 2, 3))
     ends[:, 1, 2] = tall
-    seen = _projected(np.concatenate([world, ends], axis=1), camera, rng)
-    tall_in_image = np.linalg.norm(seen[:, -1] - seen[:, -2], axis=1)
-    points = seen[:, :-2] * (pixels / tall_in_image)[:, None, None]
+    projected = _projected(np.concatenate([world, ends], axis=1), camera, rng)
+    tall_in_image = np.linalg.norm(projected[:, -1] - projected[:, -2], axis=1)
+    points = projected[:, :-2] * (pixels / tall_in_image)[:, None, None]
     return Skeletons(points, visibility, pixels, wrap(body), wrap(head))
 
 
@@ -147,9 +147,11 @@ def _joints(
 
     side = np.array(_SIDES)
     points, normals = np.zeros((n, N_USED, 3)), np.zeros((n, N_USED, 3))
-    lean, sway = about(0.05, 0.09), about(0.0, 0.05)
+    lean, sideways = about(0.05, 0.09), about(0.0, 0.05)
     chest = rotation_z(body)
-    middle = np.stack([np.sin(lean) * 0.29 * tall, np.sin(sway) * 0.29 * tall, about(0.815, 0.012) * tall], 1)
+    middle = np.stack(
+        [np.sin(lean) * 0.29 * tall, np.sin(sideways) * 0.29 * tall, about(0.815, 0.012) * tall], 1
+    )
     shoulders = np.einsum("nij,nj->ni", chest, middle)
     wide, tipped = about(0.118, 0.014) * tall, about(0.0, 0.05)
     for k in range(2):
@@ -168,12 +170,12 @@ def _joints(
     neck = np.array([-0.03, 0.0, -0.10])
     centre = shoulders + forward + np.stack([0.0 * tall, 0.0 * tall, about(0.110, 0.010) * tall], 1) + neck
     eye, ear = about(0.034, 0.004), about(0.077, 0.007)
-    places = [np.stack([about(0.120, 0.01), about(0.0, 0.003), about(-0.022, 0.008)], 1)]
+    points_of_parts = [np.stack([about(0.120, 0.01), about(0.0, 0.003), about(-0.022, 0.008)], 1)]
     front, level = about(0.085, 0.008), about(0.018, 0.008)
-    places += [np.stack([front, s * eye, level], 1) for s in side]
+    points_of_parts += [np.stack([front, s * eye, level], 1) for s in side]
     back, low = about(-0.005, 0.012), about(0.0, 0.01)
-    places += [np.stack([back, s * ear, low], 1) for s in side]
-    for k, place in enumerate(places):
+    points_of_parts += [np.stack([back, s * ear, low], 1) for s in side]
+    for k, place in enumerate(points_of_parts):
         points[:, k] = centre + np.einsum("nij,nj->ni", face, size[:, None] * place - neck)
     for k, frame in enumerate([face] * 5 + [chest] * 2 + [hips] * 2):
         normals[:, k] = frame @ (_NORMALS[k] / np.linalg.norm(_NORMALS[k]))
@@ -189,8 +191,8 @@ def _projected(world: FloatArray, camera: FloatArray, rng: np.random.Generator) 
     axis = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
     right = np.stack([np.sin(yaw), -np.cos(yaw), 0.0 * yaw], 1)
     rotation = np.stack([right, np.cross(axis, right), axis], 1)
-    seen = np.einsum("nij,nkj->nki", rotation, world - camera[:, None])
-    plane = seen[..., :2] / np.maximum(seen[..., 2:], 0.2)
+    projected = np.einsum("nij,nkj->nki", rotation, world - camera[:, None])
+    plane = projected[..., :2] / np.maximum(projected[..., 2:], 0.2)
     roll = rng.normal(0.0, 0.04, n)
     turn = np.stack(
         [np.stack([np.cos(roll), -np.sin(roll)], 1), np.stack([np.sin(roll), np.cos(roll)], 1)], 1
@@ -217,13 +219,13 @@ def perceived(
     hidden, hair = _covered(n, rng, errors.hidden), rng.random(n) < 0.3
     # Networks differ in the confidence of each point, and in their output for hidden points.
     unseen = _HIDDEN + rng.normal(0.0, 0.8, (n, 1))
-    level = unseen + (_SEEN - unseen) * visibility + rng.normal(0.0, errors.doubt, visibility.shape)
+    level = unseen + (_VISIBLE_LEVEL - unseen) * visibility + rng.normal(0.0, errors.doubt, visibility.shape)
     level[:, 3:5] -= np.where(hair, rng.uniform(1.0, 3.0, n), 0.0)[:, None]
     level -= np.where(hidden, rng.uniform(1.5, 4.0, (n, N_USED)), 0.0)
     from_behind = visibility[:, :3].max(axis=1) < 0.3
     dreamt = from_behind & (rng.random(n) < errors.hallucinated)
     level[:, :3] = np.where(dreamt[:, None], rng.normal(0.3, 0.8, (n, 3)), level[:, :3])
-    spread = np.exp(np.clip(0.3 * (_SEEN - level), -0.3, 1.4) + rng.normal(0.0, 0.4, (n, 1)))
+    spread = np.exp(np.clip(0.3 * (_VISIBLE_LEVEL - level), -0.3, 1.4) + rng.normal(0.0, 0.4, (n, 1)))
     spread = spread * _DEVIATION * height[:, None] * errors.deviation
     moved = points + np.hypot(spread, errors.pixels)[..., None] * rng.normal(size=points.shape)
     for part, share in ((slice(0, 5), 0.006), (slice(5, 9), 0.008)):
@@ -255,8 +257,8 @@ def _confused(
 ) -> FloatArray:
     """Exchange left and right at random."""
     share = errors.swapped * (1.0 + 3.0 * small) * np.where(from_behind, 1.5, 0.7)
-    whole = rng.random(len(found)) < share
-    found = np.where(whole[:, None, None], found[:, _SWAPPED], found)
+    complete = rng.random(len(found)) < share
+    found = np.where(complete[:, None, None], found[:, _SWAPPED], found)
     for pair in ((3, 4), (5, 6), (7, 8)):
         one = rng.random(len(found)) < 0.3 * share
         found[:, pair] = np.where(one[:, None, None], found[:, pair[::-1]], found[:, pair])
@@ -272,9 +274,9 @@ def _written(found: FloatArray, rng: np.random.Generator, errors: NetworkErrors)
     cut = np.where(unsaid, rng.uniform(0.15, 0.5, n), cut)
     lost = (sure < cut[:, None]) | (rng.random(sure.shape) < 0.015)
     steps = unsaid & (rng.random(n) < 0.5)
-    said = np.where(unsaid[:, None], 1.0, sure)
-    said = np.where(steps[:, None] & (sure < 0.7), 0.5, said)
-    result = np.concatenate([found[..., :2], said[..., None]], axis=2)
+    confidence = np.where(unsaid[:, None], 1.0, sure)
+    confidence = np.where(steps[:, None] & (sure < 0.7), 0.5, confidence)
+    result = np.concatenate([found[..., :2], confidence[..., None]], axis=2)
     return np.asarray(np.where(lost[..., None], 0.0, result), float)
 
 
@@ -289,8 +291,8 @@ _LIGHT = Light((0.0, 0.0, 1.0), (0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
 def joints_of(look: Appearance, posture: Posture) -> FloatArray:
     """Nose, eyes, ears, shoulders and hips (9, 3) in the world, metres; left before right."""
     upper, legs, head = (
-        _balls(places).build()
-        for places in (
+        _balls(points_of_parts).build()
+        for points_of_parts in (
             [shoulder_of(look, side) for side in _SIDES],
             [hip_of(look, side) for side in _SIDES],
             [np.array(place) for place in (*_FACE, *_EARS)],
@@ -300,14 +302,14 @@ def joints_of(look: Appearance, posture: Posture) -> FloatArray:
     return np.concatenate([face.centre, body.centre])
 
 
-def _balls(places: list[FloatArray]) -> Builder:
+def _balls(points_of_parts: list[FloatArray]) -> Builder:
     make = Builder()
-    for place in places:
+    for place in points_of_parts:
         make.ellipsoid(place, (_BALL,) * 3, (0.5, 0.5, 0.5))
     return make
 
 
-def seen_joints(person: Person, camera: Camera, furniture: tuple[Furniture, ...] = ()) -> FloatArray:
+def joint_visibility(person: Person, camera: Camera, furniture: tuple[Furniture, ...] = ()) -> FloatArray:
     """Visibility (9,) of `joints_of`: 1, or 0 if occluded."""
     assert isinstance(person.look, Appearance)
     joints = joints_of(person.look, person.posture)
@@ -324,7 +326,7 @@ def seen_joints(person: Person, camera: Camera, furniture: tuple[Furniture, ...]
     return (shown.nearest[0] == 3 + np.arange(N_USED)).astype(float)
 
 
-def seen_keypoints(
+def projected_keypoints(
     person: Person,
     camera: Camera,
     furniture: tuple[Furniture, ...],
@@ -332,13 +334,13 @@ def seen_keypoints(
     errors: NetworkErrors = NetworkErrors(),
 ) -> FloatArray:
     """Simulate COCO's points (17, 3) of a person by a pose network, without limbs."""
-    pixels, visibility, height = _seen_person(person, camera, furniture)
+    pixels, visibility, height = _projected_person(person, camera, furniture)
     points = np.zeros((N_POINTS, 3))
     points[list(USED)] = perceived(pixels[None], visibility[None], height, rng, errors)[0]
     return points
 
 
-def _seen_person(
+def _projected_person(
     person: Person, camera: Camera, furniture: tuple[Furniture, ...]
 ) -> tuple[FloatArray, FloatArray, float]:
     """Pixels (9, 2) of the joints, their visibility (9,), and the person's height in pixels."""
@@ -346,7 +348,7 @@ def _seen_person(
     x, y = person.posture.position
     ends = camera.project([(x, y, 0.0), (x, y, person.look.height)])
     pixels = camera.project(joints_of(person.look, person.posture))
-    return pixels, seen_joints(person, camera, furniture), float(np.linalg.norm(ends[1] - ends[0]))
+    return pixels, joint_visibility(person, camera, furniture), float(np.linalg.norm(ends[1] - ends[0]))
 
 
 def make_rendered_skeletons(
@@ -384,5 +386,5 @@ def _one(
         place = (0.8, posture.position[1] + rng.uniform(-0.6, 0.6))
         furniture = (Furniture(place, (0.3, 0.9, rng.uniform(0.3, 1.3))),)
     toward = direction(np.array(camera.position[:2]) - np.array(posture.position))
-    seen = _seen_person(Person(look, posture), camera, furniture)
-    return *seen, float(wrap(body - toward)), float(wrap(head - toward))
+    projected = _projected_person(Person(look, posture), camera, furniture)
+    return *projected, float(wrap(body - toward)), float(wrap(head - toward))

@@ -70,12 +70,12 @@ def box_colours(pixels: NDArray[np.integer], boxes: FloatArray) -> FloatArray:
     share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     columns = np.clip((boxes[:, :1] + boxes[:, 2:3] * share).astype(np.int64), 0, width - 1)
     rows = np.clip((boxes[:, 1:2] + boxes[:, 3:] * share).astype(np.int64), 0, height - 1)
-    seen = pixels[rows[:, :, None], columns[:, None, :]].reshape(len(boxes), -1)
+    patches = pixels[rows[:, :, None], columns[:, None, :]].reshape(len(boxes), -1)
     hues, saturations, values = _BOX_BINS
     count = hues * saturations + values
-    place = seen + count * np.arange(len(boxes))[:, None]
+    place = patches + count * np.arange(len(boxes))[:, None]
     total = np.bincount(place.ravel(), minlength=count * len(boxes)).reshape(len(boxes), count)
-    return np.asarray(total / seen.shape[1], float)
+    return np.asarray(total / patches.shape[1], float)
 
 
 def bhattacharyya(histogram: FloatArray, model: FloatArray) -> FloatArray:

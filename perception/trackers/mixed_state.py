@@ -143,7 +143,7 @@ class MixedStateTracker:
         self._transitions = self.exemplars.transitions(*TRANSITIONS)
         self._reach = np.cumsum(self._transitions, axis=1)
         self._shape: tuple[int, int] = (0, 0)
-        self._seen = 1.0
+        self._visibility = 1.0
         self._colours: FloatArray | None = None
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
@@ -157,7 +157,7 @@ class MixedStateTracker:
         self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
         self._belief = np.tile(self.exemplars.prior(), (n, 1))
         # A given box holds a head, whatever its likelihood.
-        self._seen = 1.0
+        self._visibility = 1.0
         if p.colour:
             self._colours = box_colours(hue_bins(image), boxes_of(first[None]))[0]
         return self._look(image, 1.0)
@@ -175,7 +175,7 @@ class MixedStateTracker:
             self._label = np.minimum((self._reach[self._label] < drawn).sum(axis=1), last)
         else:
             self._belief = self._belief @ self._transitions
-        return self._look(image, self._seen * (1.0 - _VANISH) + (1.0 - self._seen) * _APPEAR)
+        return self._look(image, self._visibility * (1.0 - _VANISH) + (1.0 - self._visibility) * _APPEAR)
 
     def _look(self, image: Image, visible: float) -> BoxEstimate:
         """Weight the particles by the frame; ``visible`` is the prior probability."""
@@ -186,9 +186,9 @@ class MixedStateTracker:
         if self.parameters.likelihood == "ratio":
             by_label = self.exemplars.log_ratio(features)
             by_shape = self._over_labels(by_label)
-            weights, self._seen = _perhaps_hidden(before, np.exp(by_shape + of_colour), visible)
+            weights, self._visibility = _perhaps_hidden(before, np.exp(by_shape + of_colour), visible)
             odds = float(before @ np.exp(by_shape))
-            like, confidence = odds / (1.0 + odds), self._seen
+            like, confidence = odds / (1.0 + odds), self._visibility
         else:
             by_label = self.exemplars.log_density(features)
             weights = _normalised(before, self._over_labels(by_label) + of_colour)
@@ -204,7 +204,7 @@ class MixedStateTracker:
             box=box,
             spread=spread,
             confidence=confidence,
-            found=self._seen > 0.5,
+            found=self._visibility > 0.5,
             particles=self._cloud.boxes,
             weights=weights,
             pan=self._by_pan(of_labels),
@@ -236,7 +236,7 @@ class MixedStateTracker:
         assert self._colours is not None
         here = box_colours(pixels, np.array([box]))[0]
         similarity = float(bhattacharyya(here[None], self._colours)[0])
-        rate = MEMORY * self._seen
+        rate = MEMORY * self._visibility
         self._colours = (1.0 - rate) * self._colours + rate * here
         return similarity
 
@@ -264,8 +264,8 @@ def _perhaps_hidden(before: FloatArray, likelihood: FloatArray, visible: float) 
     """Return weights (n,) from likelihood ratios (n,) of a head that may be hidden, and P(visible)."""
     evidence = float(before @ likelihood)
     weights = before * (1.0 - visible + visible * likelihood)
-    seen = visible * evidence / (1.0 - visible + visible * evidence)
-    return np.asarray(weights / weights.sum()), seen
+    visible_share = visible * evidence / (1.0 - visible + visible * evidence)
+    return np.asarray(weights / weights.sum()), visible_share
 
 
 def _normalised(before: FloatArray, log_likelihood: FloatArray) -> FloatArray:

@@ -305,8 +305,8 @@ class SigmaPiTracker:
         enough = active.sum() >= min(2, self._used.sum())
         # Only shape distinguishes a person from moving furniture, so colour waits for it.
         self._alone = self._alone + 1 if moving and active.sum() == 1 else 0
-        anew = self._alone > _STALE
-        always = p.teach_always or anew
+        stale = self._alone > _STALE
+        always = p.teach_always or stale
         trusted = enough and (formed or not self._used[2])
         young = self._colour.frames < _YOUNG and (moving or formed)
         if self._used[1] and (always or trusted or young):

@@ -227,9 +227,9 @@ class ViewCue:
         self._grey = grey(image)
         aside = np.tile(window, (4, 1))
         aside[:, :2] += 0.5 * window[2:] * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-        self._first, *others = descriptors(self._grey, np.vstack([window, aside]))
+        self._first, *windows = descriptors(self._grey, np.vstack([window, aside]))
         self._later: deque[NDArray[np.float32]] = deque(maxlen=_MEMORY)
-        self._usual = float(np.mean(np.array(others) @ self._first))
+        self._usual = float(np.mean(np.array(windows) @ self._first))
         self.frames = 1
 
     @classmethod
@@ -322,8 +322,8 @@ class MotionCue(_SaliencyCue):
         mixed = cv2.addWeighted(self._background, 1.0 - rate, self._image, rate, 0.0)
         self._background = np.asarray(mixed, np.float32)
         if self._unknown is not None and target is not None:
-            seen = self._unknown & ~target
-            self._background[seen] = self._image[seen]
+            background = self._unknown & ~target
+            self._background[background] = self._image[background]
             self._unknown &= target
             if not self._unknown.any():
                 self._unknown = None
@@ -426,13 +426,13 @@ class ShapeCue:
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
         """Store features of the background; ``outside`` (h, w) masks pixels outside the target."""
         last = [outside.shape[1] - 1, outside.shape[0] - 1]
-        places = np.clip(self.features.points.astype(int), 0, last)
-        beside = outside[places[:, 1], places[:, 0]]
-        descriptors = self.features.descriptors[beside]
-        new = descriptors[self._of_background[beside] < _MATCHED]
+        pixels = np.clip(self.features.points.astype(int), 0, last)
+        background = outside[pixels[:, 1], pixels[:, 0]]
+        descriptors = self.features.descriptors[background]
+        new = descriptors[self._of_background[background] < _MATCHED]
         # Least recently matched features are discarded first.
-        seen = similarity(self._background, descriptors) >= _MATCHED
-        known = np.concatenate([self._background[~seen], self._background[seen], new])
+        background = similarity(self._background, descriptors) >= _MATCHED
+        known = np.concatenate([self._background[~background], self._background[background], new])
         self._background = known[-_BACKGROUND_FEATURES:]
 
     def adapt(self, window: FloatArray) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from crossing_people import looks_of, packed_square, street
+from crossing_people import descriptors_of_people, packed_square, street
 from scipy.optimize import linear_sum_assignment
 
 from graphtrack.association import offline
@@ -15,7 +15,7 @@ from graphtrack.association.candidates import (
     gains_of_links,
     grid_of,
     match,
-    near_ones,
+    near_detections,
     window,
 )
 from graphtrack.association.likelihood import GATE
@@ -61,7 +61,7 @@ def test_the_grid_finds_what_is_within_the_gate(settled: Search) -> None:
             spread += chains.variance[tails] + scene.jump_variance
             within = (np.sum(off**2, axis=1) < GATE**2 * spread) & (dt <= scene.longest_gap)
             one, bounds = rows[k], np.full(len(grid.shape), np.inf)
-            count = near_ones(
+            count = near_detections(
                 chains, state, float(one["t"]), int(one["frame"]), tails, grid, bounds, scene, near
             )
             assert sorted(near[:count].tolist()) == np.flatnonzero(within).tolist()
@@ -92,7 +92,7 @@ def test_what_is_outbid_or_hopeless_changes_no_match(settled: Search) -> None:
 def crowds() -> dict[str, Detections]:
     seen, whose = street(np.random.default_rng(7), people=20, frames=50, miss=0.15, false=1.0)
     rng = np.random.default_rng(3)
-    shown = {APPEARANCE: looks_of(rng, whose), "body": rng.uniform(-3.0, 3.0, len(seen))}
+    shown = {APPEARANCE: descriptors_of_people(rng, whose), "body": rng.uniform(-3.0, 3.0, len(seen))}
     return {
         "street": street(np.random.default_rng(5), people=25, frames=60, miss=0.2, false=2.0)[0],
         "square": packed_square(np.random.default_rng(1), people=40, frames=40)[0],

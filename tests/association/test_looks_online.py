@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from crossing_people import idf1, looks_of, met_behind_a_pillar, run_online, street
+from crossing_people import descriptors_of_people, idf1, met_behind_a_pillar, run_online, street
 
 import graphtrack as gt
 from graphtrack.association.associate import rows_of
@@ -27,7 +27,7 @@ def kept(found: np.ndarray, whose: np.ndarray, frame: np.ndarray, person: int) -
 def test_looks_tell_who_came_back_from_behind_a_pillar(seed: int) -> None:
     rng = np.random.default_rng(seed)
     detections, whose = met_behind_a_pillar(rng)
-    looks = looks_of(rng, whose)
+    looks = descriptors_of_people(rng, whose)
     pair = (int(whose.max()) - 1, int(whose.max()))
     _, seen, _ = run_online(detections, OnlineAssociation(TURNING), descriptor=looks)
     _, blind, _ = run_online(detections, OnlineAssociation(TURNING))
@@ -38,7 +38,7 @@ def test_looks_tell_who_came_back_from_behind_a_pillar(seed: int) -> None:
 def test_missing_descriptors_and_one_that_comes_late_are_fine() -> None:
     rng = np.random.default_rng(3)
     detections, whose = met_behind_a_pillar(rng)
-    looks = looks_of(rng, whose)
+    looks = descriptors_of_people(rng, whose)
     looks[rng.random(len(looks)) < 0.2] = np.nan
     looks[detections.frame == 5] = np.nan
     association = OnlineAssociation()
@@ -66,7 +66,7 @@ def test_a_detector_that_is_surer_of_people_helps() -> None:
 def test_it_goes_on_with_looks_and_scores_to_the_last_bit() -> None:
     rng = np.random.default_rng(4)
     detections, whose = street(rng, people=10, frames=50, miss=0.1, false=1.0)
-    looks, score = looks_of(rng, whose), rng.uniform(0.0, 1.0, len(whose))
+    looks, score = descriptors_of_people(rng, whose), rng.uniform(0.0, 1.0, len(whose))
     whole, resumed = OnlineAssociation(), OnlineAssociation()
     for number in range(50):
         places = np.flatnonzero(detections.frame == number)
@@ -105,7 +105,7 @@ def test_descriptors_of_another_size_and_bad_scores_change_nothing() -> None:
 def test_a_table_with_looks_is_tracked_as_its_arrays_are() -> None:
     rng = np.random.default_rng(5)
     detections, whose = met_behind_a_pillar(rng, people=5)
-    looks = looks_of(rng, whose, size=4)
+    looks = descriptors_of_people(rng, whose, size=4)
     x, y = detections.position.T
     columns = {"frame": detections.frame, "t": detections.t, "x": x, "y": y}
     columns |= {f"appearance_{k}": looks[:, k] for k in range(4)}

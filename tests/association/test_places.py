@@ -20,7 +20,7 @@ from graphtrack.association.likelihood import (
     unlinked,
 )
 from graphtrack.association.online import TOLD, OnlineAssociation
-from graphtrack.association.scene import AHEAD, SPREAD, learn_places, learn_scene, seen_from_within
+from graphtrack.association.scene import AHEAD, SPREAD, learn_ground_rates, learn_scene, own_rates
 from graphtrack.geometry.angles import class_centres
 
 FRAMES, CROSSING = 400, 20
@@ -45,7 +45,7 @@ def street(seed: int = 0) -> tuple[Chains, np.ndarray]:
 def test_people_come_where_they_came_and_leave_where_they_left() -> None:
     chains, identity = street()
     left, middle, right, corner = np.array([[0.0, 0.0], [10.0, 0.0], [19.0, 0.0], [17.0, 11.0]])
-    births, deaths, clutter = learn_places(chains, identity).at(np.array([left, middle, right, corner]))
+    births, deaths, clutter = learn_ground_rates(chains, identity).at(np.array([left, middle, right, corner]))
     assert births[0] > 2.0 > 1.0 > births[1] and births[0] > 4.0 * births[2]
     assert deaths[2] > 2.0 > 1.0 > deaths[1] and deaths[2] > 4.0 * deaths[0]
     assert clutter[3] > 2.0 and clutter[:3].max() < 0.2
@@ -63,7 +63,7 @@ def test_without_gaps_a_scene_keeps_its_prior_of_occlusions() -> None:
 def test_own_events_are_left_out_as_if_they_had_not_been(k: int) -> None:
     """Against a loop over all other events, blurred without a grid."""
     chains, identity = street(seed=k)
-    births, _, _ = seen_from_within(chains, identity)
+    births, _, _ = own_rates(chains, identity)
     firsts = np.flatnonzero((chains.preceding < 0) & (identity >= 0) & (chains.frame > 3)).tolist()
     others = chains.position[[j for j in firsts if identity[j] != identity[k] or identity[k] < 0]]
     square = np.sum((others - chains.position[k]) ** 2, axis=1)
@@ -84,7 +84,7 @@ def test_of_two_in_one_place_the_one_who_goes_out_leaves_rather() -> None:
     link_by(chains, identity.astype(np.int64))
     chains.variance[:] = 0.01
     refresh(chains, 0, len(x), Scene(*gt.SceneParameters().packed(0.4)), 0)
-    found = learn_places(chains, identity.astype(np.int64))
+    found = learn_ground_rates(chains, identity.astype(np.int64))
     here, speed = np.array([[19.5, 0.0]]), np.array([[1.25, 0.0]])
     out, back = (found.leaving_for(here + sign * AHEAD * speed) for sign in (1.0, -1.0))
     _, by_place, _ = found.at(here)

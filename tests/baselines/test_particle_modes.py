@@ -86,7 +86,7 @@ def test_modes_that_are_all_alike_are_no_modes() -> None:
         head_spread=0.0,
         head_strength=1.0,
         head_lead=0.0,
-        head_rate_seen=1.0,
+        head_rate_observed=1.0,
         glance_share=0.0,
     )
     parameters = replace(default_parameters("joint-intentional"), gait=gait)
@@ -193,7 +193,7 @@ def test_the_head_steers_as_far_as_it_points_where_the_motion_goes() -> None:
             share = steering_share(np.array([body, head]), False, job.modes)
             assert share == pytest.approx(max(0.0, np.cos(bins[body] + bins[head])), abs=1e-9)
     seen = steering_share(np.zeros(2, np.int64), True, job.modes)
-    assert seen == pytest.approx(default_parameters("full").gait.head_rate_seen)
+    assert seen == pytest.approx(default_parameters("full").gait.head_rate_observed)
 
 
 def test_heads_that_are_a_classifiers_mistake_are_doubted() -> None:

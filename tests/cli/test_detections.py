@@ -24,7 +24,7 @@ def rows_of(seed: int, frames: int = 20, **more: object) -> list[dict[str, objec
     ]
 
 
-def looks_of(k: int) -> dict[str, float]:
+def descriptors_of_people(k: int) -> dict[str, float]:
     """Some descriptor and score of detection k."""
     shown = np.random.default_rng(k).random(4).tolist()
     return {"score": shown[3]} | {f"appearance_{i}": value for i, value in enumerate(shown[:3])}
@@ -83,7 +83,7 @@ def test_streams_do_not_know_of_each_other() -> None:
 @pytest.fixture(scope="module")
 def in_two_parts():
     """Rows, those that follow, and the answers to all of them."""
-    rows = [row | looks_of(k) for k, row in enumerate(rows_of(3, frames=11))]
+    rows = [row | descriptors_of_people(k) for k, row in enumerate(rows_of(3, frames=11))]
     later = [{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]
     return rows, later, answers([*rows, *later])
 

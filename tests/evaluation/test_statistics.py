@@ -69,7 +69,7 @@ def test_a_head_made_of_the_future_is_told(lag: int) -> None:
     track = replace(track, head=head)
     assert future_share([track]) > 0.95
     with pytest.warns(InputWarning, match="later position"):
-        assert deviation_statistics([track], "synthetic").tells_the_future
+        assert deviation_statistics([track], "synthetic").leaks_the_future
 
 
 def test_an_honest_head_is_not_suspected() -> None:
@@ -104,7 +104,7 @@ def test_recorded_people_look_where_they_go(name: str, data_dir: Path) -> None:
     if "mocap" in name:
         tracks = tracks.select("*walk*")
     found = deviation_statistics(tracks, name)
-    assert not found.tells_the_future
+    assert not found.leaks_the_future
     assert found.frames > 200
     assert np.abs(np.degrees(found.mean)) < 45.0
     assert np.argmax(found.density) in range(12, 24)

@@ -130,7 +130,7 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
         offsets=np.array([begin, end + 1]), records=records
     )
     # The step that the newest frame asks for, and then the modes.
-    carry_over(records[end - 1], records[end], gait.head_rate_seen)
+    carry_over(records[end - 1], records[end], gait.head_rate_observed)
     predict_newest(problem, states[begin:], memory_in(kept, slot.number, begin, workspace(n)))
     modes = mode_memory(n)
     modes.before[:] = before

@@ -92,7 +92,7 @@ def test_how_people_walk_together_is_learned() -> None:
     tracks, labels = walking_pairs(np.random.default_rng(0), 1.1, 0.05)
     found = fit_groups(tracks, labels, hold_out=0.0)
     assert abs(found.parameters.walking_distance - 1.1) < 0.15
-    assert found.parameters.walking_speed_std < 0.2 < found.parameters.others_speed_std
+    assert found.parameters.walking_speed_std < 0.2 < found.parameters.strangers_speed_std
     assert found.parameters.places == DEFAULT.places
     assert found.learned_from.pair_f1 > 0.95
     again = gt.groups(tracks, found.parameters)

@@ -12,8 +12,8 @@ from command import run as run_program
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.interaction.attention import AttentionParameters, attention
-from graphtrack.interaction.scores import score_looks
-from graphtrack.interaction.tables import NOBODY, LookLabels, load_attention, read_looks, save_parameters
+from graphtrack.interaction.scores import score_gaze
+from graphtrack.interaction.tables import NOBODY, LookLabels, load_attention, read_gaze, save_parameters
 from graphtrack.learning.interaction import fit_attention
 from graphtrack.simulation.scenario import Party, party
 
@@ -32,7 +32,7 @@ def test_what_is_learned_is_calibrated_in_a_scene_that_was_not_learned_from() ->
     found = fit_attention(made.tracks, labels_of(made), wrong, hold_out=0.2)
     assert found.held_out is not None and found.held_out.frames < found.learned_from.frames
     before, after = (
-        score_looks(attention(other.tracks, parameters=parameters), labels_of(other))
+        score_gaze(attention(other.tracks, parameters=parameters), labels_of(other))
         for parameters in (wrong, found.parameters)
     )
     assert after.log_score > before.log_score + 0.3
@@ -48,9 +48,9 @@ def test_labels_that_are_sure_of_the_truth_score_best() -> None:
         target = labels.of(one.track_id, one.frame)
         true = target[:, None] == np.array([*one.people, NOBODY])
         sure.append(replace(one, probability=true.astype(float)))
-    score = score_looks(sure, labels)
+    score = score_gaze(sure, labels)
     assert (score.right, score.log_score, score.calibration_error) == (1.0, 0.0, 0.0)
-    half = score_looks(sure, labels, (7.0, np.inf))
+    half = score_gaze(sure, labels, (7.0, np.inf))
     assert 0 < half.frames < score.frames
 
 
@@ -68,7 +68,7 @@ def test_labels_that_cannot_be_are_told(tmp_path: Path, text: str, message: str)
     path = tmp_path / "looks.csv"
     path.write_text(text)
     with pytest.raises(InputError) as told:
-        read_looks(path)
+        read_gaze(path)
     assert message in str(told.value)
 
 

@@ -21,7 +21,13 @@ from graphtrack.inference.chain.covariance import (
 from graphtrack.inference.chain.initialisation import pack
 from graphtrack.inference.result import seconds_to_ends
 from graphtrack.model import Model, Parameters
-from graphtrack.model.parameters import MotionParameters, OrientationParameters, kept_shares, steady, swaying
+from graphtrack.model.parameters import (
+    MotionParameters,
+    OrientationParameters,
+    kept_shares,
+    steady,
+    with_oscillation,
+)
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
 
@@ -29,13 +35,16 @@ STILL, RESTING = steady(Parameters()), np.zeros(2)
 
 
 def test_sway_is_that_of_a_sine() -> None:
-    motion = MotionParameters(sway_std=0.02, sway_rate=1.7)
+    motion = MotionParameters(oscillation_std=0.02, oscillation_rate=1.7)
     t = np.linspace(0.0, 40.0 / 1.7, 40_001)
     position = 0.02 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 1.7 * t)
-    found = swaying(np.zeros((6, 6)), motion)
+    found = with_oscillation(np.zeros((6, 6)), motion)
     assert found[0, 0] == pytest.approx(position.var(), rel=1e-3)
     assert found[2, 2] == pytest.approx(np.gradient(position, t).var(), rel=1e-3)
-    assert found[0, 2] == 0.0 and not swaying(np.zeros((6, 6)), replace(motion, sway_std=0.0)).any()
+    assert (
+        found[0, 2] == 0.0
+        and not with_oscillation(np.zeros((6, 6)), replace(motion, oscillation_std=0.0)).any()
+    )
 
 
 def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
@@ -114,7 +123,7 @@ def test_velocity_and_position_lag_behind_an_acceleration_as_the_filter_does() -
     whole = np.full((6, 6), np.nan)
     whole[:4, :4] = spread
     motion = MotionParameters(
-        acceleration_density=q, lasting_std=acceleration, lasting_time=1e3, sway_std=0.0
+        acceleration_density=q, lasting_std=acceleration, lasting_time=1e3, oscillation_std=0.0
     )
     parameters = replace(Parameters(), motion=motion)
     added = calibrated(whole, RESTING, parameters) - whole
@@ -147,7 +156,7 @@ def test_seconds_to_the_nearer_end() -> None:
 
 
 LASTING = Parameters(
-    MotionParameters(lasting_std=0.4, sway_std=0.02),
+    MotionParameters(lasting_std=0.4, oscillation_std=0.02),
     OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.4, body_white_share=0.3),
 )
 """Parameters in which nothing that the calibration depends on is 0, or alike for body and head."""

@@ -46,7 +46,7 @@ from graphtrack.model.terms.anchor import Anchor
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.faces_group import FacesGroup
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.holds_still import HoldsStill
+from graphtrack.model.terms.holds_still import OrientationPersistence
 from graphtrack.model.terms.intentional_motion import IntentionalMotion
 from graphtrack.model.terms.motion import Motion
 from graphtrack.model.terms.place import PlacePrior
@@ -230,8 +230,8 @@ CASES = [
     Case("drawn to a place", PlacePrior, place(3.0)),
     Case("kept from a place", PlacePrior, place(-3.0)),
     Case("faces companions", FacesGroup),
-    Case("holds still", HoldsStill),
-    Case("holds still, firmly", HoldsStill, Parameters(social=SocialParameters(body_hold=100.0))),
+    Case("holds still", OrientationPersistence),
+    Case("holds still, firmly", OrientationPersistence, Parameters(social=SocialParameters(body_hold=100.0))),
     Case("faces companions, sharp", FacesGroup, Parameters(social=SocialParameters(1e3, 1e3, 0.05))),
     Case("8 body classes, no outliers", BodyLikelihood, NO_CLASS_OUTLIERS, class_density("body"), **MIXED_8),
 ]

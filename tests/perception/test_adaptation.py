@@ -14,7 +14,7 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.model import Model
-from perception.adaptation.directions import CLASSES, calibrated, folds_of, seen_directions, taught
+from perception.adaptation.directions import CLASSES, calibrated, folds_of, observed_directions, taught
 from perception.adaptation.labels import (
     COLUMNS,
     ROWS,
@@ -78,7 +78,7 @@ def test_a_patch_holds_the_box_in_its_middle() -> None:
 
 def test_a_direction_that_nobody_walked_in_is_neither_likely_nor_unlikely() -> None:
     label, person = np.repeat([0, 4, 1], 2), np.arange(6)
-    seen = seen_directions(label, person)
+    seen = observed_directions(label, person)
     # Mirror images count: walking to the left gives samples of walking to the right.
     assert seen.tolist() == [True, True, False, False, True, False, False, True]
     said = np.exp(calibrated(np.array([[9.0, 0, 5, 5, 0, 5, 5, 0]]), 1.0, 0.0, seen)[0])

@@ -14,8 +14,8 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import to_columns
 from perception.observe.journal import FrameJournal
-from perception.observe.pipeline import SeenFrame, SeenPerson
-from perception.observe.tables import SeenTracks, to_detections, to_tracks
+from perception.observe.pipeline import FrameObservation, PersonObservation
+from perception.observe.tables import ObservedTracks, to_detections, to_tracks
 from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH
 from perception.pose.head_detection import HeadCandidates
@@ -24,7 +24,7 @@ PANS = PoseClasses.circle(8)
 CAMERA = GroundCamera.from_homography(np.array([[0.02, 0.0, -1.0], [0.0, -0.02, 9.0], [0.0, 0.001, 0.2]]))
 
 
-def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> dict[int, SeenFrame]:
+def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> dict[int, FrameObservation]:
     """Three people a frame, numbered in any order; without scores and appearance if not ``known``."""
     frames = {}
     for k in range(count):
@@ -35,9 +35,9 @@ def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> 
             body, pan = np.log(rng.dirichlet(np.ones(8))), np.log(rng.dirichlet(np.ones(8), 2))
             box = (left, top, 0.4 * height, height)
             looks = rng.integers(0, 256, LENGTH).astype(np.uint8)
-            person = SeenPerson(k, number, box, body, heads, pan)
+            person = PersonObservation(k, number, box, body, heads, pan)
             people.append(replace(person, score=float(rng.uniform()), looks=looks) if known else person)
-        frames[k] = SeenFrame(people, [])
+        frames[k] = FrameObservation(people, [])
     return frames
 
 
@@ -70,12 +70,12 @@ def test_people_beyond_the_horizon_are_counted_and_nobody_is_refused() -> None:
     found = to_detections(frames, PANS, CAMERA, 5.0)
     assert len(found.number) == 11 and sum(found.refused.values()) == 1
     with pytest.raises(InputError, match="without people"):
-        to_detections({0: SeenFrame([], [])}, PANS, CAMERA, 5.0)
+        to_detections({0: FrameObservation([], [])}, PANS, CAMERA, 5.0)
 
 
 def test_a_journal_reads_between_writing_and_keeps_only_places(tmp_path: Path) -> None:
     frames = seen_frames(400, np.random.default_rng(3))
-    journal = FrameJournal(tmp_path / "j", "key", SeenFrame)
+    journal = FrameJournal(tmp_path / "j", "key", FrameObservation)
     journal.open()
     journal.add(0, frames[0])
     assert len(journal[0].people) == 3
@@ -101,7 +101,7 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, ha
     rng = np.random.default_rng(4)
     kept = []
     for count in (100, 500):
-        journal = FrameJournal(tmp_path / f"{count}", "key", SeenFrame)
+        journal = FrameJournal(tmp_path / f"{count}", "key", FrameObservation)
         journal.open()
         tracemalloc.start()
         try:
@@ -117,7 +117,7 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, ha
             kept.append(tracemalloc.get_traced_memory()[0])
         finally:
             tracemalloc.stop()
-        rows = found.tracks.n_frames if isinstance(found, SeenTracks) else len(found.number)
+        rows = found.tracks.n_frames if isinstance(found, ObservedTracks) else len(found.number)
         assert rows == 3 * count
         journal.close()
         del found

@@ -9,7 +9,7 @@ import pytest
 
 from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from perception.drawing.marks import LIGHT, person_colour
+from perception.drawing.overlays import LIGHT, person_colour
 from perception.drawing.people import DrawnPerson, draw_people
 from perception.synthetic import Camera
 

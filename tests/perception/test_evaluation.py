@@ -14,7 +14,7 @@ from command import run
 from graphtrack.experiments import Settings
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.model import Model
-from perception.drawing.marks import Cues, draw_cues
+from perception.drawing.overlays import Cues, draw_cues
 from perception.evaluation.classifiers import class_rates
 from perception.evaluation.joint_effect import LEAST_FRAMES, METHODS, ObservedPerson, joint_effect, people_of
 from perception.experiments.chen_pixels import EXPERIMENT

@@ -16,32 +16,32 @@ from graphtrack.errors import InputError
 from perception.detection.boxes import Detections
 from perception.detection.ground_search import FEATURES
 from perception.detection.rescoring import Certainty, PersonProbability
-from perception.ground.upright import Standing
+from perception.ground.upright import LeaningPose
 from perception.observe.journal import FrameJournal
-from perception.observe.pipeline import SeenFrame, SeenPerson
+from perception.observe.pipeline import FrameObservation, PersonObservation
 from perception.pose.features import LENGTH
 from perception.pose.head_detection import HeadCandidates
 from perception.storage import decoded, encoded
 
 
-def seen(frame: int, left: float) -> SeenPerson:
+def seen(frame: int, left: float) -> PersonObservation:
     heads = HeadCandidates(np.array([[5.0, 2.0, 10.0, 14.0]]), np.array([0.4]))
-    return SeenPerson(frame, 1, (left, 2.0, 30.0, 80.0), np.zeros(8), heads, np.zeros((1, 12)))
+    return PersonObservation(frame, 1, (left, 2.0, 30.0, 80.0), np.zeros(8), heads, np.zeros((1, 12)))
 
 
-def of_frame(*people: SeenPerson, refused: str = "") -> SeenFrame:
-    return SeenFrame(list(people), [refused] if refused else [])
+def of_frame(*people: PersonObservation, refused: str = "") -> FrameObservation:
+    return FrameObservation(list(people), [refused] if refused else [])
 
 
-def opened(path: Path, key: str = "a") -> FrameJournal[SeenFrame]:
-    journal = FrameJournal(path, key, SeenFrame)
+def opened(path: Path, key: str = "a") -> FrameJournal[FrameObservation]:
+    journal = FrameJournal(path, key, FrameObservation)
     journal.open()
     return journal
 
 
 def test_a_journal_goes_on_after_the_last_whole_frame(tmp_path: Path) -> None:
     path = tmp_path / "journal"
-    with pytest.raises(KeyboardInterrupt), FrameJournal(path, "a", SeenFrame) as journal:
+    with pytest.raises(KeyboardInterrupt), FrameJournal(path, "a", FrameObservation) as journal:
         journal.add(0, of_frame(seen(0, 1.0)))
         journal.add(1, of_frame(refused="a box of nobody"))
         raise KeyboardInterrupt
@@ -56,10 +56,10 @@ def test_a_journal_goes_on_after_the_last_whole_frame(tmp_path: Path) -> None:
     assert set(third) == {0, 1, 2} and not third[1].people
     assert third[2].people[0].box == (3.0, 2.0, 30.0, 80.0)
     third.close()
-    with FrameJournal(path, "another run", SeenFrame) as other:
+    with FrameJournal(path, "another run", FrameObservation) as other:
         assert not other and path.exists()
     assert not path.exists()
-    with pytest.raises(InputError), FrameJournal(path, "a", SeenFrame):
+    with pytest.raises(InputError), FrameJournal(path, "a", FrameObservation):
         raise InputError("a run", "another one")
     assert not path.exists()
 
@@ -82,7 +82,7 @@ def test_records_that_nothing_can_be_made_of_are_looked_at_again(tmp_path: Path,
 def test_a_record_comes_back_as_it_was() -> None:
     certain = Certainty(np.array([-1.0, 2.0]), np.array([-0.5, 3.0]))
     person = replace(seen(3, 1.5), score=0.25, looks=np.arange(LENGTH, dtype=np.uint16).astype(np.uint8))
-    known = SeenFrame([replace(person, standing=Standing((4.0, 5.0), 0.1, 30.0))], ["why"])
+    known = FrameObservation([replace(person, standing=LeaningPose((4.0, 5.0), 0.1, 30.0))], ["why"])
     records: list[Any] = [
         known,
         Detections(np.empty((0, 4)), np.empty(0)),

@@ -28,7 +28,7 @@ from perception.pose.classes import PoseClasses
 from perception.pose.keypoints import BY_NUMBER, N_POINTS, NAMES, USED, PersonPoints, read_keypoints
 from perception.synthetic import Camera, Person
 from perception.synthetic.people import Posture, random_appearance
-from perception.synthetic.skeletons import joints_of, seen_joints
+from perception.synthetic.skeletons import joint_visibility, joints_of
 
 STREET = Camera((0.0, -6.0, 2.5), np.pi / 2, -0.2, 500.0, (320, 320))
 BODY, HEAD = np.deg2rad([-60.0, -20.0])
@@ -41,7 +41,7 @@ def skeleton(k: int, place: float = 0.0) -> tuple[np.ndarray, tuple[float, float
     person = Person(look, Posture((place + 0.1 * k, -0.05 * k), BODY, HEAD))
     points = np.zeros((N_POINTS, 3))
     points[list(USED), :2] = STREET.project(joints_of(look, person.posture))
-    points[list(USED), 2] = 0.1 + 0.8 * seen_joints(person, STREET)
+    points[list(USED), 2] = 0.1 + 0.8 * joint_visibility(person, STREET)
     x, y = person.posture.position
     ankles = STREET.project(np.array([[x, y + s * 0.08, 0.08 * look.height / 1.72] for s in (1, -1)]))
     points[15:, :2], points[15:, 2] = ankles, 0.9

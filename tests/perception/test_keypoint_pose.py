@@ -18,19 +18,19 @@ from perception.pose.keypoints import (
     NAMES,
     USED,
     in_coco_order,
+    keypoint_indices,
     mirrored,
-    places_of,
 )
 from perception.synthetic.cameras import Camera
 from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.scene import Person
 from perception.synthetic.skeletons import (
     NetworkErrors,
+    joint_visibility,
     joints_of,
     make_rendered_skeletons,
     make_skeletons,
     perceived,
-    seen_joints,
 )
 from perception.training import train_keypoints
 
@@ -54,7 +54,7 @@ def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
     for _ in range(20):
         person = Person(random_appearance(rng), Posture((0.0, 0.0), angle, angle))
         pixels = camera.project(joints_of(person.look, person.posture))
-        seen = seen_joints(person, camera)
+        seen = joint_visibility(person, camera)
         found.append(perceived(pixels[None], seen[None], 140.0, rng, CERTAIN)[0])
     body, head = MODEL.log_likelihoods(all_17(np.array(found)))
     for classes, said in ((BODY, body), (HEAD, head)):
@@ -142,7 +142,9 @@ def test_conventions_are_turned_into_cocos_points() -> None:
         points = np.zeros((number, 3))
         points[:, 0], points[:, 2] = np.arange(number), 1.0
         assert in_coco_order(points, places)[:, 0].tolist() == list(map(float, places))
-    assert places_of([name.upper().replace("_", " ") for name in reversed(NAMES)]) == tuple(range(16, -1, -1))
-    assert places_of(["nose", "left_eye"]) is None
+    assert keypoint_indices([name.upper().replace("_", " ") for name in reversed(NAMES)]) == tuple(
+        range(16, -1, -1)
+    )
+    assert keypoint_indices(["nose", "left_eye"]) is None
     unknown = in_coco_order(np.full((17, 3), np.nan), range(17))
     np.testing.assert_array_equal(unknown, np.zeros((17, 3)))

@@ -16,7 +16,7 @@ from graphtrack.errors import InputError
 from perception.detection.boxes import Detections, PersonBox, read_boxes, write_boxes
 from perception.detection.hog import PeopleDetector
 from perception.images.frames import FrameSource
-from perception.observe.pipeline import SeenPerson, by_frame, observe_frame
+from perception.observe.pipeline import PersonObservation, by_frame, observe_frame
 from perception.observe.tables import to_tracks
 from perception.pose.classes import PoseClasses
 from perception.pose.head_detection import HeadCandidates
@@ -66,7 +66,7 @@ def frames_looked_at(monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
     """The frames that models look at from here on; the fourth raises an error."""
     looked: list[int] = []
 
-    def look(image: np.ndarray, frame: int, *rest: object) -> list[SeenPerson]:
+    def look(image: np.ndarray, frame: int, *rest: object) -> list[PersonObservation]:
         looked.append(frame)
         if error is not None and len(looked) == 4:
             raise error
@@ -341,7 +341,9 @@ def test_the_scale_without_a_camera_is_that_of_the_first_frame_when_causal(tmp_p
     flat = np.log(np.full(8, 1.0 / 8.0))
     heads = HeadCandidates(np.array([[5.0, 2.0, 10.0, 14.0]]), np.array([0.4]))
     near = [
-        SeenPerson(k, 1, (10.0, 10.0, 30.0, 80.0 + 40.0 * k), flat, heads, np.log(np.full((1, 12), 1 / 12)))
+        PersonObservation(
+            k, 1, (10.0, 10.0, 30.0, 80.0 + 40.0 * k), flat, heads, np.log(np.full((1, 12), 1 / 12))
+        )
         for k in range(3)
     ]
     classes = PoseClasses.circle(12)

@@ -17,7 +17,7 @@ from perception.detection.hog import (
 )
 from perception.synthetic import PedestrianVariation, make_pedestrians
 
-WHOLE = PedestrianVariation(
+OFFLINE = PedestrianVariation(
     size=(100, 104), offset=0.0, scale=0.0, margin=1.6, elevation=(0.0, 0.1), occluded=0.0, floor=0.0
 )
 
@@ -53,7 +53,7 @@ def test_means_are_of_the_same_pixels_as_gradients() -> None:
 def test_a_person_is_found_at_any_size(height: int) -> None:
     rng = np.random.default_rng(3)
     near = 0
-    for picture in make_pedestrians(6, rng, WHOLE).images:
+    for picture in make_pedestrians(6, rng, OFFLINE).images:
         tall = round(1.6 * height)
         person = cv2.resize(picture, (round(tall * picture.shape[1] / picture.shape[0]), tall))
         image = np.full((720, 640, 3), 120, np.uint8)

@@ -16,7 +16,7 @@ from perception.detection.boxes import PersonBox
 from perception.models import NAMES, load_classifier, load_head_localiser, model_path
 from perception.observe.pipeline import (
     Models,
-    SeenPerson,
+    PersonObservation,
     by_frame,
     observe_frame,
 )
@@ -30,10 +30,10 @@ STREET = Camera((0.0, -9.0, 3.0), np.pi / 2, -0.2, 500.0, (320, 240))
 EIGHT = PoseClasses.circle(8)
 
 
-def seen(frame: int, foot: tuple[float, float], body: np.ndarray) -> SeenPerson:
+def seen(frame: int, foot: tuple[float, float], body: np.ndarray) -> PersonObservation:
     heads = HeadCandidates(np.array([[5.0, 2.0, 10.0, 14.0]]), np.array([0.4]))
     box = (foot[0] - 15.0, foot[1] - 80.0, 30.0, 80.0)
-    return SeenPerson(frame, 1, box, body, heads, np.log(np.full((1, 12), 1.0 / 12.0)))
+    return PersonObservation(frame, 1, box, body, heads, np.log(np.full((1, 12), 1.0 / 12.0)))
 
 
 def test_angles_go_from_the_image_to_the_world_by_the_ray() -> None:

@@ -74,11 +74,11 @@ def calibrated(
     """
     motion, orientation = parameters.motion, parameters.orientation
     given, found = covariance, covariance.copy()
-    # Steps: a sine of the standard deviation `sway_std`.
-    swing = 2.0 * np.pi * motion.sway_rate
+    # Steps: a sine of the standard deviation `oscillation_std`.
+    swing = 2.0 * np.pi * motion.oscillation_rate
     for axis in range(2):
-        found[..., axis, axis] += motion.sway_std**2
-        found[..., 2 + axis, 2 + axis] += (swing * motion.sway_std) ** 2
+        found[..., axis, axis] += motion.oscillation_std**2
+        found[..., 2 + axis, 2 + axis] += (swing * motion.oscillation_std) ** 2
     # Accelerations that last.
     if motion.lasting_std > 0.0:
         own = 0.5 * (given[..., 2, 2] + given[..., 3, 3])

@@ -31,7 +31,7 @@ def people_of(tracks: TrackSet) -> list[Track]:
     return [track for track in tracks if track.label != FALSE]
 
 
-def is_seen(track: Track) -> np.ndarray:
+def is_observed(track: Track) -> np.ndarray:
     return np.isfinite(track.position).all(axis=1)
 
 
@@ -46,7 +46,7 @@ def test_a_perfect_detector_changes_nothing() -> None:
 
 def test_as_many_are_missed_as_is_said_and_then_nothing_is_observed() -> None:
     found = detect(crowd(), Detector(missed=0.3), position_std=0.1, rng=np.random.default_rng(1))
-    seen = np.concatenate([is_seen(track) for track in found.observed])
+    seen = np.concatenate([is_observed(track) for track in found.observed])
     low, high = stats.binom.interval(1.0 - 1e-4, len(seen), 0.7)
     assert low <= seen.sum() <= high
     for track, truth in zip(found.observed, found.truth, strict=True):
@@ -54,7 +54,7 @@ def test_as_many_are_missed_as_is_said_and_then_nothing_is_observed() -> None:
             values = getattr(track, name)
             if values is not None:
                 missing = np.isnan(values.reshape(len(track), -1)).all(axis=1)
-                np.testing.assert_array_equal(missing, ~is_seen(track))
+                np.testing.assert_array_equal(missing, ~is_observed(track))
         np.testing.assert_array_equal(track.true_position, truth.position)
 
 
@@ -63,10 +63,10 @@ def test_half_of_the_people_are_hidden_once_for_so_long_within_their_tracks() ->
     starts = []
     for seed in range(20):
         observed = detect(crowd(), detector, rng=np.random.default_rng(seed)).observed
-        hidden = [track for track in observed if not is_seen(track).all()]
+        hidden = [track for track in observed if not is_observed(track).all()]
         assert len(hidden) == 30
         for track in hidden:
-            gone = np.flatnonzero(~is_seen(track))
+            gone = np.flatnonzero(~is_observed(track))
             assert len(gone) == 10 and np.ptp(gone) == 9
             assert gone[0] > 0 and gone[-1] < len(track) - 1
             starts.append((gone[0] - 1) / (len(track) - 12))
@@ -109,7 +109,7 @@ def test_anonymous_detections_are_those_seen_in_any_order_without_the_truth() ->
     table = found.anonymous(rng)
     assert list(table) == ["frame", "t", "x", "y", "head_deg"]
     assert len(table["x"]) == found.detections and (np.diff(table["frame"]) >= 0).all()
-    kept = np.concatenate([track.position[is_seen(track)] for track in found.observed])
+    kept = np.concatenate([track.position[is_observed(track)] for track in found.observed])
     rows = np.column_stack([table["x"], table["y"]])
     np.testing.assert_array_equal(rows[np.lexsort(rows.T)], kept[np.lexsort(kept.T)])
     # Ranks of the same people must not agree from frame to frame: a tracker could read identities off them.

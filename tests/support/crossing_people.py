@@ -115,7 +115,9 @@ def packed_square(
     return detections, np.concatenate(owners)[detections.row]
 
 
-def looks_of(rng: np.random.Generator, whose: np.ndarray, size: int = 8, noise: float = 0.3) -> np.ndarray:
+def descriptors_of_people(
+    rng: np.random.Generator, whose: np.ndarray, size: int = 8, noise: float = 0.3
+) -> np.ndarray:
     """(n, size) descriptors of the detections of people (n,), similar within a person; −1: false."""
     people = rng.normal(0.0, 1.0, (whose.max() + 1, size))
     of_nobody = rng.normal(0.0, 1.0, (len(whose), size))

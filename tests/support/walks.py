@@ -40,8 +40,8 @@ def walk(
     speed = 1.3 + 0.2 * np.cos(t)
     position = rng.uniform(-5.0, 5.0, 2) + np.cumsum(speed[:, None] * unit(heading) * steps[:, None], axis=0)
     head = heading + 0.4 * np.sin(1.3 * t)
-    seen_body = wrap(heading + rng.vonmises(0.0, angle_kappa, n))
-    seen_head = wrap(head + rng.vonmises(0.0, angle_kappa, n))
+    observed_body = wrap(heading + rng.vonmises(0.0, angle_kappa, n))
+    observed_head = wrap(head + rng.vonmises(0.0, angle_kappa, n))
     track = Track(
         track_id=track_id,
         frame=np.arange(n) + 10,
@@ -53,9 +53,11 @@ def walk(
     )
     if classes:
         return replace(
-            track, body_likelihood=scores(seen_body, 8, rng), head_likelihood=scores(seen_head, 12, rng)
+            track,
+            body_likelihood=scores(observed_body, 8, rng),
+            head_likelihood=scores(observed_head, 12, rng),
         )
-    return replace(track, body=seen_body, head=seen_head)
+    return replace(track, body=observed_body, head=observed_head)
 
 
 def without(track: Track, name: str, missing: slice | list[int] | np.ndarray) -> Track:

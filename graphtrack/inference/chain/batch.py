@@ -22,12 +22,12 @@ from graphtrack.inference.chain.covariance import (
     find_covariances,
 )
 from graphtrack.inference.chain.initialisation import (
-    Seen,
+    ObservedAngles,
     empty_result,
     initialise,
     linear_part,
+    observed_angles,
     problem_of,
-    seen_in,
     solve_linear_tracks,
 )
 from graphtrack.inference.chain.newton import (
@@ -108,7 +108,7 @@ TIE = 1e-8  # Relative decrease of the cost for another basin; smaller differenc
 
 @inner
 def settle(
-    whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool, last: bool
+    all_tracks: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool, last: bool
 ) -> None:
     """Minimise the costs of a group, with ``search`` from another basin with a lower predicted cost.
 
@@ -119,7 +119,7 @@ def settle(
     nothing = 0.0 * workspace.length[0]
     elsewhere, begun = nothing > 0.0, nothing
     if search:
-        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_START, workspace)
+        elsewhere = find_other_basins(all_tracks, tracks, problem, track, n, states, AT_START, workspace)
     if any_of(elsewhere):
         # Contradictory observations make a poor start and a long descent.
         begun = cost_of(problem, track, n, states, workspace)
@@ -134,7 +134,7 @@ def settle(
         ended[RIVAL_COST] = nothing + math.inf
         challenge(group, n, rivals, gain, max_iterations, tolerance)
     if search:
-        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace)
+        elsewhere = find_other_basins(all_tracks, tracks, problem, track, n, states, AT_END, workspace)
         challenge(group, n, elsewhere, 0.0, max_iterations, tolerance)
     wound = unwind(problem, track, n, states, 4.0 * NEAR if last else 0.0, workspace)
     challenge(group, n, wound, gain, max_iterations, tolerance)
@@ -193,14 +193,14 @@ def keep_rival(
 
 
 @inner
-def note_rivals(whole: Problem, group: Group, apart: FloatArray) -> None:
+def note_rivals(all_tracks: Problem, group: Group, apart: FloatArray) -> None:
     """Write into ``apart`` (N, 2) the turn to a rival, times the root of its probability."""
     states, rival, ended = group.states, group.workspace.rival, group.workspace.ended
     dearer = ended[RIVAL_COST] - ended[COST]
     for lane in range(lane_count(dearer)):
         if group.tracks[lane] < 0 or not lane_of(dearer, lane) < NEAR:
             continue
-        begin = whole.offsets[group.tracks[lane]]
+        begin = all_tracks.offsets[group.tracks[lane]]
         share = math.sqrt(1.0 / (1.0 + math.exp(lane_of(dearer, lane))))
         for k in range(int(lane_of(group.workspace.length[0], lane))):
             for i in range(2):
@@ -210,14 +210,14 @@ def note_rivals(whole: Problem, group: Group, apart: FloatArray) -> None:
 
 
 @merged
-def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
+def improve(all_tracks: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
     """Search other basins once the couplings are known, and stay there if they cost less."""
     states, workspace = group.states, group.workspace
     ended, before, start = workspace.ended, workspace.before, workspace.start
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    settle(whole, group, n, max_iterations, tolerance, as_variable(True), as_variable(False))
+    settle(all_tracks, group, n, max_iterations, tolerance, as_variable(True), as_variable(False))
     better = ended[COST] < cost
     swap(n, negate(better), before, states)
     keep_rival(n, cost < math.inf, choose(better, cost, ended[COST]), before, states, workspace)
@@ -262,7 +262,7 @@ def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
 
 @merged
 def solve_group(
-    whole: Problem,
+    all_tracks: Problem,
     group: Group,
     n: int,
     options: Options,
@@ -287,10 +287,10 @@ def solve_group(
     length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
     copy_rows(0, n, states, workspace.before)
     ended[RIVAL_COST] = 0.0 * length + math.inf
-    settle(whole, group, n, most, tolerance, search, as_variable(gait is None))
+    settle(all_tracks, group, n, most, tolerance, search, as_variable(gait is None))
     if gait is not None:
         # The first descent has no couplings; then modes and states alternate.
-        put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
+        put_back(all_tracks.offsets, tracks, guessed, length, workspace.before, states)
         search = as_variable(False)
         for left in range(options.passes - 1, -1, -1):
             last = left == 0
@@ -298,17 +298,17 @@ def solve_group(
             renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
             # Costs of rivals are invalid with other couplings.
             ended[RIVAL_COST] = choose(ended[RIVAL_COST] < math.inf, 1e300, math.inf)
-            settle(whole, group, n, most, tolerance, search, last)
+            settle(all_tracks, group, n, most, tolerance, search, last)
             if searched:
-                improve(whole, group, n, most, tolerance)
+                improve(all_tracks, group, n, most, tolerance)
     note(tracks, ended, result)
-    note_rivals(whole, group, result.apart)
+    note_rivals(all_tracks, group, result.apart)
     find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
     if gait is not None:
         add_glance_variance(n, group.modes.held, gait, group.covariance)
         for lane in range(lane_count(length)):
             if tracks[lane] >= 0:
-                begin, frames = whole.offsets[tracks[lane]], int(lane_of(length, lane))
+                begin, frames = all_tracks.offsets[tracks[lane]], int(lane_of(length, lane))
                 report_modes(frames, lane, group.modes.held, result.modes[begin : begin + frames])
 
 
@@ -538,7 +538,7 @@ def solve_packed(
     *,
     max_iterations: int = 100,
     tolerance: float = 1e-12,
-    restart: bool = True,
+    basin_search: bool = True,
     in_lanes: bool = False,
     calibration: Calibration | None = None,
 ) -> Result:
@@ -549,7 +549,7 @@ def solve_packed(
     packed : from `initialisation.pack` or `pack_to_solve`, with the same model, which is a chain
     max_iterations : most Newton steps per track
     tolerance : of the predicted decrease of the cost, relative to 1 + the cost
-    restart : basin search on a grid of orientations where there may be a better basin
+    basin_search : basin search on a grid of orientations where there may be a better basin
     in_lanes : solve several tracks at a time, of those that `fit_lanes` selects
     calibration : of the covariances; None: they are the inverse curvature
 
@@ -563,10 +563,10 @@ def solve_packed(
     if model.is_linear(packed):
         solve_linear_tracks(linear_part(packed), longest, result)
     else:
-        problem, seen = problem_of(packed), seen_in(packed, model)
-        initialise(linear_part(packed), seen, np.empty((3, longest)), result.states)
-        guessed = never_seen(packed, seen) if model.has_modes else NONE_GUESSED
-        options = Options(max_iterations, tolerance, max(ON_THE_WAY, tolerance), PASSES, restart)
+        problem, angles_observed = problem_of(packed), observed_angles(packed, model)
+        initialise(linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
+        guessed = never_observed(packed, angles_observed) if model.has_modes else NONE_GUESSED
+        options = Options(max_iterations, tolerance, max(ON_THE_WAY, tolerance), PASSES, basin_search)
         solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     if calibration is not None:
@@ -602,20 +602,20 @@ def solve_terms(
         solve_tracks(problem, options, gait, guessed, numbers, memory, modes, result)
 
 
-def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
+def never_observed(packed: PackedTracks, angles_observed: ObservedAngles) -> BoolArray:
     """Body and head (N, 2) of tracks without any observation of them, in frames without other information."""
     found = np.zeros((packed.offsets[-1], 2), bool)
     known = np.zeros(len(found), bool)
     if any(track.inputs for track in packed.tracks):
-        known = np.concatenate([_says_more(track) for track in packed.tracks])
-    for place, vectors in enumerate((seen.body, seen.head)):
+        known = np.concatenate([_has_input(track) for track in packed.tracks])
+    for place, vectors in enumerate((angles_observed.body, angles_observed.head)):
         if len(vectors):
-            was_seen = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), packed.offsets[:-1])
-            found[:, place] = ~np.repeat(was_seen, np.diff(packed.offsets)) & ~known
+            was_observed = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), packed.offsets[:-1])
+            found[:, place] = ~np.repeat(was_observed, np.diff(packed.offsets)) & ~known
     return found
 
 
-def _says_more(track: Track) -> BoolArray:
+def _has_input(track: Track) -> BoolArray:
     """(n,) True in frames with a known input."""
     known = np.zeros(len(track), bool)
     for values in track.inputs.values():

@@ -30,7 +30,7 @@ from graphtrack.kernels.compilation import allocating, compiled, inner, merged
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, N, Problem
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE
-from graphtrack.model.parameters import Parameters, kept_shares, sway_variances
+from graphtrack.model.parameters import Parameters, kept_shares, oscillation_variances
 from graphtrack.model.terms.body_follows_motion import squared_excess
 
 
@@ -146,10 +146,10 @@ def find_covariances(
     if any_of(negate(exact)):
         # A saddle, or not converged: the positive semidefinite curvature.
         sweep_forward(problem, track, n, states, not full, workspace)
-        others = masked(covariance, negate(exact))
-        marginals(n, workspace, others)
+        correction = masked(covariance, negate(exact))
+        marginals(n, workspace, correction)
         if modes is not None:
-            add_spread(problem, n, states, modes.spread, workspace, others)
+            add_spread(problem, n, states, modes.spread, workspace, correction)
 
 
 SHRINK_WIDEST = 1e3  # Inverse curvature in rad² beyond which an angle is uniform
@@ -189,8 +189,8 @@ class Calibration(NamedTuple):
     head_turns: Lasting
     body_factor: float  # of the standard deviations
     head_factor: float
-    position_sway: float  # variances
-    velocity_sway: float
+    position_inflation: float  # variances
+    velocity_inflation: float
 
 
 @lru_cache(16)
@@ -198,15 +198,15 @@ def calibration_of(parameters: Parameters) -> Calibration:
     """The parameters as the kernels take them."""
     motion, o = parameters.motion, parameters.orientation
     kept_body, kept_head = kept_shares(o)
-    position_sway, _, velocity_sway, _ = sway_variances(motion)
+    position_inflation, _, velocity_inflation, _ = oscillation_variances(motion)
     return Calibration(
         Lasting(float(motion.acceleration_density), float(motion.lasting_std), float(motion.lasting_time)),
         Lasting(float(o.body_diffusion), float(o.body_turn_rate), float(o.body_turn_time)),
         Lasting(float(o.head_diffusion), float(o.head_turn_rate), float(o.head_turn_time)),
         math.sqrt(kept_body),
         math.sqrt(kept_head),
-        float(position_sway),
-        float(velocity_sway),
+        float(position_inflation),
+        float(velocity_inflation),
     )
 
 
@@ -262,10 +262,10 @@ def add_lags(
     own = 0.5 * (covariance[2, 2] + covariance[3, 3])
     seconds = 0.5 * (covariance[0, 2] + covariance[1, 3]) / own
     accelerations, lasts = calibration.accelerations, calibration.accelerations.rate != 0.0
-    past, whole = lag_variances(own / accelerations.diffusion, accelerations, end)
+    past, total = lag_variances(own / accelerations.diffusion, accelerations, end)
     lags[0] = choose(lasts, past * seconds * seconds, 0.0)
     lags[1] = choose(lasts, past * seconds, 0.0)
-    lags[2] = choose(lasts, whole, 0.0)
+    lags[2] = choose(lasts, total, 0.0)
     body, head, both = covariance[BODY, BODY], covariance[HEAD, HEAD], covariance[HEAD, BODY]
     across = covariance[BODY, VY] * vx - covariance[BODY, VX] * vy
     lags[3] = lag_variances(seconds_behind(across, body, both, calibration), calibration.body_turns, end)[1]
@@ -295,10 +295,10 @@ def limited(variance: float) -> float:
 def calibrate_frame(covariance: FloatArray, lags: FloatArray, calibration: Calibration) -> None:
     """Calibrate the covariance (6, 6) of a frame in place; ``lags`` are from `add_lags`."""
     for axis in range(2):
-        covariance[axis, axis] += lags[0] + calibration.position_sway
+        covariance[axis, axis] += lags[0] + calibration.position_inflation
         covariance[axis, VX + axis] += lags[1]
         covariance[VX + axis, axis] += lags[1]
-        covariance[VX + axis, VX + axis] += lags[2] + calibration.velocity_sway
+        covariance[VX + axis, VX + axis] += lags[2] + calibration.velocity_inflation
     if math.isnan(covariance[BODY, BODY]) and math.isnan(covariance[HEAD, HEAD]):
         return
     body = calibration.body_factor * shrink_of(covariance[BODY, BODY])

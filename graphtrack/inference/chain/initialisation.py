@@ -38,7 +38,7 @@ from graphtrack.model.packing import PackedTracks, RecordTypes
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
 
-class Places(NamedTuple):
+class RecordEntries(NamedTuple):
     """Columns of the model's linear part in a record."""
 
     dt: int
@@ -53,15 +53,15 @@ class Linear(NamedTuple):
     """The linear part of some tracks end to end, without other fields: N frames, m tracks."""
 
     rows: FloatArray  # (N, fields) the records
-    places: Places
+    entries: RecordEntries
     origin: FloatArray  # (m, 2) metres, origin of a track's positions
     offsets: NDArray[np.int64]  # (m + 1,)
 
 
 def linear_part(packed: PackedTracks) -> Linear:
     """Return the linear part of packed tracks."""
-    places = Places(*(place_in_row(name, packed.records.dtype) for name in Places._fields))
-    return Linear(number_rows(packed.records), places, packed.origin, packed.offsets)
+    entries = RecordEntries(*(place_in_row(name, packed.records.dtype) for name in RecordEntries._fields))
+    return Linear(number_rows(packed.records), entries, packed.origin, packed.offsets)
 
 
 @allocating
@@ -108,7 +108,7 @@ def solve_linear(
     and variance of the velocity on each axis. ``memory`` is (n, 7). NaN where no position determines the
     track.
     """
-    at, origin = linear.places, linear.origin[track]
+    at, origin = linear.entries, linear.origin[track]
     frames = linear.rows[linear.offsets[track] : linear.offsets[track + 1]]
     n = len(frames)
     pp = pv = vv = px = py = vx = vy = 0.0
@@ -189,7 +189,7 @@ _ASIDE = math.radians(30.0)
 """Offset of opposite fallback angles of two consecutive frames towards each other."""
 
 
-class Seen(NamedTuple):
+class ObservedAngles(NamedTuple):
     """Observations from which initial orientations are computed."""
 
     t: FloatArray  # (N,) seconds since the first frame of the track
@@ -264,25 +264,27 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
 
 
 @allocating
-def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArray) -> None:
+def initialise(
+    linear: Linear, angles_observed: ObservedAngles, angles: FloatArray, states: FloatArray
+) -> None:
     """Fill in the states (N, 6) of all tracks; ``angles`` (3, n) is memory, for the longest track."""
     longest = angles.shape[1]
     spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
     for track in range(len(linear.offsets) - 1):
         a, b = linear.offsets[track], linear.offsets[track + 1]
-        n, t, here = b - a, seen.t[a:b], states[a:b]
+        n, t, here = b - a, angles_observed.t[a:b], states[a:b]
         solve_linear(linear, track, here, spread, memory)
         heading = angles[0, :n]
         # The path of a standing person may point in any direction.
-        if headings(here, max(seen.moving, SLOW), heading) == 0:
-            headings(here, seen.moving, heading)
-        for place, vectors, row in ((BODY, seen.body, 1), (HEAD, seen.head, 2)):
+        if headings(here, max(angles_observed.moving, SLOW), heading) == 0:
+            headings(here, angles_observed.moving, heading)
+        for place, vectors, row in ((BODY, angles_observed.body, 1), (HEAD, angles_observed.head, 2)):
             angle = angles[row, :n]
             if len(vectors) == 0:
                 here[:, place] = 0.0
                 continue
-            running_mean(t, vectors[a:b], seen.window, angle)
-            fill(t, angle, angles[1, :n] if place == HEAD and len(seen.body) > 0 else heading)
+            running_mean(t, vectors[a:b], angles_observed.window, angle)
+            fill(t, angle, angles[1, :n] if place == HEAD and len(angles_observed.body) > 0 else heading)
             for k in range(n):
                 here[k, place] = angle[k]
 
@@ -325,7 +327,7 @@ def problem_of(packed: PackedTracks) -> Problem:
     )
 
 
-def seen_in(packed: PackedTracks, model: Model) -> Seen:
+def observed_angles(packed: PackedTracks, model: Model) -> ObservedAngles:
     """Return the observations from which initial orientations are computed."""
     body, head = (
         vectors_of(packed.directions(name), packed.channel(f"{name}_likelihood"), len(packed.t))
@@ -333,7 +335,9 @@ def seen_in(packed: PackedTracks, model: Model) -> Seen:
         else np.zeros((0, 2))
         for name, has in (("body", model.has_body), ("head", model.has_head))
     )
-    return Seen(packed.t, body, head, max(model.parameters.coupling.speed_threshold, CREEPING), WINDOW)
+    return ObservedAngles(
+        packed.t, body, head, max(model.parameters.coupling.speed_threshold, CREEPING), WINDOW
+    )
 
 
 def initial_states(track: Track, model: Model) -> States:
@@ -341,7 +345,7 @@ def initial_states(track: Track, model: Model) -> States:
     packed = pack([track], Model(model.preset, model.parameters))
     require_position(track)
     states = np.zeros((len(track), 6))
-    initialise(linear_part(packed), seen_in(packed, model), np.empty((3, len(track))), states)
+    initialise(linear_part(packed), observed_angles(packed, model), np.empty((3, len(track))), states)
     none = np.full(len(track), np.nan)
     return States(
         states[:, :2] + packed.origin[0],

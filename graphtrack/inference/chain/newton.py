@@ -516,10 +516,10 @@ def minimise(
             copy_rows(first, n, step, candidate)
             _, sound = sweep_forward(problem, track, n, states, not full, workspace)
             decrement = choose(unsound, choose(sound, sweep_back(n, workspace), math.nan), decrement)
-            others = masked(step, negate(unsound))
+            unchanged = masked(step, negate(unsound))
             for k in range(first, n):
                 for i in range(N):
-                    others[k, i] = choose(unsound, step[k, i], candidate[k, i])
+                    unchanged[k, i] = choose(unsound, step[k, i], candidate[k, i])
             exact = negate(one > 0.0)
         finite = abs(decrement) < _HUGE
         status = choose(running & negate(finite), one * NOT_FINITE, status)

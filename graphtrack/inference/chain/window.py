@@ -294,9 +294,9 @@ def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> li
             found[k] = error
         else:
             groups.setdefault((id(window._slot.windows), id(window._rules)), []).append(k)
-    for places in groups.values():
-        some = _solved_together([windows[k] for k in places], PREDICTED, [steps[k] for k in places])
-        for k, one in zip(places, some, strict=True):
+    for slots in groups.values():
+        some = _solved_together([windows[k] for k in slots], PREDICTED, [steps[k] for k in slots])
+        for k, one in zip(slots, some, strict=True):
             found[k] = one
     return found  # type: ignore[return-value]  # all are filled
 
@@ -344,9 +344,9 @@ def _guess(step: Step, model: Model) -> Angles:
     """Return initial angles for variables outside the model; NaN for those inside."""
     if model.has_body and model.has_head:
         return _KNOWN
-    seen = step.observation
-    body = next((one for one in (seen.body, seen.head) if one is not None), 0.0)
-    head = body if seen.head is None else seen.head
+    observation = step.observation
+    body = next((one for one in (observation.body, observation.head) if one is not None), 0.0)
+    head = body if observation.head is None else observation.head
     return math.nan if model.has_body else body, math.nan if model.has_head else head
 
 

@@ -199,13 +199,13 @@ class FrameRows:
 
     def put(self, row: int, step: Step) -> PackedTracks:
         """Write a step into a row; return the packed frame."""
-        seen, record, problem = step.observation, self.rows[row], self.problem
-        packed = self._packer(seen, step.dt, step.starts, step.camera)
+        observation, record, problem = step.observation, self.rows[row], self.problem
+        packed = self._packer(observation, step.dt, step.starts, step.camera)
         record[:] = packed.numbers
         if step.camera is not None:
             problem.shared[:] = packed.shared  # the camera is part of it
         record[self.place["dt"]] = 0.0 if step.dt is None else step.dt
-        for name, value in self._packer.live(seen):
+        for name, value in self._packer.live(observation):
             record[self.place[name]] = value
         if len(packed.body_heights):
             problem.body_heights[row] = packed.body_heights[0]

@@ -419,19 +419,19 @@ def report(
     advanced: Advanced,
 ) -> None:
     """Report the newest frame of a window; ``lags`` (5,) is memory."""
-    state, told = windows.states[slot, windows.offsets[slot, 1] - 1], advanced.covariance[p]
+    state, reported = windows.states[slot, windows.offsets[slot, 1] - 1], advanced.covariance[p]
     for i in range(N):
         advanced.state[p, i] = state[i]
         for j in range(N):
-            told[i, j] = covariance[i, j]
+            reported[i, j] = covariance[i, j]
     advanced.state[p, X] += windows.origin[slot, 0, 0]
     advanced.state[p, Y] += windows.origin[slot, 0, 1]
     if not rules.has_body:
-        hide(BODY, advanced.state[p], told)
+        hide(BODY, advanced.state[p], reported)
     if not rules.has_head:
-        hide(HEAD, advanced.state[p], told)
+        hide(HEAD, advanced.state[p], reported)
     add_lags(advanced.covariance, advanced.state, p, 0.0, rules.calibration, lags)
-    calibrate_frame(told, lags, rules.calibration)
+    calibrate_frame(reported, lags, rules.calibration)
 
 
 @inner
@@ -513,7 +513,7 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
 
 
 @compiled
-def carry_over(before: Any, after: Any, rate_seen: float) -> None:
+def carry_over(before: Any, after: Any, rate_observed: float) -> None:
     """Couplings of a new frame, and the steering to it, equal to the previous frame's."""
     share = after.body_aligned_kappa / before.body_aligned_kappa if before.body_aligned_kappa > 0.0 else 0.0
     after.motion_body_kappa = share * before.motion_body_kappa
@@ -524,7 +524,7 @@ def carry_over(before: Any, after: Any, rate_seen: float) -> None:
     after.head_doubt = before.head_doubt
     rate = -math.log1p(-before.steer_gain) / before.dt if before.steer_gain > 0.0 else 0.0
     if is_observed(before) != is_observed(after):
-        rate *= rate_seen if is_observed(after) else 1.0 / max(rate_seen, 1e-9)
+        rate *= rate_observed if is_observed(after) else 1.0 / max(rate_observed, 1e-9)
     steer(after, min(rate, after.steer_rate))
 
 
@@ -542,7 +542,7 @@ def infer_couplings(
     slot, n, end = task.slot, len(states), problem.offsets[1]
     if task.warm != 0 and task.adds != NOTHING and n > 1:
         # Modes depend on the states: first the states are updated with the new observation.
-        carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
+        carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_observed)
         predict_newest(problem, states, own)
         task.warm = 0
     classified = bool(windows.classified[slot, 0]) or classified_in(problem, the_only(problem))[1]

@@ -132,7 +132,7 @@ def smooth_graph(
     # With coupling modes the factors read the couplings from the view; else these are constant.
     graph = window_graph(window, model, None if view is None else view.couplings)
     values = values_of(steps, first, model)
-    descent = _Descent(graph, steps, model, options, view if options.restart else None)
+    descent = _Descent(graph, steps, model, options, view if options.basin_search else None)
     try:
         if view is not None and model.has_modes:
             # The first descent has no couplings; then modes and states alternate.
@@ -224,9 +224,9 @@ class _Descent:
 def joint_covariance(marginals: gtsam.Marginals | gtsam.ISAM2, step: Step, model: Model) -> FloatArray:
     """A step's joint covariance (6, 6) in the order of the state; NaN for variables outside the model."""
     # By key: the order of the blocks in GTSAM's full matrix is not documented and differs between releases.
-    places, covariance = variables(step, model), np.full((6, 6), np.nan)
-    joint = marginals.jointMarginalCovariance([key for key, _ in places])
-    for (first, rows), (second, columns) in combinations_with_replacement(places, 2):
+    keys, covariance = variables(step, model), np.full((6, 6), np.nan)
+    joint = marginals.jointMarginalCovariance([key for key, _ in keys])
+    for (first, rows), (second, columns) in combinations_with_replacement(keys, 2):
         covariance[rows, columns] = block = joint.at(first, second)
         covariance[columns, rows] = block.T
     return covariance

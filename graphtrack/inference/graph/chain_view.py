@@ -9,9 +9,9 @@ import numpy as np
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import find_other_basin, unwind
-from graphtrack.inference.chain.batch import never_seen
+from graphtrack.inference.chain.batch import never_observed
 from graphtrack.inference.chain.covariance import spread_track
-from graphtrack.inference.chain.initialisation import pack, problem_of, seen_in
+from graphtrack.inference.chain.initialisation import observed_angles, pack, problem_of
 from graphtrack.inference.chain.newton import Workspace, workspace
 from graphtrack.inference.chain.window import gait_of_model
 from graphtrack.inference.chain.window_arrays import FrameRows
@@ -122,8 +122,8 @@ class ChainView(_View):
         self._note()
 
     def guessed(self) -> BoolArray:
-        """(n, 2) orientations of body and head that only couplings hold (see `never_seen`)."""
-        return never_seen(self._packed, seen_in(self._packed, self._model))
+        """(n, 2) orientations of body and head that only couplings hold (see `never_observed`)."""
+        return never_observed(self._packed, observed_angles(self._packed, self._model))
 
     def _note(self) -> None:
         if self._model.has_modes:

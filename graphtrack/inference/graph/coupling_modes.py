@@ -28,7 +28,7 @@ _REST = 0.5  # Seconds without basin search after a descent without improvement
 _SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # For the descent in another basin
 
 
-class Guided:
+class CouplingModeSmoother:
     """A GTSAM smoother with coupling modes and basin search, from its own states.
 
     With each observation the modes are inferred from the window's states by the chain engine's hidden Markov
@@ -55,7 +55,7 @@ class Guided:
         lag: float,
         couplings: dict[int, Sequence[float]] | None = None,
     ) -> None:
-        self.graph, self._whole, self._couplings = graph, model, couplings
+        self.graph, self._model, self._couplings = graph, model, couplings
         self._model = model.compiled
         self._lag = _LAG if lag == math.inf else lag
         self._outliers = model.parameters.likelihood.outlier_probability > 0.0
@@ -82,7 +82,7 @@ class Guided:
                 states = np.array([*map(self.state, recent), tuple(state)])
                 self._infer([*recent, step], states, self._prior(recent))
             self.graph.extend(step, state)
-            return self._guided()
+            return self._with_modes()
 
     def rework(self, window: Window) -> Newest:
         """Replace the window by a changed one; return the estimate of its newest step."""
@@ -91,7 +91,7 @@ class Guided:
             self._couple(window)
             self.graph.restore(window)
             self.graph.settled()
-            return self._guided()
+            return self._with_modes()
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
@@ -101,7 +101,7 @@ class Guided:
         try:
             yield
         except BaseException:
-            self.graph.recall(graph)
+            self.graph.load_memory(graph)
             vars(self).update(before)
             if self._couplings is not None:
                 self._couplings.clear()
@@ -153,7 +153,7 @@ class Guided:
     def _states(self, steps: Sequence[Step]) -> FloatArray:
         return np.array([self.state(step) for step in steps])
 
-    def _guided(self) -> Newest:
+    def _with_modes(self) -> Newest:
         """Return the newest step's estimate once couplings and basin agree with the states."""
         if self._view is None:
             return self.graph.settled()
@@ -207,13 +207,13 @@ class Guided:
             self._search_from = t + _REST
             return None
         known = {step.index: self.state(step) for step in window.steps}
-        known |= {step.index: read_step(values, step, self._whole) for step in recent}
+        known |= {step.index: read_step(values, step, self._model) for step in recent}
         self.graph.restore(replace(window, values=known))
         return self.graph.settled(), self._states(recent)
 
     def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
         """Return the end of a descent from states (n, 6) of a window, and the cost at each step."""
-        model, ordering = self._whole, gtsam.Ordering(keys_of(window.steps, self._whole))
+        model, ordering = self._model, gtsam.Ordering(keys_of(window.steps, self._model))
         begun = values_of(window.steps, states, model)
         values, costs, _ = optimize(window_graph(window, model, self._couplings), begun, ordering, _SEARCH)
         return values, costs

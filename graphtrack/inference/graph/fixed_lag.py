@@ -90,10 +90,10 @@ class FixedLag:
         return self._newest
 
     def memory(self) -> Mapping[str, Any]:
-        """The current state, for `recall`."""
+        """The current state, for `load_memory`."""
         return dict(vars(self))
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
+    def load_memory(self, memory: Mapping[str, Any]) -> None:
         """Restore a remembered state."""
         vars(self).update(memory)
 

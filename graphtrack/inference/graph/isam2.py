@@ -124,12 +124,12 @@ class Isam2:
         self._build_waiting()
         exchanged = [entry for step in steps for entry in self._custom[step.index].items()]
         graph = [factor for _, factor in exchanged]
-        places = iter(zip(self._update(graph, removed=[slot for slot, _ in exchanged]), graph, strict=True))
+        slots = iter(zip(self._update(graph, removed=[slot for slot, _ in exchanged]), graph, strict=True))
         for step in steps:
-            self._custom[step.index] = dict(next(places) for _ in self._custom[step.index])
+            self._custom[step.index] = dict(next(slots) for _ in self._custom[step.index])
 
     def memory(self) -> Mapping[str, Any]:
-        """The current state, for `recall`."""
+        """The current state, for `load_memory`."""
         memory = {**vars(self), "steps": copy(self.steps)}
         if self._waiting is None and self._lag < math.inf:
             # A copy takes a twentieth of an update; for a full history it would take more than the update.
@@ -137,7 +137,7 @@ class Isam2:
             memory["_custom"] = copy(self._custom)
         return memory
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
+    def load_memory(self, memory: Mapping[str, Any]) -> None:
         """Restore a remembered state."""
         is_changed = self.isam is memory["isam"] and self._waiting is None
         vars(self).update(memory)

@@ -191,7 +191,7 @@ class _Reader:
         """Return all objects of all frames; at least one."""
         found = []
         for frame in self._root().iter("frame"):
-            number = self._number(frame, "number", LARGEST_FRAME, whole=True)
+            number = self._number(frame, "number", LARGEST_FRAME, integer=True)
             for element in frame.findall("objectlist/object"):
                 found.append(self._observation(element, int(number)))
                 self._objects += 1
@@ -229,15 +229,19 @@ class _Reader:
         xc, yc = (self._number(box, name, low=low) for name in ("xc", "yc"))
         width, height = (self._number(box, name, low=0.0) for name in ("w", "h"))
         feet = [self._point(element.find(f"body/feet/{side}")) for side in ("left", "right")]
-        seen = [foot for foot in feet if np.isfinite(foot[0])]
-        foot = tuple(float(np.mean(axis)) for axis in zip(*seen, strict=True)) if seen else (np.nan, np.nan)
+        finite_feet = [foot for foot in feet if np.isfinite(foot[0])]
+        foot = (
+            tuple(float(np.mean(axis)) for axis in zip(*finite_feet, strict=True))
+            if finite_feet
+            else (np.nan, np.nan)
+        )
         head = element.find("body/head")
         gaze = -1.0
         if head is not None and head.get("gaze") is not None:
             gaze = self._number(head, "gaze", 360.0, low=-360.0)
         return _Observation(
             frame,
-            int(self._number(element, "id", LARGEST_ID, low=0.0, whole=True)),
+            int(self._number(element, "id", LARGEST_ID, low=0.0, integer=True)),
             (xc, yc, width, height),
             (foot[0], foot[1]),
             self._point(element.find("body/shoulders/left")),
@@ -260,14 +264,14 @@ class _Reader:
         high: float = LARGEST_PIXELS,
         *,
         low: float | None = None,
-        whole: bool = False,
+        integer: bool = False,
     ) -> float:
         low = -high if low is None else low
         text = element.get(name)
         value = None if text is None else parse_number(text)
-        if value is None or not low <= value <= high or (whole and value != int(value)):
+        if value is None or not low <= value <= high or (integer and value != int(value)):
             found = f"<{element.tag}> without it" if text is None else repr(text[:40])
-            kind = "whole number" if whole else "number"
+            kind = "whole number" if integer else "number"
             raise self._fail(found, f"a {kind} from {low:g} to {high:g}", f"{element.tag} {name}")
         return value
 

@@ -45,10 +45,10 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     Other categories (by name where the file has names, else all but 1), entries without a box, and crowds
     (``iscrowd``) are refused.
     """
-    entries, whole = _entries(source)
-    frame = _frames(source, entries, whole)
+    entries, document = _entries(source)
+    frame = _frames(source, entries, document)
     ids = [one.get("track_id") for one in entries]
-    identified = all(_is_whole(one, 0, LARGEST_ID) for one in ids)
+    identified = all(_is_integer(one, 0, LARGEST_ID) for one in ids)
     box, confidence = np.full((len(entries), 4), np.nan), np.full(len(entries), -1.0)
     for k, one in enumerate(entries):
         if one.get("bbox"):
@@ -62,10 +62,12 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
         frame,
         {"box": box, "confidence": confidence},
         lambda row: _line_of(source, row),
-        notes=("frames are those of the images' names",) if _names(whole) else ("frames are the image ids",),
+        notes=("frames are those of the images' names",)
+        if _names(document)
+        else ("frames are the image ids",),
         has_identity=identified,
     )
-    kind = _categories(entries, whole, options)
+    kind = _categories(entries, document, options)
     for name in dict.fromkeys(kind.tolist()):
         if name:
             kept = kind != name
@@ -79,8 +81,8 @@ def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
         data = orjson.loads(source.text)
     except orjson.JSONDecodeError as error:
         raise InputError(f"no JSON ({error.msg})", _ENTRY, path=source.path, line=error.lineno) from error
-    whole: Mapping[str, Any] = data if isinstance(data, dict) else {}
-    entries = whole.get("annotations") if whole else data
+    document: Mapping[str, Any] = data if isinstance(data, dict) else {}
+    entries = document.get("annotations") if document else data
     if not isinstance(entries, list) or not entries:
         raise InputError(
             "no list of boxes", "a list with entries, or annotations in a dataset", path=source.path
@@ -88,7 +90,7 @@ def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
     for k, one in enumerate(entries):
         if not isinstance(one, dict) or "image_id" not in one:
             raise _fail(source, k, f"entry {k + 1} without image_id", _ENTRY)
-    return entries, whole
+    return entries, document
 
 
 def _fail(source: Source, k: int, found: str, expected: str, column: str | None = None) -> InputError:
@@ -103,13 +105,13 @@ def _line_of(source: Source, k: int) -> int:
     return source.data.count(b"\n", 0, place) + 1
 
 
-def _is_whole(value: object, lowest: int, highest: int) -> bool:
+def _is_integer(value: object, lowest: int, highest: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and lowest <= value <= highest
 
 
-def _names(whole: Mapping[str, Any]) -> dict[Any, int]:
+def _names(document: Mapping[str, Any]) -> dict[Any, int]:
     """Return image id → number at the end of its file name; none if a number is missing or repeated."""
-    images = whole.get("images")
+    images = document.get("images")
     if not isinstance(images, list) or not all(isinstance(one, dict) for one in images):
         return {}
     stems = {one.get("id"): PurePosixPath(str(one.get("file_name", ""))).stem for one in images}
@@ -119,16 +121,16 @@ def _names(whole: Mapping[str, Any]) -> dict[Any, int]:
 
 
 def _frames(
-    source: Source, entries: Sequence[Mapping[str, Any]], whole: Mapping[str, Any]
+    source: Source, entries: Sequence[Mapping[str, Any]], document: Mapping[str, Any]
 ) -> NDArray[np.int64]:
-    names = _names(whole)
+    names = _names(document)
     frames = []
     for k, one in enumerate(entries):
         image = one["image_id"]
         number: object = names.get(image, image) if isinstance(image, int | str) else image
         if isinstance(number, str) and (match := _NUMBER_AT_THE_END.search(PurePosixPath(number).stem)):
             number = int(match[1])
-        if not _is_whole(number, -LARGEST_FRAME, LARGEST_FRAME):
+        if not _is_integer(number, -LARGEST_FRAME, LARGEST_FRAME):
             expected = f"a whole number within ±{LARGEST_FRAME}, or a name that ends in one"
             raise _fail(source, k, repr(image)[:40], expected, "image_id")
         frames.append(number)
@@ -136,11 +138,11 @@ def _frames(
 
 
 def _categories(
-    entries: Sequence[Mapping[str, Any]], whole: Mapping[str, Any], options: ReadOptions
+    entries: Sequence[Mapping[str, Any]], document: Mapping[str, Any], options: ReadOptions
 ) -> NDArray[Any]:
     """Return each entry's reason of refusal (n,): the name of its category, or "crowd"; "" for people."""
     wanted = {*_PEOPLE, *(name.lower() for name in options.classes)}
-    named = whole.get("categories")
+    named = document.get("categories")
     named = named if isinstance(named, list) else []
     names = {one.get("id"): str(one.get("name")) for one in named if isinstance(one, dict)}
     found = []

@@ -16,7 +16,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
-from graphtrack.io.format import Format, places_beside, rate_to_write
+from graphtrack.io.format import Format, companion_paths, rate_to_write
 from graphtrack.io.formats.ndjson import parse_line
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
@@ -75,10 +75,10 @@ _COUNT = re.compile(r"(\d{1,9})\s*(-.*)?", re.ASCII)
 _COMMENT = re.compile(r" - | ?\(")
 _POINT = ("x", "y", "frame", "gaze")
 _OBSTACLES = re.compile(r"\s*\d{1,9}.*number of (line|cylinder) obstacles", re.ASCII | re.IGNORECASE)
-_WHOLE = {"frame"}
+_INTEGERS = {"frame"}
 
 
-_BESIDE = ("H.txt",)  # the data set's homography
+_COMPANIONS = ("H.txt",)  # the data set's homography
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     given = options.homography
     notes: tuple[str, ...] = ()
     if given is None and options.point_pairs is None and options.calibration is None:
-        (found,) = places_beside(source.path, _BESIDE)
+        (found,) = companion_paths(source.path, _COMPANIONS)
         if found.is_file():
             given, notes = found, ("homography from H.txt next to the file",)
         elif options.metres_per_pixel is None:
@@ -189,10 +189,10 @@ class _Lines:
             raise self.fail(f"{len(cells)} columns", f"{len(names)}: {' '.join(names)}")
         values = []
         for name, cell in zip(names, cells, strict=True):
-            value, whole = parse_number(cell), name in _WHOLE
-            highest = LARGEST_FRAME if whole else LARGEST_PIXELS
-            if value is None or abs(value) > highest or (whole and value != int(value)):
-                kind = "whole number" if whole else "number"
+            value, integer = parse_number(cell), name in _INTEGERS
+            highest = LARGEST_FRAME if integer else LARGEST_PIXELS
+            if value is None or abs(value) > highest or (integer and value != int(value)):
+                kind = "whole number" if integer else "number"
                 raise self.fail(repr(cell[:40]), f"a {kind} within ±{highest:g}", name)
             values.append(value)
         self._place += 1
@@ -228,7 +228,7 @@ UCY = Format(
     description="UCY crowds: splines of control points (.vsp)",
     suffixes=(".vsp",),
     read=_read_ucy,
-    beside=_BESIDE,
+    companions=_COMPANIONS,
 )
 
 

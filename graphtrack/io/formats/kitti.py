@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
-from graphtrack.io.format import Format, places_beside
+from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import Numbers, parse_number, read_numbers
@@ -32,7 +32,7 @@ _OXTS_COLUMNS = 30
 _EARTH_RADIUS = 6378137.0  # metres; as in the devkit, the WGS 84 ellipsoid at the equator
 
 
-BESIDE = ("../oxts/{name}", "../calib/{name}")
+COMPANIONS = ("../oxts/{name}", "../calib/{name}")
 """Ego motion and calibration: files of the labels' name in sibling folders."""
 
 
@@ -58,9 +58,11 @@ def read(source: Source, options: ReadOptions) -> Rows:
         row = int(kept[np.argmax(identity[kept] < 0)])
         raise labels.fail(row, 1, "an id from 0: these are detections without identity")
     notes: list[str] = []
-    of_motion, of_sensors = places_beside(source.path.absolute(), BESIDE)
-    oxts = _given_or_beside(of_motion, "oxts", options.oxts, source.path, notes)
-    calibration = _given_or_beside(of_sensors, "ego_calibration", options.ego_calibration, source.path, notes)
+    of_motion, of_sensors = companion_paths(source.path.absolute(), COMPANIONS)
+    oxts = _given_or_companion(of_motion, "oxts", options.oxts, source.path, notes)
+    calibration = _given_or_companion(
+        of_sensors, "ego_calibration", options.ego_calibration, source.path, notes
+    )
     poses = _read_poses(oxts)
     outside = (frame[kept] < 0) | (frame[kept] >= len(poses))
     if outside.any():
@@ -100,7 +102,7 @@ def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:
     return labels, np.array(classes, dtype=object)
 
 
-def _given_or_beside(
+def _given_or_companion(
     found: Path, option: str, given: str | Path | None, labels: Path, notes: list[str]
 ) -> Path:
     """Return the path that was given, or the one ``found`` next to the labels."""
@@ -169,5 +171,5 @@ KITTI = Format(
     description="KITTI tracking labels with ego motion and calibration",
     suffixes=(),
     read=read,
-    beside=BESIDE,
+    companions=COMPANIONS,
 )

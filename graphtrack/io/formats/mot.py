@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import PERSON_HEIGHT, placed_boxes, with_scores
-from graphtrack.io.format import Format, places_beside
+from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import Numbers, read_numbers
@@ -57,7 +57,7 @@ SHIFTED = "frames are those of the table from which it was written, numbered fro
 """Note on a file with that mark in all rows."""
 
 
-BESIDE = ("seqinfo.ini", "../seqinfo.ini")
+COMPANIONS = ("seqinfo.ini", "../seqinfo.ini")
 """The file with a sequence's frame rate."""
 
 
@@ -157,7 +157,7 @@ def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
 def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
     if options.fps is not None:
         return options.fps, ()
-    for info in places_beside(path, BESIDE):
+    for info in companion_paths(path, COMPANIONS):
         if info.is_file():
             text = Source.open(info).text
             rate, width, height = (_setting(text, name) for name in ("frameRate", "imWidth", "imHeight"))
@@ -225,9 +225,9 @@ def _boxes(track: Track, tracks: TrackSet) -> FloatArray:
         axis=1,
     )
     width = 0.41 * height
-    seen = np.isfinite(foot).all(axis=1) & (height > 1e-3) & (np.abs(foot).max(axis=1) + height < 1e6)
+    drawable = np.isfinite(foot).all(axis=1) & (height > 1e-3) & (np.abs(foot).max(axis=1) + height < 1e6)
     made = np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
-    return np.where(seen[:, None], made, boxes)
+    return np.where(drawable[:, None], made, boxes)
 
 
 MOT = Format(
@@ -236,6 +236,6 @@ MOT = Format(
     suffixes=(".txt",),
     read=read,
     write=write,
-    beside=BESIDE,
+    companions=COMPANIONS,
     read_boxes=read_boxes,
 )

@@ -78,7 +78,7 @@ _IN_AN_IMAGE = ("ankle", "heel", "foot", "hip", "shoulder", "ear")
 """Pairs of keypoints whose middle is the position; in an image the points on the ground come first."""
 
 
-def places_of(names: Sequence[str]) -> dict[str, int]:
+def keypoint_indices(names: Sequence[str]) -> dict[str, int]:
     """Return plain name, such as ``nose`` or ``left_shoulder`` → index of that keypoint among the names.
 
     Names may be written as ``LeftShoulder``, ``l-shoulder`` or ``shoulder_left``. Left and right are the
@@ -109,26 +109,26 @@ def middle(points: FloatArray, names: Sequence[str], *, in_image: bool) -> tuple
     ----------
     in_image : whether the points are pixels; only those at the feet are then on the ground
     """
-    places = places_of(names)
+    indices = keypoint_indices(names)
     if len(names) == 1:
         return points[..., 0, :], names[0]
     for name in _MIDDLES:
-        if name in places:
-            return points[..., places[name], :], names[places[name]]
+        if name in indices:
+            return points[..., indices[name], :], names[indices[name]]
     for part in _IN_AN_IMAGE if in_image else _ON_THE_GROUND:
-        left, right = (places.get(f"{side}_{part}") for side in ("left", "right"))
+        left, right = (indices.get(f"{side}_{part}") for side in ("left", "right"))
         if left is not None and right is not None:
-            said = f"the middle of {names[left]} and {names[right]}"
-            return 0.5 * (points[..., left, :] + points[..., right, :]), said
-    seen = np.isfinite(points).all(axis=-1, keepdims=True)
-    count = seen.sum(axis=-2)
-    total = np.where(seen, points, 0.0).sum(axis=-2)
+            description = f"the middle of {names[left]} and {names[right]}"
+            return 0.5 * (points[..., left, :] + points[..., right, :]), description
+    known = np.isfinite(points).all(axis=-1, keepdims=True)
+    count = known.sum(axis=-2)
+    total = np.where(known, points, 0.0).sum(axis=-2)
     found = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return found, f"the middle of the {len(names)} keypoints that were detected"
 
 
 def orientations(
-    points: FloatArray, places: Mapping[str, int], *, mirrored: bool, nose_is_on_ground: bool
+    points: FloatArray, indices: Mapping[str, int], *, mirrored: bool, nose_is_on_ground: bool
 ) -> dict[str, FloatArray]:
     """Return orientations (...) of body and head, radians, from points (..., k, 2); NaN if unknown.
 
@@ -139,18 +139,18 @@ def orientations(
 
     Parameters
     ----------
-    places : result of `places_of`
+    indices : result of `keypoint_indices`
     mirrored : whether the plane is left-handed as seen from above
     nose_is_on_ground : whether the view is from straight above
     """
     found: dict[str, FloatArray] = {}
     for name, part in (("body", "shoulder"), ("head", "ear")):
-        left, right = (places.get(f"{side}_{part}") for side in ("left", "right"))
+        left, right = (indices.get(f"{side}_{part}") for side in ("left", "right"))
         if left is None or right is None:
             continue
         across = points[..., left, :] - points[..., right, :]
         ahead = np.stack([across[..., 1], -across[..., 0]], axis=-1) * (-1.0 if mirrored else 1.0)
-        nose = places.get("nose") if name == "head" and nose_is_on_ground else None
+        nose = indices.get("nose") if name == "head" and nose_is_on_ground else None
         if nose is not None:
             to_nose = points[..., nose, :] - 0.5 * (points[..., left, :] + points[..., right, :])
             ahead = ahead + np.where(np.isnan(to_nose), 0.0, to_nose)
@@ -171,28 +171,30 @@ def frames_and_times(
     n = dataset.sizes[TIME]
     values = dataset[TIME].to_numpy() if TIME in dataset.coords else np.arange(n)
     rate = options.fps if options.fps is not None else _rate(dataset)
-    said = dataset.attrs.get("time_unit")
+    description = dataset.attrs.get("time_unit")
     time: TimeScale | None = None
     notes: list[str] = []
     if values.dtype.kind == "M":
-        beside = None if options.beside is None else options.beside.time
-        values, time = from_dates(values, "", beside)
+        reference = None if options.reference is None else options.reference.time
+        values, time = from_dates(values, "", reference)
     elif values.dtype.kind == "m":
         values = values.astype("m8[ns]").astype(np.int64) / 1e9
     elif values.dtype.kind not in "iuf":
         raise InputError(f"times of type {values.dtype}", "seconds, or frames and --fps", path=path)
-    elif said == "frames" or (said is None and (values.dtype.kind in "iu") and "frame" not in dataset.coords):
+    elif description == "frames" or (
+        description is None and (values.dtype.kind in "iu") and "frame" not in dataset.coords
+    ):
         if rate is None:
             raise InputError("times in frames, and no frame rate", "frames a second (--fps)", path=path)
-        frame = _whole(values, path)
+        frame = _integers(values, path)
         return frame, frame / rate, None, notes
     t = np.asarray(values, dtype=float)
     if not np.isfinite(t).all():
         raise InputError("a time that is missing", "a time for each step", path=path)
     if "frame" in dataset.coords and dataset["frame"].dims == (TIME,):
-        frame = _whole(dataset["frame"].to_numpy(), path)
+        frame = _integers(dataset["frame"].to_numpy(), path)
     elif rate is not None and np.abs(t * rate - np.rint(t * rate)).max(initial=0.0) < 0.25:
-        frame = _whole(np.rint(t * rate), path)
+        frame = _integers(np.rint(t * rate), path)
     else:
         known, place = np.unique(t, return_inverse=True)
         numbers, how = numbered_times(known)
@@ -212,7 +214,7 @@ def _rate(dataset: Any) -> float | None:
     return rate if np.isfinite(rate) and 0.0 < rate <= 1e6 else None
 
 
-def _whole(values: NDArray[Any], path: Path) -> NDArray[np.int64]:
+def _integers(values: NDArray[Any], path: Path) -> NDArray[np.int64]:
     numbers = np.asarray(values, dtype=float)
     bad = ~(np.abs(numbers) <= LARGEST_FRAME) | (numbers != np.rint(numbers))
     if bad.any():
@@ -254,12 +256,12 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     else:
         channels = {name: values for name, values in channels.items() if name not in LENGTHS}
     names = read.names(KEYPOINTS, "keypoint_")
-    standing, said = middle(points, names, in_image=in_image)
+    standing, description = middle(points, names, in_image=in_image)
     if in_image and "shape" in read.dataset.data_vars:
         standing = standing + np.stack([np.zeros_like(read.height), 0.5 * read.height], axis=-1)
-        said = "the middle of each box's lower edge"
+        description = "the middle of each box's lower edge"
     if len(names) > 1 or in_image:
-        notes.append(f"positions are {said}")
+        notes.append(f"positions are {description}")
     score = read.confidence()
     if score is not None and "score" not in channels:
         channels["score"] = score
@@ -285,19 +287,19 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
         as_read=AsRead(time=time, names=names_of),
     )
     if in_image:
-        camera, told_of = known_camera(options, rows.channels["pixel"])
+        camera, notes_of_camera = known_camera(options, rows.channels["pixel"])
         if camera is None:
-            camera, told_of = camera_or_scale(options, rows.channels["pixel"], np.ones(1))
+            camera, notes_of_camera = camera_or_scale(options, rows.channels["pixel"], np.ones(1))
         flat = points.reshape(-1, 2)
         points = camera.image_to_ground(flat).reshape(points.shape)
         mirrored, from_above = camera.is_mirrored, options.metres_per_pixel is not None
     else:
-        camera, told_of, mirrored, from_above = None, (), False, True
-    facing = orientations(points, places_of(names), mirrored=mirrored, nose_is_on_ground=from_above)
+        camera, notes_of_camera, mirrored, from_above = None, (), False, True
+    facing = orientations(points, keypoint_indices(names), mirrored=mirrored, nose_is_on_ground=from_above)
     for name, angles in facing.items():
         if name not in rows.channels:
             rows = rows.with_channels(**{name: angles[people, steps]})
-    return place_pixels(rows, options) if camera is None else on_ground(rows, camera, told_of)
+    return place_pixels(rows, options) if camera is None else on_ground(rows, camera, notes_of_camera)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,10 +337,10 @@ class _Reading:
         lacking = [name for name in (TIME, SPACE) if name not in dims]
         if lacking:
             raise self.fail(f"position without the dimension {lacking[0]}", "time and space among them")
-        others = [str(name) for name in dims if name not in (TIME, SPACE, KEYPOINTS, INDIVIDUALS)]
-        if others:
-            expected = f"one of it: dataset.sel({others[0]}=…)"
-            raise self.fail(f"position with a dimension {others[0]}", expected)
+        dimensions = [str(name) for name in dims if name not in (TIME, SPACE, KEYPOINTS, INDIVIDUALS)]
+        if dimensions:
+            expected = f"one of it: dataset.sel({dimensions[0]}=…)"
+            raise self.fail(f"position with a dimension {dimensions[0]}", expected)
         axes = self.axes(layout)
         if KEYPOINTS in dims:
             return self.array("position", KEYPOINTS, SPACE)[..., axes]
@@ -364,8 +366,10 @@ class _Reading:
     def names(self, dimension: str, prefix: str) -> list[str]:
         """Return coordinates of a dimension as text; numbers with a prefix where it has none."""
         if dimension not in self.dataset.dims:
-            said = self.dataset.coords.get(dimension)
-            return [str(said.item()) if said is not None and said.ndim == 0 else f"{prefix}0"]
+            description = self.dataset.coords.get(dimension)
+            return [
+                str(description.item()) if description is not None and description.ndim == 0 else f"{prefix}0"
+            ]
         if dimension in self.dataset.coords:
             return [str(name) for name in self.dataset[dimension].to_numpy().tolist()]
         return [f"{prefix}{k}" for k in range(self.dataset.sizes[dimension])]
@@ -379,8 +383,8 @@ class _Reading:
         if "track_id" not in self.dataset.coords or self.dataset["track_id"].dims != (INDIVIDUALS,):
             return numbered_names(names)
         ids = np.asarray(self.dataset["track_id"].to_numpy(), dtype=float)
-        whole = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
-        if not whole.all() or len(np.unique(ids)) < len(ids):
+        integer = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
+        if not integer.all() or len(np.unique(ids)) < len(ids):
             raise self.fail("track_id that is no whole number, or comes twice", "one for each individual")
         known = zip(ids.astype(np.int64).tolist(), names, strict=True)
         return ids.astype(np.int64), {k: name for k, name in known if name != str(k)}
@@ -389,17 +393,19 @@ class _Reading:
         """Return labels of people, where the dataset has any."""
         if "label" not in self.dataset.coords or self.dataset["label"].dims != (INDIVIDUALS,):
             return {}
-        said = self.dataset["label"].to_numpy().tolist()
-        return {k: str(name) for k, name in zip(ids.tolist(), said, strict=True) if name}
+        description = self.dataset["label"].to_numpy().tolist()
+        return {k: str(name) for k, name in zip(ids.tolist(), description, strict=True) if name}
 
     def unit(self, layout: Layout, options: ReadOptions) -> str | None:
         """Return the unit of length of the positions; None for pixels with a camera in the options."""
         attributes = {**self.dataset.attrs, **self.dataset["position"].attrs}
-        said = str(attributes.get("space_unit", attributes.get("units", ""))).strip().lower()
-        unit = SPACE_UNITS.get(said)
+        description = str(attributes.get("space_unit", attributes.get("units", ""))).strip().lower()
+        unit = SPACE_UNITS.get(description)
         if unit is not None:
             if layout.units not in (None, unit):
-                raise self.fail(f"--units {layout.units} of positions in {said}", f"--units {unit}, or none")
+                raise self.fail(
+                    f"--units {layout.units} of positions in {description}", f"--units {unit}, or none"
+                )
             return unit
         if layout.units is not None:
             return layout.units
@@ -408,7 +414,7 @@ class _Reading:
             return None
         expected = "--units m (or cm, mm, ft) for lengths; --homography, --calibration, --point-pairs or "
         expected += "--metres-per-pixel for pixels"
-        raise self.fail(f"positions in {said or 'an unknown unit'}", expected)
+        raise self.fail(f"positions in {description or 'an unknown unit'}", expected)
 
     @property
     def height(self) -> FloatArray:
@@ -422,9 +428,9 @@ class _Reading:
         poses = KEYPOINTS in self.dataset["confidence"].dims
         found = self.array("confidence", *([KEYPOINTS] if poses else []))
         if poses:
-            seen = np.isfinite(found)
-            total = np.where(seen, found, 0.0).sum(axis=-1)
-            found = np.where(seen.any(axis=-1), total / np.maximum(seen.sum(axis=-1), 1), np.nan)
+            known = np.isfinite(found)
+            total = np.where(known, found, 0.0).sum(axis=-1)
+            found = np.where(known.any(axis=-1), total / np.maximum(known.sum(axis=-1), 1), np.nan)
         return found if np.isfinite(found).any() and not (found < 0.0).any() else None
 
     def variables(self) -> tuple[dict[str, FloatArray], list[str]]:
@@ -518,8 +524,8 @@ def to_movement(tracks: TrackSet) -> xarray.Dataset:
         If the package xarray is not installed.
     """
     xr = package("xarray", EXTRA)
-    moments, places = _steps(tracks)
-    grid = _Grid(tracks, places, len(moments))
+    moments, indices = _steps(tracks)
+    grid = _Grid(tracks, indices, len(moments))
     names = {} if tracks.as_read is None else tracks.as_read.names
     ids = [track.track_id for track in tracks]
     position = grid.filled("position", (2,))
@@ -582,16 +588,16 @@ def _steps(tracks: TrackSet) -> tuple[list[tuple[float, int]], list[NDArray[np.i
 class _Grid:
     """Rows of tracks on a grid of all steps and all people."""
 
-    def __init__(self, tracks: TrackSet, places: list[NDArray[np.int64]], steps: int) -> None:
-        self._tracks, self._places = tracks, places
+    def __init__(self, tracks: TrackSet, indices: list[NDArray[np.int64]], steps: int) -> None:
+        self._tracks, self._indices = tracks, indices
         self.there = np.zeros((steps, len(tracks)), dtype=bool)
-        for k, place in enumerate(places):
+        for k, place in enumerate(indices):
             self.there[place, k] = True
 
     def filled(self, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return a channel (steps, people, *shape); NaN where there is no row or no value."""
         found = np.full((*self.there.shape, *shape), np.nan)
-        for k, (track, place) in enumerate(zip(self._tracks, self._places, strict=True)):
+        for k, (track, place) in enumerate(zip(self._tracks, self._indices, strict=True)):
             values = (
                 track.inputs.get(name.removeprefix(INPUT)) if name.startswith(INPUT) else getattr(track, name)
             )
@@ -635,8 +641,8 @@ def _by_movement(source: Source, software: str) -> Any:
         try:
             return movement.load_dataset(file, source_software=software).load()
         except Exception as error:  # movement and pandas raise many kinds for invalid files
-            said = " ".join(str(error).replace(str(file), "it").split()) or type(error).__name__
-            found = f"a file of {software} that movement cannot read ({said[:200]})"
+            description = " ".join(str(error).replace(str(file), "it").split()) or type(error).__name__
+            found = f"a file of {software} that movement cannot read ({description[:200]})"
             raise InputError(found, "a whole one", path=source.path) from error
 
 
@@ -667,8 +673,8 @@ def _loaded(xr: Any, source: Source, engine: str) -> Any:
         with xr.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
             return dataset.load()
     except Exception as error:  # HDF5 raises many kinds for invalid files
-        said = " ".join(str(error).split()) or type(error).__name__
-        found = f"a netCDF file that cannot be read ({said[:200]})"
+        description = " ".join(str(error).split()) or type(error).__name__
+        found = f"a netCDF file that cannot be read ({description[:200]})"
         raise InputError(found, "a whole one, of movement's dataset.to_netcdf", path=source.path) from error
 
 

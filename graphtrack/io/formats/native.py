@@ -200,7 +200,7 @@ def _read_parquet(source: Source, options: ReadOptions) -> Rows:
     """Read the native table from Parquet."""
     import pyarrow.parquet as pq
 
-    with damage_told(source.path):
+    with arrow_errors(source.path):
         file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
         names = file.schema_arrow.names
         known = in_order(names)
@@ -225,7 +225,7 @@ def has_moments(source: Source) -> bool:
     """Return whether the column ``t`` holds dates or durations, by Arrow's types."""
     import pyarrow.parquet as pq
 
-    with damage_told(source.path):
+    with arrow_errors(source.path):
         schema_arrow = pq.ParquetFile(io.BytesIO(source.data)).schema_arrow
         if schema_arrow.names.count("t") != 1:
             return False
@@ -241,7 +241,7 @@ def _is_moment(kind: pa.DataType) -> bool:
 
 
 @contextmanager
-def damage_told(path: Path) -> Iterator[None]:
+def arrow_errors(path: Path) -> Iterator[None]:
     """Convert pyarrow's exceptions for an unreadable file to an `InputError`."""
     import pyarrow as pa
 

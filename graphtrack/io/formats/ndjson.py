@@ -64,14 +64,14 @@ def plain_cells(line: bytes) -> dict[str, Any] | None:
     layout = _layout(tuple(given))
     if layout is None:
         return None
-    for name, low, high, is_whole in layout:
+    for name, low, high, is_integer in layout:
         value = given[name]
         kind = type(value)
-        if kind is float and not is_whole:
+        if kind is float and not is_integer:
             if not low <= value <= high:
                 return None
         elif kind is int and low <= value <= high:
-            if not is_whole:
+            if not is_integer:
                 given[name] = float(value)
         else:
             return None
@@ -167,7 +167,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
         twice = repeated(name for name, _ in pairs)
         raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
     cells: dict[str, Any] = {
-        name: _whole(name, given.get(name))
+        name: _as_integer(name, given.get(name))
         for name in INTEGERS
         if name not in optional or given.get(name) is not None
     }
@@ -193,13 +193,13 @@ def identity(pairs: Pairs) -> dict[str, int | None]:
     for name in INTEGERS:
         values = [value for key, value in pairs if key == name]
         try:
-            found[name] = _whole(name, values[0]) if len(values) == 1 else None
+            found[name] = _as_integer(name, values[0]) if len(values) == 1 else None
         except InputError:
             found[name] = None
     return found
 
 
-def _whole(name: str, value: Any) -> int:
+def _as_integer(name: str, value: Any) -> int:
     highest = INTEGERS[name]
     if isinstance(value, float) and value.is_integer():
         value = int(value)
@@ -321,8 +321,8 @@ def _last_answers(rows: list[_Row]) -> list[_Row]:
     for row in rows:
         before = newest.get(row.place)
         if before is not None and row.status is not None and before.status is not None:
-            said_again = row.status == before.status and row.cells == before.cells
-            if row.status != "new" or said_again:
+            unchanged = row.status == before.status and row.cells == before.cells
+            if row.status != "new" or unchanged:
                 del kept[before.line]
         newest[row.place] = kept[row.line] = row
     return list(kept.values())

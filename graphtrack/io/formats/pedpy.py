@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.format import Format, rate_to_write, times_told
+from graphtrack.io.format import Format, rate_to_write, times_are_exact
 from graphtrack.io.options import METRES, ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
@@ -82,7 +82,7 @@ def trajectory_columns(
     known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
     columns = {name: values[known] for name, values in columns.items()}
     first = {_IDENTITY: columns.pop("track_id"), **{name: columns.pop(name) for name in ("frame", "x", "y")}}
-    if times_told(first["frame"].astype(float), columns["t"], rate):
+    if times_are_exact(first["frame"].astype(float), columns["t"], rate):
         del columns["t"]
     return {**first, **columns}, rate
 
@@ -119,17 +119,17 @@ def _read_text(source: Source, options: ReadOptions) -> Rows:
 
 
 def _unit(header: list[str], options: ReadOptions, path: Path) -> str:
-    said = [unit for unit, mark in _UNITS.items() if any(mark.search(line) for line in header)]
+    declared = [unit for unit, mark in _UNITS.items() if any(mark.search(line) for line in header)]
     layout = options.layout()
     given = None if layout is None else layout.units
-    if not said and given is None:
+    if not declared and given is None:
         expected = "--units m or cm, or a header such as # id frame x/m y/m"
         raise InputError("no unit of x and y", expected, path=path)
-    if len(said) > 1:
+    if len(declared) > 1:
         raise InputError("x in cm and in m in the header", "one of the two", path=path)
-    if said and given not in (None, said[0]):
-        raise InputError(f"--units {given}, and {said[0]} in the header", "one of the two", path=path)
-    return said[0] if given is None else given
+    if declared and given not in (None, declared[0]):
+        raise InputError(f"--units {given}, and {declared[0]} in the header", "one of the two", path=path)
+    return declared[0] if given is None else given
 
 
 def _write_text(tracks: TrackSet, path: Path) -> None:
@@ -212,9 +212,9 @@ def _check_tables(tables: set[str], path: Path) -> None:
 def _rate(connection: sqlite3.Connection, tables: set[str]) -> float | None:
     if "metadata" not in tables:
         return None
-    said = connection.execute("select value from metadata where key = 'fps'").fetchone()
+    declared = connection.execute("select value from metadata where key = 'fps'").fetchone()
     try:
-        rate = float(said[0])
+        rate = float(declared[0])
     except (TypeError, ValueError):
         return None
     return rate if 0.0 < rate <= 1e6 else None
@@ -264,14 +264,14 @@ def _facing(columns: Mapping[str, NDArray[Any]], n: int) -> tuple[FloatArray, Fl
 def _fill(
     connection: sqlite3.Connection,
     own: Mapping[str, NDArray[Any]],
-    others: Mapping[str, NDArray[Any]],
+    attributes: Mapping[str, NDArray[Any]],
     rate: float,
 ) -> None:
     kinds = {name: "INTEGER NOT NULL" if name in ("frame", "id") else "REAL NOT NULL" for name in own}
-    kinds |= {name: "TEXT" if values.dtype == object else "REAL" for name, values in others.items()}
-    said = ", ".join(f'"{name}" {kind}' for name, kind in kinds.items())
-    connection.execute(f"CREATE TABLE trajectory_data ({said})")
-    rows = zip(*(_cells(values) for values in (*own.values(), *others.values())), strict=True)
+    kinds |= {name: "TEXT" if values.dtype == object else "REAL" for name, values in attributes.items()}
+    declared = ", ".join(f'"{name}" {kind}' for name, kind in kinds.items())
+    connection.execute(f"CREATE TABLE trajectory_data ({declared})")
+    rows = zip(*(_cells(values) for values in (*own.values(), *attributes.values())), strict=True)
     connection.executemany(f"INSERT INTO trajectory_data VALUES ({', '.join('?' * len(kinds))})", rows)
     connection.execute("CREATE INDEX frame_id_idx ON trajectory_data(frame, id)")
     x, y = own["pos_x"], own["pos_y"]
@@ -282,8 +282,10 @@ def _fill(
     number = zlib.crc32(wkt.encode())
     connection.execute("CREATE TABLE metadata(key TEXT NOT NULL UNIQUE PRIMARY KEY, value TEXT NOT NULL)")
     bounds = {"xmin": low[0], "xmax": high[0], "ymin": low[1], "ymax": high[1]}
-    told = {"version": _VERSION, "fps": rate, **bounds}
-    connection.executemany("INSERT INTO metadata VALUES(?, ?)", [(key, str(v)) for key, v in told.items()])
+    metadata = {"version": _VERSION, "fps": rate, **bounds}
+    connection.executemany(
+        "INSERT INTO metadata VALUES(?, ?)", [(key, str(v)) for key, v in metadata.items()]
+    )
     connection.execute("CREATE TABLE geometry(hash INTEGER NOT NULL, wkt TEXT NOT NULL)")
     connection.execute("CREATE UNIQUE INDEX geometry_hash ON geometry(hash)")
     connection.execute("INSERT INTO geometry VALUES(?, ?)", (number, wkt))

@@ -89,10 +89,10 @@ def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[F
     NaN where they are not positive: ROS marks unknown covariances by 0 or −1.
     """
     covariance = np.asarray(covariance, dtype=float).reshape(-1, 6, 6)
-    places, turns = covariance[:, :3, :3], covariance[:, 3:, 3:]
+    position_blocks, turns = covariance[:, :3, :3], covariance[:, 3:, 3:]
     if turn is not None:
-        places, turns = (turn @ one @ turn.transpose(0, 2, 1) for one in (places, turns))
-    variance = (places[:, 0, 0] + places[:, 1, 1]) / 2.0
+        position_blocks, turns = (turn @ one @ turn.transpose(0, 2, 1) for one in (position_blocks, turns))
+    variance = (position_blocks[:, 0, 0] + position_blocks[:, 1, 1]) / 2.0
     both = (covariance[:, 0, 0] > 0.0) & (covariance[:, 1, 1] > 0.0)
     with np.errstate(invalid="ignore"):
         std = np.where(both & (variance > 0.0), np.sqrt(variance), np.nan)
@@ -389,7 +389,7 @@ class Bag:
         from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
         embedded: dict[str, Any] = {}
-        with told(self.path, "a definition of messages"):
+        with reading_errors(self.path, "a definition of messages"):
             for one in self._definitions.values():
                 if one.kind in kinds and one.text:
                     if one.language == "ros2msg":
@@ -401,7 +401,7 @@ class Bag:
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         """Yield the messages of some topics, in the order of the recording."""
         numbers = dict.fromkeys(topics, 0)
-        with told(self.path, "a recording"):
+        with reading_errors(self.path, "a recording"):
             for part in self._parts:
                 for topic, logged, raw in part.messages(topics):
                     numbers[topic] += 1
@@ -418,8 +418,8 @@ class Bag:
             except InputError:
                 raise
             except Exception as error:  # bytes or fields of another type
-                said = " ".join(str(error).split())[:100] or type(error).__name__
-                text = f"a message that is none of {kind} ({said})"
+                message_text = " ".join(str(error).split())[:100] or type(error).__name__
+                text = f"a message that is none of {kind} ({message_text})"
                 raise InputError(
                     text, "one as its type is defined", path=self.path, line=one.number, column=one.topic
                 ) from error
@@ -431,7 +431,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """Open a recording."""
     need_rosbags()
     with ExitStack() as stack:
-        with told(path, "a recording"):
+        with reading_errors(path, "a recording"):
             files = _mcap_files(path) if path.is_dir() else []
             parts = [_Part(one, stack) for one in files or [path]]
         definitions: dict[str, Definition] = {}
@@ -443,7 +443,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 @contextmanager
-def told(path: Path, what: str) -> Iterator[None]:
+def reading_errors(path: Path, what: str) -> Iterator[None]:
     """Convert exceptions of packages about unreadable content to an `InputError`."""
     try:
         yield
@@ -454,8 +454,8 @@ def told(path: Path, what: str) -> Iterator[None]:
     except PermissionError as error:
         raise InputError("a file without permission to read", "a readable file", path=path) from error
     except Exception as error:  # from rosbags, mcap, zstd, lz4, SQLite, YAML or parsers
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        found = f"{what} that is cut or damaged ({said})"
+        message_text = " ".join(str(error).split())[:200] or type(error).__name__
+        found = f"{what} that is cut or damaged ({message_text})"
         raise InputError(found, "a whole one of ROS 2 (ros2 bag reindex, mcap recover)", path=path) from error
 
 

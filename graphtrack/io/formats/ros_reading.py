@@ -178,15 +178,15 @@ class Transforms:
 def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
     """Interpolate a link's poses at some times."""
     n = len(stamps)
-    told, poses = _in_order(link)
-    if not len(told):
+    reading_errors, poses = _in_order(link)
+    if not len(reading_errors):
         return Placement(np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 3)), np.zeros(n, dtype=bool))
-    if link.static or len(told) == 1:
-        known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - told[0]) <= _REACH
+    if link.static or len(reading_errors) == 1:
+        known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - reading_errors[0]) <= _REACH
         return Placement(np.tile(poses[-1, :4], (n, 1)), np.tile(poses[-1, 4:], (n, 1)), known)
-    within = np.clip(stamps, told[0], told[-1])
+    within = np.clip(stamps, reading_errors[0], reading_errors[-1])
     # Relative to the first, since a double lacks the digits of an epoch's nanoseconds.
-    since, at = (told - told[0]) / 1e9, (within - told[0]) / 1e9
+    since, at = (reading_errors - reading_errors[0]) / 1e9, (within - reading_errors[0]) / 1e9
     turn = transform.Slerp(since, transform.Rotation.from_quat(poses[:, :4]))(at).as_quat()
     place = np.column_stack([np.interp(at, since, poses[:, k]) for k in (4, 5, 6)])
     return Placement(turn, place, np.abs(stamps - within) <= _REACH)
@@ -227,14 +227,14 @@ class Humans:
         kind: Part = next((part for plural, part in _PARTS.items() if f"/{plural}/" in topic), "person")
         matched: dict[tuple[str, str], str] = {}
         if kind == "person":
-            told = {
+            reading_errors = {
                 name: m
                 for name, type_ in bag.topics.items()
                 if type_ == TEXT and (m := _MATCH.fullmatch(name))
             }
-            for one, text in bag.decoded(TEXT, told, lambda message: str(message.data)):
+            for one, text in bag.decoded(TEXT, reading_errors, lambda message: str(message.data)):
                 if text:
-                    matched[told[one.topic][1], told[one.topic][2]] = text
+                    matched[reading_errors[one.topic][1], reading_errors[one.topic][2]] = text
         return cls(kind, matched)
 
     def placed(
@@ -254,7 +254,7 @@ class Humans:
             return None
         pose = transforms.placement(where, fixed, stamps)
 
-        def looks(*candidates: tuple[str, str]) -> FloatArray:
+        def orientation(*candidates: tuple[str, str]) -> FloatArray:
             for frame, axis in candidates:
                 if frame in transforms:
                     try:
@@ -264,8 +264,8 @@ class Humans:
                     return np.where(turned.known, yaw_of(turned.quaternion, axis), np.nan)
             return np.full(len(stamps), np.nan)
 
-        head = looks((f"gaze_{face}", "z"), (frames["face"], "x"), (f"head_{body}", "x"))
-        return pose.translation[:, :2], looks((frames["body"], "x")), head, pose.known
+        head = orientation((f"gaze_{face}", "z"), (frames["face"], "x"), (f"head_{body}", "x"))
+        return pose.translation[:, :2], orientation((frames["body"], "x")), head, pose.known
 
 
 _USUAL = ("map", "odom", "world", "earth", "")  # fixed frames of reference, by REP 105
@@ -276,7 +276,7 @@ _UNKNOWN = np.zeros(36)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Sightings:
     """n sightings as arrays.
 
     Attributes
@@ -305,7 +305,7 @@ class Seen:
         return len(self.stamp)
 
     @classmethod
-    def of(cls, frames: Sequence[tuple[Frame, int]]) -> Seen:
+    def of(cls, frames: Sequence[tuple[Frame, int]]) -> Sightings:
         """Return the sightings of some messages."""
         people: list[Sighting] = [one for frame, _ in frames for one in frame.people]
         counts = [len(frame.people) for frame, _ in frames]
@@ -369,7 +369,7 @@ class Ground:
         hint = "; --fixed-frame transforms them to a fixed one" if may_move else ""
         return [f"positions are in the frame {self.fixed or 'without a name'}, not transformed{hint}"]
 
-    def placed(self, seen: Seen) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    def placed(self, sightings: Sightings) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         """Return x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
 
         Returns
@@ -377,58 +377,58 @@ class Ground:
         columns, known : name → (n,), and a mask of rows with a known transform (n,)
         """
         if self.fixed is None:
-            self.fixed = str(seen.frame_id[0])
+            self.fixed = str(sightings.frame_id[0])
             if self._humans is not None and self.fixed not in self._transforms:
                 there = ", ".join(self._transforms.frames[:20]) or "none: the recording has no tf"
                 raise InputError("people with positions in tf", f"--fixed-frame with one of {there}")
         if self._humans is not None:
-            return self._placed_by_transforms(seen, self._humans)
-        place, turn, head = seen.place, seen.turn, seen.head
-        known = np.ones(len(seen), dtype=bool)
+            return self._placed_by_transforms(sightings, self._humans)
+        place, turn, head = sightings.place, sightings.turn, sightings.head
+        known = np.ones(len(sightings), dtype=bool)
         turns: FloatArray | None = None
-        for frame_id in sorted(set(seen.frame_id.tolist())):
+        for frame_id in sorted(set(sightings.frame_id.tolist())):
             if frame_id == self.fixed:
                 continue
             if not self._was_given:
                 found = f"messages in the frames {self.fixed!r} and {frame_id!r}"
                 raise InputError(found, "--fixed-frame with the frame to transform them to by tf")
-            rows = np.flatnonzero(seen.frame_id == frame_id)
-            pose = self._transforms.placement(frame_id, self.fixed, seen.stamp[rows])
+            rows = np.flatnonzero(sightings.frame_id == frame_id)
+            pose = self._transforms.placement(frame_id, self.fixed, sightings.stamp[rows])
             if turns is None:
-                turns = np.tile(np.eye(3), (len(seen), 1, 1))
+                turns = np.tile(np.eye(3), (len(sightings), 1, 1))
                 place, turn, head = place.copy(), turn.copy(), head.copy()
             turns[rows] = pose.turn()
             place[rows] = np.einsum("nij,nj->ni", turns[rows], place[rows]) + pose.translation
             turn[rows] = multiplied(pose.quaternion, turn[rows])
             head[rows] = multiplied(pose.quaternion, head[rows])
             known[rows] = pose.known
-        pos_std, body_variance = spread_of(seen.covariance, turns)
-        _, head_variance = spread_of(seen.head_covariance, turns)
+        pos_std, body_variance = spread_of(sightings.covariance, turns)
+        _, head_variance = spread_of(sightings.head_covariance, turns)
         found_place = np.where(np.isfinite(place[:, :2]).all(axis=1, keepdims=True), place[:, :2], np.nan)
         return {
             **_heading("body", yaw_of(turn), body_variance),
             **_heading("head", yaw_of(head), head_variance),
-            **_of_anybody(seen, found_place),
+            **_of_anybody(sightings, found_place),
             "pos_std": pos_std,
         }, known
 
     def _placed_by_transforms(
-        self, seen: Seen, humans: Humans
+        self, sightings: Sightings, humans: Humans
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         assert self.fixed is not None
-        n = len(seen)
+        n = len(sightings)
         place, known = np.full((n, 2), np.nan), np.zeros(n, dtype=bool)
         body, head = np.full(n, np.nan), np.full(n, np.nan)
-        for name in dict.fromkeys(seen.name.tolist()):
-            rows = np.flatnonzero(seen.name == name)
-            found = humans.placed(name, self.fixed, seen.stamp[rows], self._transforms)
+        for name in dict.fromkeys(sightings.name.tolist()):
+            rows = np.flatnonzero(sightings.name == name)
+            found = humans.placed(name, self.fixed, sightings.stamp[rows], self._transforms)
             if found is not None:
                 place[rows], body[rows], head[rows], known[rows] = found
         unknown = np.full(n, np.nan)
         return {
             **_heading("body", body, unknown),
             **_heading("head", head, unknown),
-            **_of_anybody(seen, place),
+            **_of_anybody(sightings, place),
             "pos_std": unknown,
         }, known
 
@@ -438,12 +438,12 @@ def _heading(name: str, angle: FloatArray, variance: FloatArray) -> dict[str, Fl
     return {f"{name}_rad": angle, f"{name}_kappa": kappa}
 
 
-def _of_anybody(seen: Seen, place: FloatArray) -> dict[str, NDArray[Any]]:
-    score = np.where(seen.score > 0.0, seen.score, np.nan)
+def _of_anybody(sightings: Sightings, place: FloatArray) -> dict[str, NDArray[Any]]:
+    score = np.where(sightings.score > 0.0, sightings.score, np.nan)
     return {
-        "stamp": seen.stamp,
-        "name": seen.name,
-        "number": seen.number,
+        "stamp": sightings.stamp,
+        "name": sightings.name,
+        "number": sightings.number,
         "x": place[:, 0],
         "y": place[:, 1],
         "score": score,
@@ -492,7 +492,7 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
         notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class selects")
-        return _rows(path, columns, notes, options.beside, ground.fixed or "")
+        return _rows(path, columns, notes, options.reference, ground.fixed or "")
 
 
 def _is_given(classes: tuple[str, ...]) -> bool:
@@ -539,8 +539,8 @@ def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground
     transforms = Transforms()
     if fixed is not None or humans is not None:
         of_tf = [name for name, type_ in bag.topics.items() if type_ == TRANSFORMS]
-        for one, told in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
-            transforms.add(told, static=one.topic.endswith(_STATIC))
+        for one, reading_errors in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
+            transforms.add(reading_errors, static=one.topic.endswith(_STATIC))
     has_transforms = TRANSFORMS in bag.topics.values()
     return Ground(fixed, transforms, humans, has_transforms)
 
@@ -549,28 +549,28 @@ def _columns(bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tu
     columns = _Columns()
     frames = _frames(bag, kind, topics)
     while some := list(islice(frames, _AT_A_TIME)):
-        seen = Seen.of(some)
-        if not len(seen):
+        sightings = Sightings.of(some)
+        if not len(sightings):
             continue
-        keep = np.ones(len(seen), dtype=bool)
-        for row, said in enumerate(seen.kinds):
-            if said == _AGAIN:
+        keep = np.ones(len(sightings), dtype=bool)
+        for row, classified in enumerate(sightings.kinds):
+            if classified == _AGAIN:
                 keep[row] = False
                 columns.refused[_AGAIN] += 1
-            elif kind == DETECTIONS and _is_given(classes) and said not in classes:
+            elif kind == DETECTIONS and _is_given(classes) and classified not in classes:
                 keep[row] = False
                 columns.refused[_OTHER_CLASS] += 1
-            elif said:
-                columns.kinds[said] += 1
-        columns.turned |= kind == IDS or seen.is_turned()
-        found, known = ground.placed(seen)
+            elif classified:
+                columns.kinds[classified] += 1
+        columns.turned |= kind == IDS or sightings.is_turned()
+        found, known = ground.placed(sightings)
         columns.refused[_NO_TRANSFORM] += int((keep & ~known).sum())
         keep &= known
         columns.parts.append({name: values[keep] for name, values in found.items()})
     return columns
 
 
-def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None, frame: str) -> Rows:
+def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | None, frame: str) -> Rows:
     refused = +columns.refused
     joined: dict[str, NDArray[Any]] = {}
     if columns.parts:
@@ -591,24 +591,26 @@ def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None
         notes.append("all orientations equal that of the frame of reference and were treated as unknown")
     number = joined.pop("number")
     void = {name for name, values in joined.items() if values.dtype.kind == "f" and np.isnan(values).all()}
-    said = {name: values for name, values in joined.items() if name not in void}
-    layout = replace(_LAYOUT, columns={k: v for k, v in _LAYOUT.columns.items() if v in said})
-    cells = Cells(path, "bag", said, lambda row: int(number[row]), {})
-    rows = rows_of_cells(cells, layout, beside=beside)
-    told = rows.as_read
-    assert told is not None and told.time is not None
+    classified = {name: values for name, values in joined.items() if name not in void}
+    layout = replace(_LAYOUT, columns={k: v for k, v in _LAYOUT.columns.items() if v in classified})
+    cells = Cells(path, "bag", classified, lambda row: int(number[row]), {})
+    rows = rows_of_cells(cells, layout, reference=reference)
+    reading_errors = rows.as_read
+    assert reading_errors is not None and reading_errors.time is not None
     # As a table: seconds of the same clock, unchanged when read back.
-    as_read = AsRead({}, TimeScale("number", origin=told.time.origin), names=told.names, frame=frame)
+    as_read = AsRead(
+        {}, TimeScale("number", origin=reading_errors.time.origin), names=reading_errors.names, frame=frame
+    )
     notes = [*notes, *(note for note in rows.notes if note not in notes)]
     return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
 
 
 def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Return a mask of the first row of each person at each stamp."""
-    _, who = np.unique(joined["name"].astype(str), return_inverse=True)
-    order = np.lexsort((np.arange(len(who)), joined["stamp"], who))
-    again = (np.diff(who[order]) == 0) & (np.diff(joined["stamp"][order]) == 0)
-    first = np.ones(len(who), dtype=bool)
+    _, number = np.unique(joined["name"].astype(str), return_inverse=True)
+    order = np.lexsort((np.arange(len(number)), joined["stamp"], number))
+    again = (np.diff(number[order]) == 0) & (np.diff(joined["stamp"][order]) == 0)
+    first = np.ones(len(number), dtype=bool)
     first[order[1:][again]] = joined["name"][order[1:][again]] == ""
     return first
 

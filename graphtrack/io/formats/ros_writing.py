@@ -372,16 +372,16 @@ def people_by_time(tracks: TrackSet) -> Iterator[tuple[int, list[Person]]]:
         found = stamps.min() if stamps.min() < 0 else stamps.max()
         raise InputError(f"the time {found / 1e9:g} s", "times from 1970 to 2038, which ROS can hold")
     state = np.concatenate([_state(track) for track in tracks])
-    who = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
-    order = np.lexsort((who, stamps))
+    track_index = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
+    order = np.lexsort((track_index, stamps))
     order = order[np.isfinite(state[order, 0])]
-    stamps, state, who = stamps[order], state[order], who[order]
-    said = [names.get(one.track_id, str(one.track_id)) for one in tracks]
-    labels = [one.label or name for one, name in zip(tracks, said, strict=True)]
+    stamps, state, track_index = stamps[order], state[order], track_index[order]
+    label_text = [names.get(one.track_id, str(one.track_id)) for one in tracks]
+    labels = [one.label or name for one, name in zip(tracks, label_text, strict=True)]
     edges = [*np.flatnonzero(np.diff(stamps, prepend=-1)).tolist(), len(stamps)]
     for first, end in pairwise(edges):
-        rows = zip(who[first:end].tolist(), state[first:end].tolist(), strict=True)
-        yield int(stamps[first]), [Person(said[k], labels[k], k, *row) for k, row in rows]
+        rows = zip(track_index[first:end].tolist(), state[first:end].tolist(), strict=True)
+        yield int(stamps[first]), [Person(label_text[k], labels[k], k, *row) for k, row in rows]
 
 
 def _state(track: Track) -> FloatArray:

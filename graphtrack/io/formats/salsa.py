@@ -31,9 +31,9 @@ def read(source: Source, options: ReadOptions) -> Rows:
     table = read_numbers(text, delimiter=None, widths=(1 + 5 * people,), names=names)
     steps = len(table.values)
     t = table.bounded(0, -LARGEST_SECONDS, LARGEST_SECONDS)
-    late = np.flatnonzero(np.diff(t) <= 0.0)
-    if len(late):
-        raise table.fail(int(late[0]) + 1, 0, "a time after that of the row before")
+    backwards = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(backwards):
+        raise table.fail(int(backwards[0]) + 1, 0, "a time after that of the row before")
     first = range(1, 1 + 5 * people, 5)
 
     def angle(offset: int) -> np.ndarray:

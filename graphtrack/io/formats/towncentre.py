@@ -7,7 +7,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
-from graphtrack.io.format import Format, places_beside
+from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
@@ -19,7 +19,7 @@ FPS = 25.0
 _NAMES = ("frame", "id", "left", "top", "width", "height")
 
 
-BESIDE = ("calibration.ci",)
+COMPANIONS = ("calibration.ci",)
 """Calibration of the camera."""
 
 
@@ -50,7 +50,7 @@ def _camera(
     source: Source, options: ReadOptions, pixel: FloatArray, height: FloatArray
 ) -> tuple[GroundCamera, tuple[str, ...]]:
     camera, notes = known_camera(options, pixel)
-    (found,) = places_beside(source.path, BESIDE)
+    (found,) = companion_paths(source.path, COMPANIONS)
     if camera is None and options.metres_per_pixel is None and found.is_file():
         camera, notes = read_calibration(found), ("calibration from calibration.ci next to the file",)
     if camera is None:
@@ -81,6 +81,6 @@ TOWNCENTRE = Format(
     description="Oxford Town Centre boxes: frame,id,left,top,width,height",
     suffixes=(),
     read=read,
-    beside=BESIDE,
+    companions=COMPANIONS,
     read_boxes=read_boxes,
 )

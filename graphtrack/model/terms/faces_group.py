@@ -90,7 +90,7 @@ class FacesGroup(Term):
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Σ over frames, for body and head."""
         social = self.parameters.social
-        weight, bearing = _told(track.input(GROUP, 3))
+        weight, bearing = _weight_and_bearing(track.input(GROUP, 3))
         total = 0.0
         for angle, kappa in ((states.body, social.body_kappa), (states.head, social.head_kappa)):
             close = np.sum(unit(angle) * bearing, axis=1)
@@ -101,13 +101,13 @@ class FacesGroup(Term):
     def pack(self, packed: PackedTracks) -> None:
         """Weights and directions of the frames, and the parameters."""
         social, records, shared = self.parameters.social, packed.records, packed.shared
-        records["group_weight"], bearing = _told(packed.input(GROUP, 3))
+        records["group_weight"], bearing = _weight_and_bearing(packed.input(GROUP, 3))
         records["group_cos"], records["group_sin"] = bearing.T
         shared["group_body_kappa"], shared["group_head_kappa"] = social.body_kappa, social.head_kappa
         shared["group_outliers"] = social.outliers
 
 
-def _told(group: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _weight_and_bearing(group: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) weight of the direction, 0 without one, and (n, 2) the direction."""
     known = np.asarray(np.isfinite(group).all(axis=1))
     x, y, _ = np.where(known[:, None], group, 0.0).T

@@ -64,7 +64,7 @@ class Gait(NamedTuple):
     head: Modes
     classified_head: Modes
     head_evidence: float
-    head_rate_seen: float
+    head_rate_observed: float
     head_common: float
     glance_variance: float  # rad²
 
@@ -80,7 +80,7 @@ def gait_of(parameters: GaitParameters) -> Gait:
         head,
         _mistaken(head, parameters.head_class_bias, parameters.head_class_bias_kappa),
         parameters.head_evidence,
-        parameters.head_rate_seen,
+        parameters.head_rate_observed,
         parameters.head_common,
         parameters.glance_std**2,
     )

@@ -24,7 +24,7 @@ LEAST_TURN, GREATEST_TURN = 0.01, 0.05
 
 
 @compiled
-def add_holds(
+def add_persistence(
     cos_before: float,
     sin_before: float,
     cos: float,
@@ -56,14 +56,14 @@ def add_holds(
     return group_hold * hold * (size - group_drift)
 
 
-def _holds(name: Variable) -> Kernel:
+def _persistence(name: Variable) -> Kernel:
     names = {"place": name.upper(), "hold": f"group_{name}_hold"}
     for part in ("cos", "sin"):
         names |= {part: f"{name}_{part}", f"{part}_before": f"{name}_{part}_before"}
-    return Kernel(add_holds, gate="group_hold", variables=(name,), before=(name,), names=names)
+    return Kernel(add_persistence, gate="group_hold", variables=(name,), before=(name,), names=names)
 
 
-class HoldsStill(Term):
+class OrientationPersistence(Term):
     """p·λ·(√(δ² + 2·(1 − cos Δ)) − δ) of the turns of body and head from frame to frame: about λ·|Δ|.
 
     So people in conversation keep their orientation, then turn at once, at any frame rate. p is the
@@ -77,7 +77,7 @@ class HoldsStill(Term):
         Field("group_drift", "radians up to which a turn is a drift"),
     )
     shared = (Field("group_body_hold", "cost of a radian's turn"), Field("group_head_hold", ""))
-    kernels = (_holds("body"), _holds("head"))
+    kernels = (_persistence("body"), _persistence("head"))
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Σ over turns, of body and head."""

@@ -100,8 +100,8 @@ class Motion(Term):
     reads: ClassVar[tuple[str, ...]] = (
         "motion.acceleration_density",
         "motion.initial_speed_std",
-        "motion.sway_std",
-        "motion.sway_rate",
+        "motion.oscillation_std",
+        "motion.oscillation_rate",
         "motion.lasting_std",
         "motion.lasting_time",
     )
@@ -137,8 +137,8 @@ class Motion(Term):
         # Independent parts of Q⁻¹: the velocity step, and the position step beyond the mean velocity.
         bend = np.diff(states.position, axis=0) - 0.5 * dt * (states.velocity[1:] + states.velocity[:-1])
         squares = (dv**2 / dt + 12.0 * bend**2 / dt**3) / motion.acceleration_density
-        seen = np.isfinite(track.position).all(axis=1)
-        first = states.velocity[int(np.argmax(seen)) if seen.any() else 0]
+        observed = np.isfinite(track.position).all(axis=1)
+        first = states.velocity[int(np.argmax(observed)) if observed.any() else 0]
         return 0.5 * float(squares.sum() + (first**2).sum() / motion.initial_speed_std**2)
 
     def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
@@ -156,4 +156,4 @@ class Motion(Term):
         motion = self.parameters.motion
         information = 1.0 / motion.acceleration_density
         packed.records["motion_information"] = np.where(packed.is_first, 0.0, information)
-        packed.records["velocity_information"][packed.first_seen] = motion.initial_speed_std**-2
+        packed.records["velocity_information"][packed.first_position] = motion.initial_speed_std**-2

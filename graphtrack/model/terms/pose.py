@@ -181,7 +181,7 @@ def add_angle_quarter_turns(
 def _observed(name: Variable) -> tuple[Kernel, Kernel]:
     """The kernels of an observed angle and of class likelihoods."""
     names = {"cos": f"{name}_cos", "sin": f"{name}_sin", "place": name.upper()}
-    angle = {"mean_cos": f"seen_{name}_cos", "mean_sin": f"seen_{name}_sin"}
+    angle = {"mean_cos": f"observed_{name}_cos", "mean_sin": f"observed_{name}_sin"}
     angle |= {"kappa": f"{name}_kappa", "uniform": f"{name}_uniform"}
     classes = {"kappa": f"{name}_class_kappa", "doubt": f"{name}_doubt"}
     classes |= {part: f"{name}_{part}" for part in ("heights", "directions")}
@@ -205,8 +205,8 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
 
 def _fields(name: Variable) -> tuple[Field, ...]:
     return (
-        Field(f"seen_{name}_cos", f"direction, concentration and ε/2π of an observed {name} angle"),
-        Field(f"seen_{name}_sin", ""),
+        Field(f"observed_{name}_cos", f"direction, concentration and ε/2π of an observed {name} angle"),
+        Field(f"observed_{name}_sin", ""),
         Field(f"{name}_kappa", ""),
         Field(f"{name}_uniform", "the outliers' density over that at the peak of the von Mises"),
         Field(f"{name}_class_kappa", "concentration of the classes; 0: no class likelihoods"),
@@ -228,9 +228,9 @@ class _PoseLikelihood(Term):
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """A native von Mises factor where that is exact, else a factor from the kernels."""
-        seen = step.observation
-        angle, kappa = getattr(seen, self.name), getattr(seen, f"{self.name}_kappa")
-        by_class = getattr(seen, f"{self.name}_likelihood") is not None
+        observed = step.observation
+        angle, kappa = getattr(observed, self.name), getattr(observed, f"{self.name}_kappa")
+        by_class = getattr(observed, f"{self.name}_likelihood") is not None
         if by_class or self.parameters.likelihood.outlier_probability > 0.0:
             return derived_factors(self, step)
         (kappa,) = self._kappas(kappa, 1).tolist()
@@ -258,20 +258,23 @@ class _PoseLikelihood(Term):
         if angle is not None:
             kappas = self._kappas(getattr(track, f"{self.name}_kappa"), n)
             uniform = likelihood.outlier_probability
-            seen = np.isfinite(angle) & ~by_class & (kappas > 0.0)
-            kappas, mean, at = kappas[seen], angle[seen], estimate[seen]
+            observed = np.isfinite(angle) & ~by_class & (kappas > 0.0)
+            kappas, mean, at = kappas[observed], angle[observed], estimate[observed]
             if uniform == 0.0:
                 return total + float(np.sum(kappas * (1.0 - np.cos(at - mean))))
             density = mixture_log_density(at, mean[:, None], np.ones((len(at), 1)), kappas, uniform)
             total += float(np.sum(highest_log_density(kappas, uniform) + 2.0 * kappas - density))
         return total
 
-    def live(self, seen: Observation) -> Sequence[tuple[str, float]]:
+    def live(self, observed: Observation) -> Sequence[tuple[str, float]]:
         """The direction of an observed angle."""
-        angle = getattr(seen, self.name)
+        angle = getattr(observed, self.name)
         if angle is None:
             return ()
-        return ((f"seen_{self.name}_cos", math.cos(angle)), (f"seen_{self.name}_sin", math.sin(angle)))
+        return (
+            (f"observed_{self.name}_cos", math.cos(angle)),
+            (f"observed_{self.name}_sin", math.sin(angle)),
+        )
 
     def observed_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
         """log ∫ exp(−cost) of each observation: for mixtures, minus the constant in the cost."""
@@ -282,8 +285,8 @@ class _PoseLikelihood(Term):
         if classes is not None:
             kappa = class_kappa(classes.shape[1])
             highest = highest_log_density(kappa, likelihood.class_outlier_probability)
-            says = classes[by_class].sum(axis=1) > 0.0
-            total -= float(np.sum(np.where(says, highest, -np.log(2.0 * np.pi)) + 2.0 * kappa))
+            informative = classes[by_class].sum(axis=1) > 0.0
+            total -= float(np.sum(np.where(informative, highest, -np.log(2.0 * np.pi)) + 2.0 * kappa))
         if angle is not None:
             kappas = self._kappas(getattr(track, f"{self.name}_kappa"), n)[np.isfinite(angle) & ~by_class]
             uniform = likelihood.outlier_probability
@@ -295,11 +298,11 @@ class _PoseLikelihood(Term):
         """Pack observed angles, or class likelihoods where there are some."""
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
         heights = self._heights(packed)
-        seen = packed.directions(name)
-        if seen is not None:
-            kappa = self._kappas(packed.channel(f"{name}_kappa"), len(seen))
-            records[f"{name}_kappa"] = np.where(np.isfinite(seen[:, 0]), kappa, 0.0)
-            records[f"seen_{name}_cos"], records[f"seen_{name}_sin"] = seen.T
+        observed = packed.directions(name)
+        if observed is not None:
+            kappa = self._kappas(packed.channel(f"{name}_kappa"), len(observed))
+            records[f"{name}_kappa"] = np.where(np.isfinite(observed[:, 0]), kappa, 0.0)
+            records[f"observed_{name}_cos"], records[f"observed_{name}_sin"] = observed.T
             if likelihood.outlier_probability > 0.0:
                 # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
                 odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)

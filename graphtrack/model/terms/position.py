@@ -186,14 +186,14 @@ class PositionLikelihood(Term):
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """A native prior in metres; in pixels, one from the kernel."""
-        likelihood, seen = self.parameters.likelihood, step.observation
-        if likelihood.image_frame and seen.pixel is not None and step.camera is not None:
+        likelihood, observed = self.parameters.likelihood, step.observation
+        if likelihood.image_frame and observed.pixel is not None and step.camera is not None:
             return derived_factors(self, step)
-        if seen.position is None:
+        if observed.position is None:
             return []
-        (std,) = likelihood.position_stds(seen.position_std, 1).tolist()
+        (std,) = likelihood.position_stds(observed.position_std, 1).tolist()
         noise = robust_noise(gtsam.noiseModel.Isotropic.Sigma(2, std), likelihood)
-        return [gtsam.PriorFactorPoint2(step.position_key, np.array(seen.position), noise)]
+        return [gtsam.PriorFactorPoint2(step.position_key, np.array(observed.position), noise)]
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of the observed positions."""
@@ -201,10 +201,10 @@ class PositionLikelihood(Term):
         std = likelihood.position_stds(track.position_std, len(track))
         residual = (states.position - track.position) / std[:, None]
         if likelihood.image_frame and track.pixel is not None and camera is not None:
-            seen = np.isfinite(track.pixel).all(axis=1)
+            observed = np.isfinite(track.pixel).all(axis=1)
             to_image = np.linalg.inv(camera.homography)
-            predicted = apply_homography(to_image, states.position[seen])
-            residual[seen] = (predicted - camera.undistort(track.pixel[seen])) / likelihood.pixel_std
+            predicted = apply_homography(to_image, states.position[observed])
+            residual[observed] = (predicted - camera.undistort(track.pixel[observed])) / likelihood.pixel_std
         residual = residual[np.isfinite(residual).all(axis=1)]
         return float(robust_loss(np.linalg.norm(residual, axis=1), likelihood).sum())
 
@@ -212,20 +212,22 @@ class PositionLikelihood(Term):
         """log 2πσ² of each position, and the mass of robust tails; InputError for Cauchy with k² ≤ 2."""
         likelihood = self.parameters.likelihood
         std = likelihood.position_stds(track.position_std, len(track))
-        seen = np.isfinite(track.position).all(axis=1)
+        observed = np.isfinite(track.position).all(axis=1)
         if likelihood.image_frame and track.pixel is not None and camera is not None:
             in_image = np.isfinite(track.pixel).all(axis=1)
             std[in_image] = likelihood.pixel_std
-            seen |= in_image
-        return float(np.log(2.0 * np.pi * std[seen] ** 2).sum() + seen.sum() * np.log(_mass(likelihood)))
+            observed |= in_image
+        return float(
+            np.log(2.0 * np.pi * std[observed] ** 2).sum() + observed.sum() * np.log(_mass(likelihood))
+        )
 
     def is_linear(self, packed: PackedTracks) -> bool:
         """True without a robust loss and in metres."""
         return not packed.shared["robust"][0] and not packed.records["pixel_information"].any()
 
-    def live(self, seen: Observation) -> Iterable[tuple[str, float]]:
+    def live(self, observed: Observation) -> Iterable[tuple[str, float]]:
         """The observed position."""
-        return () if seen.position is None else zip("xy", seen.position, strict=True)
+        return () if observed.position is None else zip("xy", observed.position, strict=True)
 
     def pack(self, packed: PackedTracks) -> None:
         """Observed positions or pixels with their information, and the robust loss."""
@@ -244,6 +246,6 @@ class PositionLikelihood(Term):
             packed.shared["to_image"] = np.linalg.inv(camera.homography)
         if not likelihood.image_frame or pixel is None or camera is None:
             return
-        seen = np.isfinite(pixel).all(axis=1)
-        records["u"][seen], records["v"][seen] = camera.undistort(pixel[seen]).T
-        records["pixel_information"][seen] = likelihood.pixel_std**-2
+        observed = np.isfinite(pixel).all(axis=1)
+        records["u"][observed], records["v"][observed] = camera.undistort(pixel[observed]).T
+        records["pixel_information"][observed] = likelihood.pixel_std**-2

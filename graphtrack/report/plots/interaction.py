@@ -96,7 +96,7 @@ _WRITTEN = 14
 """Up to so many people and targets the matrix has its numbers."""
 
 
-def draw_looks(
+def draw_gaze(
     tracks: TrackSet,
     places: Sequence[Place],
     found: Sequence[Attention],
@@ -159,8 +159,8 @@ def plot_look_timeline(found: Sequence[Attention]) -> Figure:
     names = {target: k for k, target in enumerate(targets)}
     figure = new_figure(9.5, 1.3 + 0.28 * max(len(shown), 4))
     axes = figure.add_subplot()
-    whole = np.concatenate([np.zeros(0) if found else np.zeros(1), *(one.t for one in found)])
-    second = 9.0 * 72.0 / max(float(np.ptp(whole)), 1e-9)
+    joined = np.concatenate([np.zeros(0) if found else np.zeros(1), *(one.t for one in found)])
+    second = 9.0 * 72.0 / max(float(np.ptp(joined)), 1e-9)
     for row, one in enumerate(shown):
         best = np.argmax(np.nan_to_num(one.probability, nan=-1.0), axis=1)
         seconds = frame_seconds(one.t)
@@ -177,7 +177,7 @@ def plot_look_timeline(found: Sequence[Attention]) -> Figure:
     axes.set_yticks(range(len(shown)), [str(one.track_id) for one in shown])
     axes.set_ylim(len(shown) - 0.4, -0.6)
     half = max((float(frame_seconds(one.t).max(initial=0.0)) / 2.0 for one in found), default=0.0)
-    axes.set_xlim(float(whole.min()) - max(half, 1e-3), float(whole.max()) + max(half, 1e-3))
+    axes.set_xlim(float(joined.min()) - max(half, 1e-3), float(joined.max()) + max(half, 1e-3))
     axes.set(xlabel="time (s)", ylabel="who looks")
     tidy(axes, grid="x")
     return figure

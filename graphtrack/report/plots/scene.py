@@ -175,7 +175,7 @@ def _regular_samples(t: FloatArray, usable: NDArray[np.bool_], interval: float) 
 def _worth_an_arrow(pair: Pair) -> NDArray[np.bool_]:
     """Observed samples with a position, or all with a position where none was observed."""
     placed = finite_rows(pair.estimate.position)
-    observed = placed if pair.seen is None else placed & pair.seen
+    observed = placed if pair.was_observed is None else placed & pair.was_observed
     return observed if observed.any() else placed
 
 
@@ -202,17 +202,19 @@ def _draw_observations(axes: Axes, pair: Pair, colour: str) -> None:
 
 def _draw_path(axes: Axes, pair: Pair, colour: str, dash: tuple[float, ...]) -> None:
     position = pair.estimate.position
-    seen = np.ones(len(position), dtype=bool) if pair.seen is None else pair.seen
+    was_observed = np.ones(len(position), dtype=bool) if pair.was_observed is None else pair.was_observed
     if len(position) == 1:
         axes.plot(*position.T, "o", color=colour, markersize=5, zorder=3)
         return
     # Dotted unless both ends of a piece were observed and nothing is missing between them.
-    whole = seen[:-1] & seen[1:] & (np.diff(pair.estimate.t) <= longest_step(pair.estimate.t))
-    for flags, style, cap in ((whole, _line_style(dash), "butt"), (~whole, DOTS, "round")):
+    continuous = (
+        was_observed[:-1] & was_observed[1:] & (np.diff(pair.estimate.t) <= longest_step(pair.estimate.t))
+    )
+    for flags, style, cap in ((continuous, _line_style(dash), "butt"), (~continuous, DOTS, "round")):
         for run in finite_runs(flags):
             piece = position[run.start : run.stop + 1]
             axes.plot(*piece.T, linestyle=style, color=colour, linewidth=1.8, dash_capstyle=cap, zorder=3)
-    for run in finite_runs(~seen):
+    for run in finite_runs(~was_observed):
         if run.stop - run.start >= MARKED_GAP:
             ends = position[[run.start, run.stop - 1]]
             axes.plot(*ends.T, "o", color=colour, markerfacecolor="white", markersize=4.0, zorder=3.2)
@@ -298,7 +300,7 @@ def _legend(pairs: tuple[Pair, ...], enlarged: float) -> list[Line2D | Patch]:
     grey = {"color": NEUTRAL_COLOUR}
     arrow = {"linewidth": 0, "marker": r"$\rightarrow$", "markersize": 13}
     handles: list[Line2D | Patch] = [_key("path", linewidth=1.8, **grey)]
-    if any(pair.seen is not None and not pair.seen.all() for pair in pairs):
+    if any(pair.was_observed is not None and not pair.was_observed.all() for pair in pairs):
         handles.append(
             _key(
                 "not observed",

@@ -215,7 +215,7 @@ class Cues:
     ----------
     box, head_box : (4,) left, top, width, height in pixels
     position : (2,) metres, of the feet
-    seen : (2,) likeliest classes of body and head in this frame alone
+    visible : (2,) likeliest classes of body and head in this frame alone
     estimated : (2,) body and head
     true : (2,) body and head; None if they are not known
     """
@@ -223,7 +223,7 @@ class Cues:
     box: FloatArray
     head_box: FloatArray
     position: FloatArray
-    seen: FloatArray
+    visible: FloatArray
     estimated: FloatArray
     true: FloatArray | None = None
 
@@ -262,7 +262,7 @@ def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320)
             cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
         if cues.true is not None:
             _line(picture, place, float(cues.true[k]), (0.8, 1.25), _TRUE, 3)
-        _line(picture, place, float(cues.seen[k]), (0.0, 1.0), colour, 1)
+        _line(picture, place, float(cues.visible[k]), (0.0, 1.0), colour, 1)
         arrow(picture, place, float(cues.estimated[k]), colour, 2)
     return picture
 
