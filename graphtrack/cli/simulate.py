@@ -82,10 +82,10 @@ def simulate(
     from graphtrack.simulation.sampling import simulate as sample
     from graphtrack.simulation.scenario import scenario as scripted
 
-    outputs = {"--output": output, "--groups": groups, "--looks": gaze}
+    outputs = {"--output": output, "--groups": groups, "--gaze": gaze}
     options.check_outputs(outputs, {"--model": options.model_file(model)}, table=output)
     if scene is None and (groups is not None or gaze is not None):
-        raise InputError("--groups or --looks without --scene party", "that scene, which has them")
+        raise InputError("--groups or --gaze without --scene party", "that scene, which has them")
     if scene is not None and scenario:
         raise InputError("--scene and --scenario", "one of them")
     rng = np.random.default_rng(seed)

@@ -446,7 +446,7 @@ class OnlineGroups:
         ----------
         t : seconds, after those of the update before
         people : what `OnlineTracker.update` gives, or the estimates of `OnlineSmoother` by track id: of
-            whoever is there at that time
+            of the people of that time
 
         Raises
         ------

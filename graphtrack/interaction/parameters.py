@@ -142,9 +142,10 @@ class GroupParameters:
 
         Raise InputError for an unknown name, and for a value out of its range.
         """
-        given = dict(tables)
+        # Earlier files call strangers others.
+        given = {name.replace("others", "strangers"): value for name, value in tables.items()}
         parts = {}
-        for name in ("places", "bodies", "heads", "companions", "others"):
+        for name in ("places", "bodies", "heads", "companions", "strangers"):
             if name in given:
                 table = given.pop(name)
                 if not isinstance(table, dict):

@@ -62,7 +62,7 @@ class Format:
 
 
 def companion_paths(path: Path, places: Iterable[str]) -> tuple[Path, ...]:
-    """Return paths given relative to a file's folder; see `Format.beside`."""
+    """Return paths given relative to a file's folder; see `Format.companions`."""
     name = path.name.removesuffix(".gz")
     return tuple(Path(os.path.normpath(path.parent / place.format(name=name))) for place in places)
 

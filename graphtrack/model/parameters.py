@@ -316,6 +316,8 @@ class Parameters:
                 kind = "table" if isinstance(values, dict) else "key"
                 expected = f"preset, or a table of {', '.join(known)}, scene"
                 raise InputError(f"the unknown {kind} {table!r}", expected)
+            if isinstance(values, dict):
+                values = {_RENAMED.get((table, name), name): value for name, value in values.items()}
             parts[table] = with_table(getattr(start, table), table, values)
         return replace(start, **parts)
 
@@ -332,6 +334,14 @@ class Parameters:
             groups.setdefault(group, {})[key] = value
         changed = {group: replace(getattr(self, group), **own) for group, own in groups.items()}
         return replace(self, **changed)
+
+
+_RENAMED = {
+    ("motion", "sway_std"): "oscillation_std",
+    ("motion", "sway_rate"): "oscillation_rate",
+    ("gait", "head_rate_seen"): "head_rate_observed",
+}
+"""Table and key of earlier model files → key."""
 
 
 def steady(parameters: Parameters) -> Parameters:

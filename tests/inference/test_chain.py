@@ -168,7 +168,7 @@ def test_contradictions_do_not_keep_it_from_the_best_course(tracks: int) -> None
     for seed in range(tracks):
         model, kind = models[seed % len(models)], ("opposed", "flipped")[seed // len(models) % 2]
         track = contradicted(np.random.default_rng(seed), kind)
-        ways = SolverOptions(), SolverOptions(restart=False)
+        ways = SolverOptions(), SolverOptions(basin_search=False)
         found = [states_of(smooth_track(track, model, options=one, engine="chain").track) for one in ways]
         on_grid = model.cost(grid_course(found[0], track, model), track)
         for k, states in enumerate(found):

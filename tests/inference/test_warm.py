@@ -48,7 +48,7 @@ def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
     seen = random_track(np.random.default_rng(1), camera)
     people = TrackSet((walk(12), walk(9, track_id=2, classes=True), replace(seen, track_id=3)), camera)
     smooth(people, preset, jobs=1)
-    smooth(people, Model(preset, ROBUST), options=SolverOptions(restart=False))
+    smooth(people, Model(preset, ROBUST), options=SolverOptions(basin_search=False))
     smooth(TrackSet((walk(1),)), "position")
     for track in people:
         track_online(track, preset, lag=0.3, camera=camera)

@@ -182,7 +182,7 @@ def test_places_that_cannot_be_are_told(tmp_path: Path, text: str, message: str)
 def test_the_command_writes_table_summary_and_pictures(tmp_path: Path) -> None:
     made = run(
         *("simulate", "-o", tmp_path / "party.csv", "--scene", "party", "--tracks", 5, "--steps", 30),
-        *("--groups", tmp_path / "groups.csv", "--looks", tmp_path / "looks.csv"),
+        *("--groups", tmp_path / "groups.csv", "--gaze", tmp_path / "looks.csv"),
     )
     assert made.returncode == 0, made.stderr
     (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,1,1,0.5\n")

@@ -273,3 +273,10 @@ def test_what_is_wrong_in_a_scene_is_named_with_its_file(
 def test_a_stream_goes_on_with_the_scene_that_it_began_with() -> None:
     known = gt.Model("position", scene={"death_rate": 0.2})
     assert settings_of(known, "chain", 2.0, None, None)["model.scene.death_rate"] == 0.2
+
+
+def test_keys_of_earlier_files_are_read():
+    earlier = {"motion": {"sway_std": 0.5, "sway_rate": 1.5}, "gait": {"head_rate_seen": 0.25}}
+    found = Parameters.from_dict(earlier)
+    assert (found.motion.oscillation_std, found.motion.oscillation_rate) == (0.5, 1.5)
+    assert found.gait.head_rate_observed == 0.25
