@@ -25,6 +25,7 @@ from graphtrack.baselines.particle_kernels import (
     RECOVERED,
     VANISHED,
     backward,
+    generator,
     run,
     summarise,
 )
@@ -38,7 +39,6 @@ from graphtrack.baselines.particle_model import (
     bearing,
     prepare,
 )
-from graphtrack.baselines.particle_weights import generator
 from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.geometry.camera import GroundCamera, apply_homography

@@ -151,7 +151,7 @@ def attention(
     """
     from graphtrack.interaction.attention import attention as find
     from graphtrack.interaction.attention import attention_columns, make_behaviour_ready, summary_of
-    from graphtrack.interaction.places import read_places
+    from graphtrack.interaction.people import read_places
     from graphtrack.interaction.scores import score_gaze
     from graphtrack.interaction.tables import load_attention, read_gaze
     from graphtrack.io.groups import write_columns

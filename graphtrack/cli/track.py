@@ -185,7 +185,7 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
         raise InputError("--places alone", "--attention too, which reports gaze at them")
     if not (groups or attention):
         return None
-    from graphtrack.interaction.places import read_places
+    from graphtrack.interaction.people import read_places
     from graphtrack.streaming.answers import Asked
 
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))

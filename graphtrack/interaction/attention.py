@@ -15,8 +15,7 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, d
 from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, gaze_of_frame, gaze_over_time
 from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.groups import groups as find_groups
-from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of_estimates
-from graphtrack.interaction.places import Place
+from graphtrack.interaction.people import IntArray, People, PeopleEstimates, Place, people_of_estimates
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
 from graphtrack.tracks.track import STATE, Track

@@ -15,9 +15,9 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cells import Cells, identities, is_empty, numbers, times
 from graphtrack.io.options import WILD, Layout
 from graphtrack.tracks.display import listed, shortened
-from graphtrack.tracks.projection import WGS84, Plane
 from graphtrack.tracks.schema import is_column, unknown
 from graphtrack.tracks.table import ANGLES, DEGREES, LENGTHS, TRUE_DEGREES, AsRead, Rows, from_columns
+from graphtrack.tracks.time import WGS84, Plane
 from graphtrack.tracks.validation import LARGEST_FRAME
 
 IDENTITY = "identity of the column"

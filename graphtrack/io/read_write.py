@@ -16,10 +16,9 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path, check_read_once, read_errors
 from graphtrack.io.cameras import read_homography
-from graphtrack.io.format import Format
+from graphtrack.io.format import Format, is_recording, recognised
 from graphtrack.io.formats.native import has_moments
 from graphtrack.io.options import FileReading, Layout, Reading, ReadOptions
-from graphtrack.io.recognition import is_recording, recognised
 from graphtrack.io.registry import (
     FORMATS,
     companion_files,

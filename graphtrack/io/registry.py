@@ -10,13 +10,12 @@ import shlex
 from pathlib import Path
 
 from graphtrack.errors import InputError
-from graphtrack.io.format import Format, companion_paths
+from graphtrack.io.format import Format, companion_paths, recognised
 from graphtrack.io.formats.caviar import CAVIAR
-from graphtrack.io.formats.coco import COCO
 from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
 from graphtrack.io.formats.kitti import KITTI
 from graphtrack.io.formats.mocap import MOCAP
-from graphtrack.io.formats.mot import MOT
+from graphtrack.io.formats.mot import COCO, MOT
 from graphtrack.io.formats.movement import MOVEMENT
 from graphtrack.io.formats.native import CSV, PARQUET
 from graphtrack.io.formats.ndjson import NDJSON
@@ -25,7 +24,6 @@ from graphtrack.io.formats.ros_reading import BAG
 from graphtrack.io.formats.salsa import SALSA
 from graphtrack.io.formats.towncentre import TOWNCENTRE
 from graphtrack.io.libraries import GEOPACKAGE, GEOPARQUET
-from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
 from graphtrack.io.text import other_delimiter, parse_number
 from graphtrack.tracks.time import is_iso

@@ -14,9 +14,9 @@ import numpy as np
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.io.cells import Cells, is_empty
 from graphtrack.io.column_names import LENGTHS, TIMES, UNSURE_UNIT, meanings, plain, wide
+from graphtrack.io.format import recognised
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import cells_of_file, rows_of_file
-from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
 from graphtrack.io.text import SEP_LINE, in_utf8, parse_number
 from graphtrack.tracks.display import listed, shortened

@@ -14,7 +14,7 @@ from graphtrack.forecasting.recorded import Forecasts, read_forecasts
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.interaction.attention import Attention
 from graphtrack.interaction.groups import Groups
-from graphtrack.interaction.places import Place, read_places
+from graphtrack.interaction.people import Place, read_places
 from graphtrack.interaction.tables import read_attention, read_group_table
 from graphtrack.tracks.track import TrackSet
 

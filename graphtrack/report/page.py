@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from graphtrack.forecasting.recorded import Forecasts
     from graphtrack.interaction.attention import Attention
     from graphtrack.interaction.groups import Groups
-    from graphtrack.interaction.places import Place
+    from graphtrack.interaction.people import Place
     from graphtrack.io.read_write import Given
     from graphtrack.report.interaction import Behaviour
 

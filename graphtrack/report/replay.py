@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from graphtrack.evaluation.identity_events import IdentityEvent
     from graphtrack.interaction.attention import Attention
     from graphtrack.interaction.groups import Groups
-    from graphtrack.interaction.places import Place
+    from graphtrack.interaction.people import Place
     from graphtrack.report.interaction import Behaviour
 
 

@@ -21,8 +21,7 @@ from graphtrack.inference.state import Estimate, pack_observation, unpack_observ
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.interaction.groups import Groups, OnlineGroups
-from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of_estimates
-from graphtrack.interaction.places import Place
+from graphtrack.interaction.people import Numbers, People, Place, numbers_of, people_at, people_of_estimates
 from graphtrack.io.formats.ndjson import Pairs, parse_line, plain_cells, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import from_text, integer, pack_tree, real, to_text, unpack_tree

@@ -16,7 +16,6 @@ from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.display import listed
-from graphtrack.tracks.projection import Plane
 from graphtrack.tracks.schema import (
     INTEGERS,
     NO_CLASS,
@@ -29,7 +28,7 @@ from graphtrack.tracks.schema import (
     together,
     unknown,
 )
-from graphtrack.tracks.time import TimeScale
+from graphtrack.tracks.time import Plane, TimeScale
 from graphtrack.tracks.validation import (
     SHAPES,
     STATE,

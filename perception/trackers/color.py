@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from graphtrack.baselines.particle_weights import generator, normalise
+from graphtrack.baselines.particle_kernels import generator, normalise
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from graphtrack.baselines.particle_weights import generator
+from graphtrack.baselines.particle_kernels import generator
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey

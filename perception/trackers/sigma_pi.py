@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.particle_weights import generator, resample
+from graphtrack.baselines.particle_kernels import generator, resample
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, as_uint8

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.particle_weights import effective_sample_size, resample
+from graphtrack.baselines.particle_kernels import effective_sample_size, resample
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, box_text, checked_box

@@ -29,20 +29,18 @@ from graphtrack.baselines.particle_kernels import (
     backward,
     draw_angles,
     draw_motion,
+    effective_sample_size,
+    generator,
+    normalise,
     summarise,
     summarise_motion,
+    systematic_ancestors,
 )
 from graphtrack.baselines.particle_model import (
     add_pose_log_density,
     add_position_log_density,
     prepare,
     sample_von_mises,
-)
-from graphtrack.baselines.particle_weights import (
-    effective_sample_size,
-    generator,
-    normalise,
-    systematic_ancestors,
 )
 from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import (

@@ -15,7 +15,7 @@ from command import Done, run
 import graphtrack as gt
 from graphtrack.forecasting.forecaster import times_ahead
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.interaction.places import Place
+from graphtrack.interaction.people import Place
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
     Asked,

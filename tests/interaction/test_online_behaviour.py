@@ -14,7 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.inference.state import Estimate
 from graphtrack.interaction.attention import LEAST, attention
 from graphtrack.interaction.groups import Numbering
-from graphtrack.interaction.places import Place
+from graphtrack.interaction.people import Place
 from graphtrack.simulation.scenario import party
 from graphtrack.tracks.track import Track, TrackSet
 

@@ -17,9 +17,9 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.format import SIGNATURES
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import rows_of_file
-from graphtrack.io.recognition import SIGNATURES
 from graphtrack.io.registry import FORMATS
 from graphtrack.tracks.table import Rows
 

@@ -11,8 +11,8 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.io.format import recognised
 from graphtrack.io.formats.movement import DEEPLABCUT, SLEAP, software_of
-from graphtrack.io.recognition import recognised
 from graphtrack.io.source import Source
 
 h5py = pytest.importorskip("h5py", reason="the extra movement has it")

@@ -7,7 +7,7 @@ import numpy as np
 from graphtrack.forecasting.recorded import Forecasts
 from graphtrack.interaction.attention import Attention
 from graphtrack.interaction.groups import Groups
-from graphtrack.interaction.places import Place
+from graphtrack.interaction.people import Place
 from graphtrack.tracks.track import Track, TrackSet
 
 BAR = Place("bar", np.array([[4.0, 3.0]]), 0.5)

@@ -6,9 +6,8 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
-from graphtrack.io.format import Format
+from graphtrack.io.format import MOCAP_COLUMNS, Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.recognition import MOCAP_COLUMNS
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows

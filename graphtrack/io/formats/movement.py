@@ -21,9 +21,8 @@ from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, place_pixels
 from graphtrack.io.cells import numbered_names
 from graphtrack.io.foreign_tables import numbered_times
-from graphtrack.io.format import Format, steady_rate
+from graphtrack.io.format import CLASSIC, HDF5, Format, steady_rate
 from graphtrack.io.options import METRES, Layout, Reading, ReadOptions
-from graphtrack.io.recognition import CLASSIC, HDF5
 from graphtrack.io.source import Source
 from graphtrack.packages import package
 from graphtrack.tracks.display import listed

@@ -14,7 +14,7 @@ from matplotlib.patches import Circle, Polygon
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.interaction.attention import Attention, LookSummary, frame_seconds
 from graphtrack.interaction.groups import Groups
-from graphtrack.interaction.places import Place
+from graphtrack.interaction.people import Place
 from graphtrack.io.atomic import atomic_path
 from graphtrack.report.interaction import GroupSpan
 from graphtrack.report.lives import finite_rows
