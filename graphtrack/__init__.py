@@ -108,7 +108,7 @@ _HOMES = {
     "forecasting.motion": "ForecastParameters",
     "forecasting.recorded": "Forecasts forecast",
     "inference": "Estimate Failure OnlineSmoother Solution SolverOptions",
-    "interaction.attention": "Looks OnlineAttention",
+    "interaction.attention": "GazeTargets OnlineAttention",
     "interaction.groups": "Groups OnlineGroups groups",
     "interaction.parameters": "GroupParameters",
     "io.options": "ReadOptions",

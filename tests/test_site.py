@@ -118,7 +118,7 @@ def test_the_site_has_commands_functions_and_pictures(site):
     commands = (site / "reference" / "commands" / "index.html").read_text(encoding="utf-8")
     assert "graphtrack smooth" in commands and "--homography" in commands and "perception adapt" in commands
     functions = (site / "reference" / "tracks" / "index.html").read_text(encoding="utf-8")
-    assert "several whose tracks are merged" in re.sub(r"\s+", " ", functions)
+    assert "several, whose tracks are merged" in re.sub(r"\s+", " ", functions)
     model = re.sub(r"<[^>]+>", "", (site / "reference" / "model" / "index.html").read_text(encoding="utf-8"))
     assert re.search(r"Model\(\s*preset: str = (\"|&quot;)joint", model), "classes have their signatures"
     assert len(list((site / "gallery").glob("*.png"))) >= 10

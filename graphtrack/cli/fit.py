@@ -144,7 +144,7 @@ def _labelled(
             found = fit_attention(tracks, read_gaze(truth), hold_out=hold_out)
             parameters = asdict(found.parameters)
     save_parameters(found.parameters, output)
-    title, counted_by = ("Groups", "frame") if what == "groups" else ("Looks", "look")
+    title, counted_by = ("Groups", "frame") if what == "groups" else ("Gaze", "label")
     parts = {"training data": found.learned_from, "held-out data": found.held_out}
     scores = {name: score for name, score in parts.items() if score is not None}
     for name, score in scores.items():

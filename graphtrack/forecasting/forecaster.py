@@ -91,7 +91,7 @@ _HEAD_SECONDS = 0.3  # time constant over which directions of the head are avera
 JUDGED = 2.8  # seconds of observation for a person's outcome to calibrate other forecasts
 _OF_A_PLACE = (
     *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
-    *("_moved", "_looked", "_now", "_variance", "_seen"),
+    *("_moved", "_looked", "_now", "_variance", "_nearby"),
 )
 
 

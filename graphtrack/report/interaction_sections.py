@@ -125,7 +125,7 @@ def _gaze_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: 
     notes = (
         (Note(f"No position of {', '.join(missing)} was given: gaze there is in no map."),) if missing else ()
     )
-    return Section("Looks", (*pictures, *notes, *_dwell(summary), _persons(summary), *_mutual(summary)))
+    return Section("Gaze", (*pictures, *notes, *_dwell(summary), _persons(summary), *_mutual(summary)))
 
 
 def _dwell(summary: LookSummary) -> list[DataTable]:

@@ -375,8 +375,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         "head": absent if estimate.head is None else estimate.head[at],
         "body_std": body_std[at],
         "head_std": head_std[at],
-        "observed_body": pair.observed_body[at],
-        "observed_head": pair.observed_head[at],
+        "seen_body": pair.observed_body[at],
+        "seen_head": pair.observed_head[at],
         "true_body": pair.true_body[at],
         "true_head": pair.true_head[at],
     }

@@ -99,7 +99,7 @@ def _online(engine: Literal["chain", "isam2"]) -> Estimate:
     )
 
 
-def _offline(track: Literal["causal", "whole"]) -> Estimate:
+def _offline(track: Literal["causal", "offline"]) -> Estimate:
     """Return a method of the smoother, with causal or offline heads."""
     return lambda person, model, seed: smooth_track(getattr(person, track), model, person.camera).track
 
@@ -112,7 +112,7 @@ METHODS: Mapping[str, Method] = {
     "graph, chain": Method("online", _online("chain")),
     "graph, isam2": Method("online", _online("isam2")),
     "smoother": Method("offline", _offline("causal")),
-    "smoother, heads of the whole track": Method("offline", _offline("whole")),
+    "smoother, heads of the whole track": Method("offline", _offline("offline")),
 }
 """Online methods and the first smoother share observations; the last smoother has offline heads."""
 

@@ -63,11 +63,13 @@ class Label:
         outside
     head_box : encloses skull, cap of hair and face, but not hanging hair, buns, brims or hoods
     visibility : visible share of the person's pixels inside the image, 0…1
+    position : (2,) metres on the ground
     """
 
     body_box: tuple[float, float, float, float] | None
     head_box: tuple[float, float, float, float] | None
     visibility: float
+    position: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ def developed(
         covered = cv2.resize(covered, (w, h), interpolation=cv2.INTER_AREA)
     behind = np.array(scene.backdrop, np.float32) if backdrop is None else backdrop
     light = colour + (1.0 - covered[..., None]) * behind
-    labels = tuple(_label(k, shown, oversampling) for k in range(len(people)))
+    labels = tuple(_label(k, person.posture.position, shown, oversampling) for k, person in enumerate(people))
     return RenderedFrame(develop(light, sensor, rng), labels)
 
 
@@ -173,7 +175,7 @@ def furniture_solids(item: Furniture) -> Solids:
     return make.build()
 
 
-def _label(k: int, shown: Cast, oversampling: int) -> Label:
+def _label(k: int, position: tuple[float, float], shown: Cast, oversampling: int) -> Label:
     body, head, extra = shown.extent[3 * k : 3 * k + 3]
     found = [e for e in (body, head, extra) if e[0] >= 0]
     outline = None
@@ -184,7 +186,8 @@ def _label(k: int, shown: Cast, oversampling: int) -> Label:
         )
     covers, shows = int(shown.covers[k]), int(shown.shows[k])
     observed_head = _box(head if head[0] >= 0 else None, oversampling)
-    return Label(_box(outline, oversampling), observed_head, shows / covers if covers else 0.0)
+    visibility = shows / covers if covers else 0.0
+    return Label(_box(outline, oversampling), observed_head, visibility, position)
 
 
 def _box(extent: FloatArray | None, oversampling: int) -> tuple[float, float, float, float] | None:

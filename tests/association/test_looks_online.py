@@ -80,7 +80,7 @@ def test_it_goes_on_with_looks_and_scores_to_the_last_bit() -> None:
         assert found.revised == expected.revised
     assert json.dumps(resumed.state()) == json.dumps(whole.state())
     assert resumed.scene == whole.scene != gt.SceneParameters()
-    assert resumed._looks.model is not None and resumed._looks.model.slope > 0.0
+    assert resumed._appearance.model is not None and resumed._appearance.model.slope > 0.0
 
 
 def test_descriptors_of_another_size_and_bad_scores_change_nothing() -> None:
@@ -113,5 +113,7 @@ def test_a_table_with_looks_is_tracked_as_its_arrays_are() -> None:
     tracks = track_rows(rows_of(columns), tracker)
     alone = OnlineAssociation()
     run_online(detections, alone, descriptor=looks)
-    assert tracker.scene == alone.scene and tracker._association._looks.state() == alone._looks.state()
+    assert (
+        tracker.scene == alone.scene and tracker._association._appearance.state() == alone._appearance.state()
+    )
     assert len(tracks) >= 5 and all("appearance" not in track.inputs for track in tracks)

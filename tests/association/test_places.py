@@ -19,7 +19,7 @@ from graphtrack.association.likelihood import (
     steer,
     unlinked,
 )
-from graphtrack.association.online import TOLD, OnlineAssociation
+from graphtrack.association.online import REPORTED_FROM, OnlineAssociation
 from graphtrack.association.scene import AHEAD, SPREAD, learn_ground_rates, learn_scene, own_rates
 from graphtrack.geometry.angles import class_centres
 
@@ -109,8 +109,8 @@ def test_somebody_goes_on_being_there_as_often_as_where_it_is_played() -> None:
         unseen = missed >= np.minimum(left, k)
         there = np.mean(left[unseen] >= k)
         told.append(bool(found.hidden()))
-        if abs(there - TOLD) > 0.02:
-            assert told[-1] == (there > TOLD)
+        if abs(there - REPORTED_FROM) > 0.02:
+            assert told[-1] == (there > REPORTED_FROM)
     assert told[3] and not told[-1]
 
 

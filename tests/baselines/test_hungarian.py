@@ -44,7 +44,7 @@ def test_one_person_is_filtered_as_filterpy_does() -> None:
             oracle.predict(F=transition_matrix(dt), Q=process_noise(dt, OPEN.acceleration_density))
             if not missed:
                 oracle.update(places[k], R=std[k] ** 2 * np.eye(2))
-        assert found.seen.tolist() == [not missed] and found.people.tolist() == [0]
+        assert found.detected.tolist() == [not missed] and found.people.tolist() == [0]
         np.testing.assert_allclose(found.mean[0], oracle.x, rtol=1e-9)
         np.testing.assert_allclose(found.covariance[0], oracle.P, rtol=1e-8, atol=1e-12)
 
@@ -105,7 +105,7 @@ def test_nobody_has_two_detections_in_a_frame_and_no_identity_comes_back() -> No
         found = tracker.step(0.4 * k, rng.uniform(0.0, 8.0, (rng.integers(0, 9), 2)))
         known = found.identity[found.identity >= 0].tolist()
         assert len(set(known)) == len(known) and set(known) <= set(found.people.tolist())
-        assert np.array_equal(np.sort(known), np.sort(found.people[found.seen]))
+        assert np.array_equal(np.sort(known), np.sort(found.people[found.detected]))
         now = set(tracker._identity[tracker._identity >= 0].tolist())
         ended |= alive - now
         alive = now

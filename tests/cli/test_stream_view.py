@@ -60,7 +60,7 @@ def test_what_is_kept_of_people_does_not_grow_with_the_stream(tmp_path: Path) ->
         frames = range(first, first + 100)
         view.show([answer(person, k, 0.1 * k) for k in frames for person in (1, 1000 + k // 50)])
     (known,) = (one for who, one in view._people._known.items() if who == 1)
-    assert len(known.t) <= 22 and len(view._said) == 64 and len(view._people._known) <= 3
+    assert len(known.t) <= 22 and len(view._reported) == 64 and len(view._people._known) <= 3
     view.close()
     assert len(shown(tmp_path / "run.rrd", 1)) == 2000
 

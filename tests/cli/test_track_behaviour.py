@@ -172,7 +172,7 @@ def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("track - --places places.csv", "expected --attention beside it"),
+        ("track - --places places.csv", "expected --attention too"),
         ("track - --attention --places none.csv", "none.csv"),
         ("track - --attention --places places.csv", "neither radius nor polygon"),
         ("track tracks.csv -o out.csv --groups", "graphtrack groups --online"),

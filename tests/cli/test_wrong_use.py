@@ -117,7 +117,7 @@ def test_a_full_disk_is_one_line(here, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device", "out.csv")
 
-    monkeypatch.setattr("graphtrack.io.write", full)
+    monkeypatch.setattr("graphtrack.io.read_write.write", full)
     done = run("simulate", "-o", "out.csv", "--tracks", "1", "--steps", "5")
     assert (done.returncode, done.stderr.strip()) == (2, "error: out.csv: No space left on device")
 

@@ -92,7 +92,7 @@ def test_what_is_not_known_is_named() -> None:
     assert [one["quantity"] for one in found.rows] == ["position", "body"]
     assert row(found, "body")["coverage_95"] is None
     assert any(note.startswith("head: not in both") for note in found.notes)
-    assert any(note.startswith("position: the estimates state no uncertainty") for note in found.notes)
+    assert any(note.startswith("position: no uncertainty in the estimates") for note in found.notes)
 
 
 def test_the_command_prints_and_writes_them(tmp_path: Path) -> None:

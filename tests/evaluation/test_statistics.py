@@ -57,7 +57,7 @@ def test_who_stands_still_or_shows_no_head_does_not_count() -> None:
     half = np.zeros(50)
     half[:25] = np.nan
     assert np.isfinite(head_deviation(straight(half))).sum() == 25
-    with pytest.raises(InputError, match="nobody"):
+    with pytest.raises(InputError, match="no person"):
         deviation_statistics([straight(np.zeros(50), speed=0.1)], "synthetic")
 
 

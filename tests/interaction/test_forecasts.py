@@ -269,7 +269,7 @@ def test_forecasts_whose_outcome_is_not_known_are_left_out():
     found = judge_forecasts(gt.forecast(scene).columns, scene)
     # 15 frames: forecasts in frames 1 and 2 alone have all twelve outcomes.
     assert found.forecasts == 6 and found.left_out == 3 * 14 - 6
-    with pytest.raises(InputError, match="outcomes"):
+    with pytest.raises(InputError, match="outcome"):
         judge_forecasts(gt.forecast(scene).columns, wanderers(3, np.random.default_rng(17), steps=5))
 
 

@@ -91,7 +91,7 @@ def test_order_of_rows_and_names_are_without_effect() -> None:
             grouped = groups.update(t, one)
             found.append((grouped, looks.update(t, one, grouped)))
         (first, seen), (second, seen_again), (third, renamed) = found
-        assert first.group.tolist() == second.group.tolist() and seen.told() == seen_again.told()
+        assert first.group.tolist() == second.group.tolist() and seen.by_person() == seen_again.by_person()
         (parted,), (expected,) = third.members().values(), first.members().values()
         assert {frozenset((100 - one) // 7 for one in group) for group in parted} == set(expected)
         # The new names are in the opposite order.
@@ -162,10 +162,10 @@ def test_one_person_nobody_and_nobody_near() -> None:
     alone = {1: at(0.0, 0.0)}
     grouped = groups.update(0.0, alone)
     assert grouped.group.tolist() == [-1] and grouped.probability.tolist() == [1.0]
-    told = looks.update(0.0, alone, grouped).told()[1]
+    told = looks.update(0.0, alone, grouped).by_person()[1]
     assert {kind for kind, _, _ in told} <= {"place", "nothing"}
     empty = groups.update(1.0, {})
-    assert len(empty) == 0 and looks.update(1.0, {}, empty).told() == {}
+    assert len(empty) == 0 and looks.update(1.0, {}, empty).by_person() == {}
     waiting = {1: replace(at(2.0, 0.0), status="waiting")}
     assert len(groups.update(2.0, waiting)) == 0
     far = {1: at(3.0, 0.0), 2: at(3.0, 500.0)}
@@ -189,7 +189,7 @@ def test_a_thousand_people_have_neighbours_alone() -> None:
     assert len(groups.state()["pairs"]) == np.count_nonzero(np.triu(near <= 4.0, 1))
     total = np.add.reduceat(np.append(found.person, 0.0), found.first[:-1]) * (np.diff(found.first) > 0)
     np.testing.assert_allclose(total + found.place.sum(axis=1), 1.0)
-    assert all(p >= LEAST or kind == "nothing" for told in found.told().values() for kind, _, p in told)
+    assert all(p >= LEAST or kind == "nothing" for told in found.by_person().values() for kind, _, p in told)
 
 
 def test_what_makes_no_sense_is_told() -> None:

@@ -152,7 +152,7 @@ def in_space(poses: Any) -> Any:
         (lambda poses: poses.isel(time=[0, 2, 1]), {"units": "m"}, None),
         (lambda poses: poses.assign_coords(time=np.zeros(12)), {"units": "m"}, "again in frame 0"),
         (lambda poses: poses.assign_coords(individuals=["a", "a"]), {"units": "m"}, "'a' twice"),
-        (lambda poses: poses * np.nan, {"units": "m"}, "nobody"),
+        (lambda poses: poses * np.nan, {"units": "m"}, "no positions"),
         (lambda poses: poses, {"units": "m", "crs": "EPSG:25832"}, "crs"),
         (lambda poses: poses.map(lambda one: one.astype(str) + "x"), {"units": "m"}, "no array"),
         (lambda poses: poses.assign(position=1e12 * poses["position"]), {"units": "m"}, "within"),

@@ -58,7 +58,7 @@ def test_labels_that_are_sure_of_the_truth_score_best() -> None:
     ("text", "message"),
     [
         ("frame,track_id\n1,1\n", "no column target"),
-        ("frame,track_id,target\n1,1,1\n", "line 2, column target: found '1', expected somebody else"),
+        ("frame,track_id,target\n1,1,1\n", "line 2, column target: found '1', expected another person"),
         ("frame,track_id,target\n1,1,-2\n", "line 2, column target: found '-2', expected an id, or -1"),
         ("frame,track_id,target\n1,1,0.5\n", "line 2, column target: found '0.5', expected a whole number"),
         ("frame,track_id,target\n1,1,2\n1,1,3\n", "line 3"),

@@ -14,7 +14,7 @@ from graphtrack.baselines.kalman import smooth_states
 from graphtrack.geometry.angles import unit, von_mises_log_density, wrap
 from graphtrack.learning import fit
 from graphtrack.learning.fit import free_parameters, with_values
-from graphtrack.learning.optimise import FOLDS, Objective, Solver, log_blurred, told
+from graphtrack.learning.optimise import FOLDS, Objective, Solver, log_blurred, withheld
 from graphtrack.model import CouplingParameters, GaitParameters, Model
 from graphtrack.model.parameters import scale_of, steady
 from graphtrack.simulation.degrade import add_noise
@@ -36,7 +36,7 @@ def people_of_both_kinds(count: int, n: int, seed: int) -> TrackSet:
 
 def test_each_observation_is_hidden_once_and_something_is_always_told() -> None:
     for track in (walk(70), walk(25, uneven=True), walk(4), walk(60, classes=True)):
-        parts = [told(track, fold) for fold in range(FOLDS)]
+        parts = [withheld(track, fold) for fold in range(FOLDS)]
         for name in ("position", "body", "head", "body_likelihood", "head_likelihood"):
             if getattr(track, name) is None:
                 continue
@@ -45,7 +45,7 @@ def test_each_observation_is_hidden_once_and_something_is_always_told() -> None:
         for part in parts:
             np.testing.assert_array_equal(part.t, track.t)
     alone = replace(walk(4), position=np.where(np.arange(4)[:, None] == 0, walk(4).position, np.nan))
-    assert all(np.isfinite(told(alone, fold).position).any() for fold in range(FOLDS))
+    assert all(np.isfinite(withheld(alone, fold).position).any() for fold in range(FOLDS))
 
 
 @pytest.mark.parametrize("kappas", [(0.0, 2.0), (1.5, 0.3), (30.0, 400.0)])
@@ -82,7 +82,7 @@ def test_hidden_positions_are_foretold_as_by_the_smoother_of_linear_models() -> 
     (track,) = unknown("position", 4, 1, 45)
     expected = 0.0
     for fold in range(FOLDS):
-        part = told(track, fold)
+        part = withheld(track, fold)
         states = smooth_states(part, TRUE)
         for k in np.flatnonzero(np.isnan(part.position[:, 0])):
             spread = states.covariance[k][:2, :2] + TRUE.likelihood.position_std**2 * np.eye(2)

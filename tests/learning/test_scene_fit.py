@@ -105,5 +105,5 @@ def test_what_cannot_be_learned_from_is_an_error(seen: Detected) -> None:
     with pytest.raises(gt.InputError, match="hold_out"):
         fit_scene(table, hold_out=0.95)
     false = seen.observed.with_tracks([track for track in seen.observed if track.label == FALSE])
-    with pytest.raises(gt.InputError, match="nobody"):
+    with pytest.raises(gt.InputError, match="no people"):
         fit_scene(false)

@@ -25,7 +25,7 @@ from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import note_turns
 from graphtrack.inference.state import values_of
-from graphtrack.kernels.layout import BODY, HEAD, PLACES
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,
@@ -408,11 +408,11 @@ def test_a_term_declares_what_it_acts_on(case: Case) -> None:
         packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
         for k, step in enumerate(chain(track, CAMERA)):
             kernels = called(term, packed, k)
-            said = [PLACES[name] for kernel in kernels for name in kernel.variables]
+            said = [STATE_SLICES[name] for kernel in kernels for name in kernel.variables]
             free = np.ones(12, bool)
             for part in said:
                 free[6:][part] = False
-            for part in (PLACES[name] for kernel in kernels for name in kernel.before):
+            for part in (STATE_SLICES[name] for kernel in kernels for name in kernel.before):
                 free[:6][part] = False
             _, gradient, hessian = evaluate(term, packed, k, rows[k - 1], rows[k])
             assert not gradient[free].any() and not hessian[free].any()

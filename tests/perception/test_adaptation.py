@@ -14,7 +14,13 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.model import Model
-from perception.adaptation.directions import CLASSES, calibrated, folds_of, observed_directions, taught
+from perception.adaptation.directions import (
+    CLASSES,
+    calibrated,
+    fit_directions,
+    folds_of,
+    observed_directions,
+)
 from perception.adaptation.labels import (
     COLUMNS,
     ROWS,
@@ -92,7 +98,7 @@ def test_likelihoods_are_flat_where_nothing_can_be_told() -> None:
     features = rng.normal(size=(240, 30)).astype(np.float32)
     person = np.repeat(np.arange(24), 10)
     angle = np.repeat(rng.uniform(-np.pi, np.pi, 24), 10)
-    _, out = taught(features, np.ones(30, np.float32), angle, person, folds_of(person, rng))
+    _, out = fit_directions(features, np.ones(30, np.float32), angle, person, folds_of(person, rng))
     assert out.calibration_error(angle) < 0.12
     assert np.exp(out.log_likelihood).max() < 0.6
 
@@ -137,7 +143,7 @@ def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, s
     share = CameraModels.load(path).class_outlier_probability
     graph = Model.named(path.with_name("graph.toml")).parameters.likelihood
     assert share is not None and graph.class_outlier_probability == pytest.approx(share)
-    for text in ("of 24 tracks", "boxes as given", "expected calibration error"):
+    for text in ("in 24 tracks", "boxes as given", "expected calibration error"):
         assert text in said
 
 

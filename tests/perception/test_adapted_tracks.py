@@ -16,8 +16,8 @@ from perception.adaptation.directions import (
     CLASSES,
     Sums,
     class_outlier_probability,
+    fit_directions,
     folds_of,
-    taught,
 )
 from perception.adaptation.labels import ABOVE, COLUMNS, ROWS, TALL, as_patch, surroundings, walking_labels
 from perception.adaptation.learning import AdaptationParameters, Scenery, joined, rendered_people, thinned
@@ -75,8 +75,8 @@ def test_rendered_people_help_where_few_walk() -> None:
     features = (looks(angle, 0.3) + of_person).astype(np.float32)
     many = rng.uniform(-np.pi, np.pi, 300)
     fold = folds_of(person, rng)
-    alone = taught(features, sign, angle, person, fold)[1].loss(angle)
-    helped = taught(features, sign, angle, person, fold, (looks(many, 1.0), many))[1].loss(angle)
+    alone = fit_directions(features, sign, angle, person, fold)[1].loss(angle)
+    helped = fit_directions(features, sign, angle, person, fold, (looks(many, 1.0), many))[1].loss(angle)
     assert helped <= alone + 1e-9
 
 
@@ -94,7 +94,7 @@ def test_people_are_rendered_where_the_camera_saw_people_walk() -> None:
         image[upper : upper + down, first : first + across // 4] = 255
         shown.append(Frame(item.frame, image))
     assert [frame.number for frame in scenery.watched(shown)] == sorted(scenery.frames)
-    places = scenery.places(rng)
+    places = scenery.positions(rng)
     assert len(places) == len(walkers)
     for place, item in zip(places, walkers, strict=True):
         _, top, width, height = place.box

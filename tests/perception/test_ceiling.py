@@ -49,7 +49,7 @@ def test_the_label_encloses_the_pixels_of_the_target(name: str) -> None:
     for k in range(30, FRAMES, 12):
         posture = sequence.walks[0].posture(k)
         assert posture is not None
-        frame = room.render([Person(sequence.looks[0], posture)], Sensor(), np.random.default_rng(0))
+        frame = room.render([Person(sequence.appearances[0], posture)], Sensor(), np.random.default_rng(0))
         box = frame.labels[0].body_box
         assert box is not None
         rows, columns = np.nonzero((frame.image != empty).any(axis=2))

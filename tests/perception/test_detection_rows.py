@@ -36,7 +36,7 @@ def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> 
             box = (left, top, 0.4 * height, height)
             looks = rng.integers(0, 256, LENGTH).astype(np.uint8)
             person = PersonObservation(k, number, box, body, heads, pan)
-            people.append(replace(person, score=float(rng.uniform()), looks=looks) if known else person)
+            people.append(replace(person, score=float(rng.uniform()), appearance=looks) if known else person)
         frames[k] = FrameObservation(people, [])
     return frames
 
@@ -90,7 +90,7 @@ def test_a_journal_reads_between_writing_and_keeps_only_places(tmp_path: Path) -
     finally:
         tracemalloc.stop()
     assert kept < 1000 * len(frames)  # the descriptions of three people alone are 1854 bytes
-    looks = [frames[399].people[0].looks, journal[399].people[0].looks]
+    looks = [frames[399].people[0].appearance, journal[399].people[0].appearance]
     np.testing.assert_array_equal(*looks)
     journal.close()
 

@@ -60,7 +60,7 @@ def test_joint_estimates_are_nearer_to_the_truth_than_single_frames(clip: Clip) 
 @pytest.mark.parametrize("name", [name for name, method in METHODS.items() if method.group == "online"])
 def test_online_estimates_do_not_know_what_comes_after(name: str, people: list[ObservedPerson]) -> None:
     person, method = people[0], METHODS[name]
-    cut = replace(person, causal=person.causal[:3], image=person.image[:3], whole=person.whole[:3])
+    cut = replace(person, causal=person.causal[:3], image=person.image[:3], offline=person.offline[:3])
     first, all_of_it = (method.estimate(one, Model("joint"), 7) for one in (cut, person))
     for angle in ("body", "head"):
         np.testing.assert_allclose(getattr(first, angle), getattr(all_of_it, angle)[:3], atol=1e-9)
@@ -92,7 +92,7 @@ def test_arrows_point_where_they_should(clip: Clip, people: list[ObservedPerson]
             person.boxes[0],
             person.head_boxes[0],
             person.causal.position[0],
-            seen=np.zeros(2),
+            visible=np.zeros(2),
             estimated=np.full(2, angle),
         )
         pictures.append(draw_cues(clip.images[0], cues, person.camera))

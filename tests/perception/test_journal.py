@@ -81,7 +81,7 @@ def test_records_that_nothing_can_be_made_of_are_looked_at_again(tmp_path: Path,
 
 def test_a_record_comes_back_as_it_was() -> None:
     certain = Certainty(np.array([-1.0, 2.0]), np.array([-0.5, 3.0]))
-    person = replace(seen(3, 1.5), score=0.25, looks=np.arange(LENGTH, dtype=np.uint16).astype(np.uint8))
+    person = replace(seen(3, 1.5), score=0.25, appearance=np.arange(LENGTH, dtype=np.uint16).astype(np.uint8))
     known = FrameObservation([replace(person, standing=LeaningPose((4.0, 5.0), 0.1, 30.0))], ["why"])
     records: list[Any] = [
         known,

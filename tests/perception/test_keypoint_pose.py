@@ -17,8 +17,8 @@ from perception.pose.keypoints import (
     N_POINTS,
     NAMES,
     USED,
+    coco_indices,
     in_coco_order,
-    keypoint_indices,
     mirrored,
 )
 from perception.synthetic.cameras import Camera
@@ -142,9 +142,9 @@ def test_conventions_are_turned_into_cocos_points() -> None:
         points = np.zeros((number, 3))
         points[:, 0], points[:, 2] = np.arange(number), 1.0
         assert in_coco_order(points, places)[:, 0].tolist() == list(map(float, places))
-    assert keypoint_indices([name.upper().replace("_", " ") for name in reversed(NAMES)]) == tuple(
+    assert coco_indices([name.upper().replace("_", " ") for name in reversed(NAMES)]) == tuple(
         range(16, -1, -1)
     )
-    assert keypoint_indices(["nose", "left_eye"]) is None
+    assert coco_indices(["nose", "left_eye"]) is None
     unknown = in_coco_order(np.full((17, 3), np.nan), range(17))
     np.testing.assert_array_equal(unknown, np.zeros((17, 3)))

@@ -36,9 +36,9 @@ def test_right_answers_of_the_image_are_right_in_the_world() -> None:
         # Half a class of the image, and half a one of the world.
         assert np.abs(difference(said, getattr(track, f"true_{angle}"))).max() < 2.1 * np.pi / count
         assert getattr(seen, angle) is None
-    np.testing.assert_array_equal(answers.said_body, answers.body)
-    np.testing.assert_array_equal(answers.said_pan, answers.pan)
-    assert set(answers.said_tilt) == {LEVELS.index("down")}
+    np.testing.assert_array_equal(answers.answered_body, answers.body)
+    np.testing.assert_array_equal(answers.answered_pan, answers.pan)
+    assert set(answers.answered_tilt) == {LEVELS.index("down")}
 
 
 def test_a_confusion_is_in_per_cent_of_what_was_true() -> None:

@@ -221,7 +221,7 @@ def test_detections_are_associated_and_keep_their_boxes(street: PastedStreet) ->
     assert sorted(shown) == list(range(21))
     for item in boxes:
         (person,) = shown[item.frame]
-        assert person.seen and tuple(person.box) == pytest.approx(item.box)
+        assert person.visible and tuple(person.box) == pytest.approx(item.box)
 
 
 def test_who_is_not_seen_is_shown_where_the_estimate_is(street: PastedStreet) -> None:
@@ -233,7 +233,7 @@ def test_who_is_not_seen_is_shown_where_the_estimate_is(street: PastedStreet) ->
     tracks = numbered(TrackSet((seen,)), boxes)
     estimate = gt.Track(4, frame, t=frame / FPS, position=feet)
     shown = shown_by_frame(TrackSet((estimate,)), tracks, boxes, camera)
-    assert [shown[k][0].seen for k in range(3)] == [True, False, True]
+    assert [shown[k][0].visible for k in range(3)] == [True, False, True]
     np.testing.assert_allclose(shown[1][0].box, (pixel[1, 0] - 10, pixel[1, 1] - 51, 20, 51))
     np.testing.assert_allclose(shown[2][0].path, pixel)
 
@@ -283,7 +283,7 @@ def test_arrows_and_sectors_are_drawn_about_the_person_alone(street: PastedStree
     assert rows.min() > box[1] - 30 and rows.max() < foot[1] + 80
     assert columns.min() > foot[0] - 120 and columns.max() < foot[0] + 120
     wide = draw_tracked(image, "", [replace(person, body_std=2.0)], camera)
-    hidden = draw_tracked(image, "", [replace(person, seen=False)], camera)
+    hidden = draw_tracked(image, "", [replace(person, visible=False)], camera)
     assert (wide != drawn).any() and (hidden != drawn).any()
     unknown = replace(person, body=np.nan, body_std=np.nan, head=np.nan, head_std=np.nan)
     assert (draw_tracked(image, "", [unknown], camera) != bare).any()

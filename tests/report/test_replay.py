@@ -51,9 +51,9 @@ def test_the_data_survive_json_within_a_millimetre_and_a_tenth_of_a_degree():
             assert np.abs(error).max() <= ANGLE_STEP
             std = decoded(person, f"{name}_std", ANGLE_STEP)
             assert std == pytest.approx(estimate.std(name), abs=ANGLE_STEP)
-        observed_body = decoded(person, "observed_body", ANGLE_STEP)
-        assert np.isfinite(observed_body).tolist() == np.isfinite(observation.body).tolist()
-        assert np.nanmax(np.abs(difference(observed_body, observation.body))) <= ANGLE_STEP
+        seen_body = decoded(person, "seen_body", ANGLE_STEP)
+        assert np.isfinite(seen_body).tolist() == np.isfinite(observation.body).tolist()
+        assert np.nanmax(np.abs(difference(seen_body, observation.body))) <= ANGLE_STEP
         ellipse = probability_ellipse(estimate.covariance[:, :2, :2])
         assert decoded(person, "major", LENGTH_STEP) == pytest.approx(ellipse.semi_major, abs=1e-3)
         assert [flag == "1" for flag in person["seen"]] == np.isfinite(observation.position[:, 0]).tolist()
@@ -94,7 +94,7 @@ def test_absent_channels_and_people_are_absent():
         "vx",
         "seen",
         "seen_x",
-        "observed_head",
+        "seen_head",
         "true_x",
         "true_body",
     )
