@@ -21,7 +21,9 @@ module = sys.modules["graphtrack.kernels.compilation"]  # the package has the fu
 PACKAGES = [Path(__file__).parents[2] / name for name in ("graphtrack", "perception")]
 
 
-def test_what_makes_arrays_or_hands_them_back_has_to_say_so() -> None:
+def test_what_makes_arrays_or_hands_them_back_has_to_say_so(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))  # both forms of a function share its entry
+
     def total(n: int) -> float:
         return float(np.ones(n).sum())
 
