@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -19,6 +20,8 @@ AreaLike: TypeAlias = "WalkableArea | str | Path | Any"
 
 REACH = 2.0
 """Metres within which a wall is taken into account."""
+MARGIN = 0.05
+"""Metres that estimates and forecasts keep from walls."""
 WALLS = 2
 """Most walls of a position that are taken into account: a corner has two."""
 
@@ -133,10 +136,16 @@ class WalkableArea:
         walls[row[second], 1] = np.column_stack([normal[second], offset[second]])
         return walls.reshape(-1, 3 * WALLS)
 
-    def confined(self, path: FloatArray, start: FloatArray, margin: float = 0.05) -> FloatArray:
+    @cached_property
+    def _inner(self) -> shapely.Geometry:
+        """The area at least `MARGIN` from its walls; all of one that is narrower throughout."""
+        inner = self.geometry.buffer(-MARGIN)
+        return self.geometry if inner.is_empty else inner
+
+    def confined(self, path: FloatArray, start: FloatArray) -> FloatArray:
         """Return a path (k, 2) from ``start`` (2,) that follows the walls where it would cross them.
 
-        A point beyond a wall is replaced by the nearest point of the area, ``margin`` metres from its walls,
+        A point beyond a wall is replaced by the nearest point of the area, `MARGIN` from its walls,
         or by the previous point where the straight way there crosses a wall, too. A path that begins outside
         is returned unchanged.
         """
@@ -144,11 +153,10 @@ class WalkableArea:
 
         if not self.contains(start[None])[0]:
             return path
-        inner = self.geometry.buffer(-margin)
         found, here = np.array(path, dtype=float), np.asarray(start, dtype=float)
         for k, point in enumerate(found):
             if np.isfinite(point).all() and not self.geometry.covers(shapely.LineString([here, point])):
-                nearest = shapely.shortest_line(inner, shapely.Point(point)).coords[0]
+                nearest = shapely.shortest_line(self._inner, shapely.Point(point)).coords[0]
                 is_free = self.geometry.covers(shapely.LineString([here, nearest]))
                 found[k] = nearest if is_free else here
             here = found[k]

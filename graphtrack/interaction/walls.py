@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.result import Failure, Solution
 from graphtrack.model import Model
-from graphtrack.model.terms.walls import MARGIN, StaysInside, with_walls, without_walls
+from graphtrack.model.terms.walls import StaysInside, barrier_depth, with_walls, without_walls
 from graphtrack.tracks.track import Track, TrackSet
 
 ROUNDS = 4
@@ -77,7 +77,5 @@ def _is_inside(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.
 
 def _is_near(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.bool_]:
     """Return (n,) True for positions outside, or within the barrier of a wall."""
-    walls = area.walls(position).reshape(len(position), -1, 3)
-    inside = np.sum(walls[..., :2] * position[:, None], axis=2) - walls[..., 2]
-    is_wall = np.any(walls[..., :2] != 0.0, axis=2)
-    return np.asarray(np.any(is_wall & (inside < MARGIN), axis=1) | ~_is_inside(position, area))
+    beyond = barrier_depth(area.walls(position), position) > 0.0
+    return np.asarray(np.any(beyond, axis=1) | ~_is_inside(position, area))

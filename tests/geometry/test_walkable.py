@@ -76,3 +76,9 @@ def test_files_objects_and_what_is_none_of_them(area, tmp_path):
     ):
         with pytest.raises(InputError, match=found):
             WalkableArea.of(given)
+
+
+def test_a_passage_narrower_than_the_margins_confines_too():
+    passage = shapely.box(0, 0, 10, 0.08)
+    path = WalkableArea(passage).confined(np.array([[1.0, 0.5], [2.0, 0.04]]), np.array([0.5, 0.04]))
+    assert passage.buffer(1e-6).covers(shapely.LineString([(0.5, 0.04), *path]))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.geometry.walkable import WALLS, WalkableArea
+from graphtrack.geometry.walkable import MARGIN, WALLS, WalkableArea
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import choose
 from graphtrack.kernels.layout import Field, Kernel, X, Y
@@ -22,7 +22,7 @@ from graphtrack.tracks.track import Track
 WALL_INPUT = "walls"
 """Name of the input: `WalkableArea.walls` of each frame."""
 
-MARGIN, STD = 0.05, 0.01
+STD = 0.01
 """Metres from a wall at which the barrier begins, and the 1-σ of its penalty within them."""
 
 
@@ -94,9 +94,7 @@ class StaysInside(Term):
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Σ over frames and walls."""
-        normal, offset, known = _walls_of(track.input(WALL_INPUT, 3 * WALLS))
-        inside = np.sum(normal * states.position[:, None], axis=2) - offset
-        depth = np.where(known, np.maximum(MARGIN - inside, 0.0), 0.0)
+        depth = barrier_depth(track.input(WALL_INPUT, 3 * WALLS), states.position)
         return 0.5 * float(np.sum(np.square(depth / STD)))
 
     def pack(self, packed: PackedTracks) -> None:
@@ -106,6 +104,13 @@ class StaysInside(Term):
             packed.records[f"wall{k}_x"], packed.records[f"wall{k}_y"] = normal[:, k].T
             packed.records[f"wall{k}_offset"] = offset[:, k] + MARGIN
             packed.records[f"wall{k}_weight"] = np.where(known[:, k], STD**-2.0, 0.0)
+
+
+def barrier_depth(walls: FloatArray, position: FloatArray) -> FloatArray:
+    """Return metres (n, `WALLS`) of positions (n, 2) beyond the barriers of their walls, 0 within them."""
+    normal, offset, known = _walls_of(walls)
+    inside = np.sum(normal * position[:, None], axis=2) - offset
+    return np.where(known, np.maximum(MARGIN - inside, 0.0), 0.0)
 
 
 def _walls_of(walls: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
