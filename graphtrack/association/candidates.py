@@ -244,13 +244,15 @@ def most_offered_each(
 
 
 @allocating
-def extended(edges: Edges) -> Edges:
-    """Return edges with twice the room."""
-    rows, columns, gains = edges
-    room = 2 * len(rows)
-    new = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
-    new[0][: len(rows)], new[1][: len(rows)], new[2][: len(rows)] = rows, columns, gains
-    return new
+def with_edge(edges: Edges, n: int, row: int, column: int, gain: float) -> Edges:
+    """Return edges with one put in place ``n``, in arrays of twice the room where they are full."""
+    if n == len(edges[0]):
+        room = 2 * n
+        new = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+        new[0][:n], new[1][:n], new[2][:n] = edges
+        edges = new
+    edges[0][n], edges[1][n], edges[2][n] = row, column, gain
+    return edges
 
 
 @allocating
@@ -293,9 +295,7 @@ def gains_of_links(
                 continue
             gain += run_on(chains, state, m, scene) - max(0.0, value[j])
             if gain > least[j]:
-                if n == len(edges[0]):
-                    edges = extended(edges)
-                edges[0][n], edges[1][n], edges[2][n] = i, j, gain
+                edges = with_edge(edges, n, i, j, gain)
                 n += 1
     return edges[0][:n].copy(), edges[1][:n].copy(), edges[2][:n].copy()
 
@@ -379,9 +379,7 @@ def gains_of_detections(
                 gain += ending(chains, d, scene)
             gain -= max(0.0, without) + alone[j]
             if gain > least[j]:
-                if n == len(edges[0]):
-                    edges = extended(edges)
-                edges[0][n], edges[1][n], edges[2][n] = i, j, gain
+                edges = with_edge(edges, n, i, j, gain)
                 n += 1
     return edges[0][:n].copy(), edges[1][:n].copy(), edges[2][:n].copy()
 
