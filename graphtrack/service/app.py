@@ -39,23 +39,6 @@ _NOTICED = 2.0
 _DROPPED, _TERMINATED = 2.0, 3.0
 """Seconds after which a stopping service drops its connections and terminates its processes."""
 _STOPPING = "the service is stopping; connect again"
-_PAGE = """graphtrack serve: streams of positions in, estimates out.
-
-POST   /v1/streams/NAME  rows as NDJSON in the body, answers as NDJSON
-WS     /v1/streams/NAME  a row a message, an answer a message
-GET    /v1/streams       names of the open streams
-DELETE /v1/streams/NAME  remove a stream's state
-GET    /health           the process runs
-GET    /ready            200 when streams can be opened, else 503
-GET    /version          version of the service
-GET    /metrics          counters for Prometheus
-GET    /openapi.json     these addresses, and JSON Schemas of rows and answers
-GET    /docs             the same as a page
-
-  curl --data-binary @rows.ndjson http://HOST:PORT/v1/streams/hall
-
-Documentation: docs/serve.md of the source; graphtrack serve --help
-"""
 
 
 class Refused(Exception):
@@ -376,7 +359,7 @@ async def _cancel(*tasks: asyncio.Task[Any]) -> None:
 
 async def page(request: Request) -> Response:
     """Return a page for browsers."""
-    return PlainTextResponse(_PAGE)
+    return PlainTextResponse(description.text())
 
 
 async def listed(request: Request) -> Response:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, get_args
 
 from graphtrack import __version__
 from graphtrack.inference.state import Status
 from graphtrack.model.observation import CHANNELS
+from graphtrack.service.settings import STREAM_NAME
 from graphtrack.tracks.schema import BY_NAME, INTEGERS, Column
 from graphtrack.tracks.validation import SMALLEST
 
@@ -18,9 +20,17 @@ _NAME = {
     "in": "path",
     "required": True,
     "description": "the stream",
-    "schema": {"type": "string", "pattern": "^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"},
+    "schema": {"type": "string", "pattern": f"^{STREAM_NAME.pattern}$"},
 }
 _NDJSON = "application/x-ndjson"
+_TEXT = """graphtrack serve: streams of positions in, estimates out.
+
+{}
+
+  curl --data-binary @rows.ndjson http://HOST:PORT/v1/streams/hall
+
+Documentation: docs/serve.md of the source; graphtrack serve --help
+"""
 
 
 def row_schema() -> dict[str, Any]:
@@ -68,6 +78,7 @@ def _number(column: Column) -> dict[str, Any]:
     return {"type": ["number", "null"], **least, "maximum": bounds.high}
 
 
+@cache
 def openapi() -> dict[str, Any]:
     """Return the description of the service as an OpenAPI 3.1 document."""
     error = _content("application/json", {"$ref": "#/components/schemas/Error"})
@@ -151,16 +162,29 @@ _STYLE = (
 )
 
 
-def page() -> str:
-    """Return the description as an HTML page that loads nothing else."""
-    document = openapi()
-    calls = [
+def addresses() -> list[tuple[str, str, str]]:
+    """Return method, path and summary of each call."""
+    return [
         (method.upper() if "101" not in call["responses"] else "WS", path, call["summary"])
-        for path, calls in document["paths"].items()
+        for path, calls in openapi()["paths"].items()
         for method, call in calls.items()
         if method != "parameters"
     ]
-    parts = [_table(("method", "address", ""), calls)]
+
+
+def text() -> str:
+    """Return the addresses as text, for the root."""
+    lines = (
+        f"{method:6} {path.replace('{name}', 'NAME'):16}  {summary}" for method, path, summary in addresses()
+    )
+    return _TEXT.format("\n".join(lines))
+
+
+@cache
+def page() -> str:
+    """Return the description as an HTML page that loads nothing else."""
+    document = openapi()
+    parts = [_table(("method", "address", ""), addresses())]
     for name, schema in document["components"]["schemas"].items():
         rows = [(key, _type(value), _range(value)) for key, value in schema["properties"].items()]
         parts.append(f"<h2>{name}</h2><p>{html.escape(schema.get('description', ''))}</p>")

@@ -253,7 +253,7 @@ class StateFile:
         if not entries or not is_confirmed:
             raise InputError("a damaged state (its lines do not fit the first one)", _REMEDY, path=self.path)
         self._new.unlink(missing_ok=True)
-        return entries, _Content(_opened(self._final), digest, length, size > length)
+        return entries, _Content(io.FileIO(self._final, "r+"), digest, length, size > length)
 
     def _tend(self) -> None:
         """Write new contents and flush periodically, in the thread."""
@@ -285,7 +285,7 @@ class StateFile:
         content.flush(mark)
 
     def _rewrite(self, texts: list[bytes]) -> None:
-        content = _Content(_opened(self._new, "w+"))
+        content = _Content(io.FileIO(self._new, "w+"))
         if self._content is not None:
             shutil.copymode(self._final, self._new)
         content.append(texts)
@@ -304,7 +304,7 @@ class StateFile:
                 kept = content
             finally:
                 if kept is not None:
-                    kept.file = _opened(self._final)
+                    kept.file = io.FileIO(self._final, "r+")
                 self._content = kept
             self._unsynced = True
         flush_entry(self._final.parent)
@@ -370,10 +370,6 @@ def _unlock(lock: FileLock) -> None:
     with contextlib.suppress(OSError):  # Windows deletes it on release
         Path(lock.lock_file).unlink()
     lock.release()
-
-
-def _opened(path: Path, mode: str = "r+") -> io.FileIO:
-    return io.FileIO(path, mode)
 
 
 def _write(file: io.FileIO, data: bytes, at: int) -> None:
