@@ -70,10 +70,10 @@ def _parts(settings: Settings) -> list[tuple[str, str, TrackSet, int]]:
     """People, way, clips and draws of the noise."""
     draws = 1 if settings.quick else DRAWS
     found = []
-    for people_kind, clips in people(settings).items():
-        some = clips.with_tracks(clips.tracks[::2]) if people_kind == ORDINARY else clips
-        found += [(people_kind, "offline", clips, draws), (people_kind, CHAIN, some, draws)]
-        found += [(people_kind, "online, isam2", some, 1), (people_kind, PARTICLES, some, draws)]
+    for kind, clips in people(settings).items():
+        some = clips.with_tracks(clips.tracks[::2]) if kind == ORDINARY else clips
+        found += [(kind, "offline", clips, draws), (kind, CHAIN, some, draws)]
+        found += [(kind, "online, isam2", some, 1), (kind, PARTICLES, some, draws)]
     return found
 
 
@@ -93,14 +93,14 @@ def _noisy(clips: TrackSet, settings: Settings, draw: int) -> TrackSet:
 def errors(settings: Settings, progress: Progress) -> Errors:
     """Everybody's errors by every way with every model."""
     found: dict[tuple[str, str, str], FloatArray] = {}
-    for people_kind, way, clips, draws in _parts(settings):
+    for kind, way, clips, draws in _parts(settings):
         for draw in range(draws):
             observed = _noisy(clips, settings, draw)
             for preset in PRESETS:
                 estimates = ESTIMATORS[way](observed, preset)
                 values = [_errors_of(one, truth) for one, truth in zip(estimates, observed, strict=True)]
                 empty = np.empty((draws, len(clips), len(MEASURES)))
-                found.setdefault((people_kind, way, preset), empty)[draw] = values
+                found.setdefault((kind, way, preset), empty)[draw] = values
                 progress(1)
     return found
 
@@ -127,22 +127,22 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     rows = tables[0].records()
     panels = [
         Panel(
-            f"{people_kind}: {measure}",
-            [row for row in rows if row["people"] == people_kind],
+            f"{kind}: {measure}",
+            [row for row in rows if row["people"] == kind],
             "model",
             measure,
             "",
         )
         for measure in MEASURES[:2]
-        for people_kind in (ORDINARY, SIDEWAYS)
+        for kind in (ORDINARY, SIDEWAYS)
     ]
     return Reproduction("gaits", tables, page(panels, columns=2), notes)
 
 
 @tabulated("Errors by model")
 def _detail(found: Errors) -> Records:
-    for (people_kind, way, preset), values in found.items():
-        record: dict[str, Cell] = {"people": people_kind, "": way, "model": preset}
+    for (kind, way, preset), values in found.items():
+        record: dict[str, Cell] = {"people": kind, "": way, "model": preset}
         record |= {"clips": values.shape[1], "draws": len(values)}
         for k, measure in enumerate(MEASURES):
             record[measure] = float(values[..., k].mean())
@@ -152,20 +152,18 @@ def _detail(found: Errors) -> Records:
 
 @tabulated("The error of full less another's")
 def _differences(found: Errors, rng: np.random.Generator) -> Records:
-    for people_kind, way in dict.fromkeys(key[:2] for key in found):
+    for kind, way in dict.fromkeys(key[:2] for key in found):
         for other in PRESETS[:-1]:
-            record: dict[str, Cell] = {"people": people_kind, "": way, "full less": other}
-            yield record | _paired(found[people_kind, way, "full"], found[people_kind, way, other], rng)
+            record: dict[str, Cell] = {"people": kind, "": way, "full less": other}
+            yield record | _paired(found[kind, way, "full"], found[kind, way, other], rng)
 
 
 @tabulated("The error of the graph (online, chain) less that of the particle filter")
 def _rivals(found: Errors, rng: np.random.Generator) -> Records:
-    for people_kind in dict.fromkeys(key[0] for key in found):
+    for kind in dict.fromkeys(key[0] for key in found):
         for preset in PRESETS:
-            record: dict[str, Cell] = {"people": people_kind, "model": preset}
-            yield record | _paired(
-                found[people_kind, CHAIN, preset], found[people_kind, PARTICLES, preset], rng
-            )
+            record: dict[str, Cell] = {"people": kind, "model": preset}
+            yield record | _paired(found[kind, CHAIN, preset], found[kind, PARTICLES, preset], rng)
 
 
 def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dict[str, Cell]:

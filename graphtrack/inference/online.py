@@ -195,18 +195,18 @@ class OnlineSmoother:
         indices: list[int] = []
         windows: list[ChainWindow] = []
         steps: list[Step] = []
-        for k, (smoother, newest_observation) in enumerate(zip(smoothers, observations, strict=True)):
+        for k, (smoother, observation) in enumerate(zip(smoothers, observations, strict=True)):
             window = smoother._smoother
             if (
                 isinstance(window, ChainWindow)
                 and window.steps
-                and newest_observation.t > window.steps[-1].observation.t
+                and observation.t > window.steps[-1].observation.t
             ):
                 indices.append(k)
                 windows.append(window)
-                steps.append(smoother._next_step(newest_observation, window.steps[-1]))
+                steps.append(smoother._next_step(observation, window.steps[-1]))
             else:
-                estimates[k] = smoother._take(newest_observation)
+                estimates[k] = smoother._take(observation)
         for k, found in zip(indices, extend_together(windows, steps), strict=True):
             estimates[k] = smoothers[k]._extended(found, observations[k])
         return estimates  # type: ignore[return-value]  # none is left out
@@ -230,13 +230,13 @@ class OnlineSmoother:
             return None
         known = {step.observation.t: window.values[step.index] for step in window.steps}
         values = {step.index: window.values[step.index] for step in steps}
-        for newest_observation in map(self.usable, observations):
+        for observation in map(self.usable, observations):
             previous = steps[-1].alone()
-            dt = seconds_between(previous, newest_observation)
-            steps.append(Step(self._next_index, newest_observation, previous, dt, False, self.camera))
+            dt = seconds_between(previous, observation)
+            steps.append(Step(self._next_index, observation, previous, dt, False, self.camera))
             state = np.array(values[previous.index])
             state[:2] += dt * state[2:4]
-            values[self._next_index] = known.get(newest_observation.t, tuple(state.tolist()))
+            values[self._next_index] = known.get(observation.t, tuple(state.tolist()))
             self._next_index += 1
         latest = steps[-1].observation
         try:
@@ -389,8 +389,8 @@ class OnlineSmoother:
 
     def _failed(self, observation: Observation, error: Exception) -> Estimate:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        newest_observation = [*(step.observation for step in self._smoother.steps), observation]
-        reason = with_extreme_of(reason, newest_observation, self.model)
+        involved = [*(step.observation for step in self._smoother.steps), observation]
+        reason = with_extreme_of(reason, involved, self.model)
         return replace(self._unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:
