@@ -16,6 +16,7 @@ from graphtrack.association.tracker import descriptors_of
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
 from graphtrack.interaction.attention import OnlineAttention
@@ -206,10 +207,11 @@ class FrameForecasts:
     Parameters
     ----------
     ahead : (A,) seconds
+    walkable : area that no predicted path leaves
     """
 
-    def __init__(self, ahead: FloatArray) -> None:
-        self._ahead, self._forecaster = ahead, Forecaster()
+    def __init__(self, ahead: FloatArray, walkable: WalkableArea | None = None) -> None:
+        self._ahead, self._forecaster = ahead, Forecaster(walkable=walkable)
         self._t, self._frame = -np.inf, 0
         self._last_positions: dict[int, tuple[float, float, float, float]] = {}
 
@@ -226,11 +228,13 @@ class FrameForecasts:
         )
 
     @classmethod
-    def from_state(cls, ahead: FloatArray, state: Mapping[str, Any]) -> FrameForecasts:
-        """Restore forecasts from `state`, for the same times (A,)."""
+    def from_state(
+        cls, ahead: FloatArray, state: Mapping[str, Any], walkable: WalkableArea | None = None
+    ) -> FrameForecasts:
+        """Restore forecasts from `state`, for the same times (A,) and area."""
         values = unpack_tree(state)
-        found = cls(ahead)
-        found._forecaster = Forecaster.from_state(values["forecaster"])
+        found = cls(ahead, walkable)
+        found._forecaster = Forecaster.from_state(values["forecaster"], walkable=walkable)
         found._t = -np.inf if values["t"] is None else real(values["t"])
         found._frame = integer(values["frame"])
         found._last_positions = dict(

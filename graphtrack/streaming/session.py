@@ -20,6 +20,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import times_ahead
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import OnlineEngine, online_engine
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.warm import make_online_ready
@@ -28,6 +29,7 @@ from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
+from graphtrack.model.terms.walls import StaysInside
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
     BEHAVIOUR,
@@ -70,6 +72,7 @@ class Answers:
     horizon : (seconds, step) of forecasts to report; None: no forecasts
     asked : groups and attention to report; None: neither
     bounds : of people with identities
+    walkable : as in `OnlineSmoother`
     """
 
     model: Model
@@ -81,6 +84,7 @@ class Answers:
     horizon: tuple[float, float] | None = None
     asked: Asked | None = None
     bounds: StreamBounds = field(default_factory=StreamBounds)
+    walkable: WalkableArea | None = None
 
     @property
     def chosen_engine(self) -> str:
@@ -89,7 +93,12 @@ class Answers:
 
     @property
     def _options(self) -> dict[str, Any]:
-        return {"engine": self.engine, "lag": self.lag, "camera": self.camera}
+        return {
+            "engine": self.engine,
+            "lag": self.lag,
+            "camera": self.camera,
+            "walkable": self.walkable,
+        }
 
     def people(self, note: Callable[[str], None] = ignore) -> TrackAnswers:
         """Return the object that answers rows with identities."""
@@ -97,7 +106,7 @@ class Answers:
             partial(OnlineSmoother, self.model, **self._options),
             self.fps,
             note,
-            None if self.horizon is None else FrameForecasts(times_ahead(*self.horizon)),
+            None if self.horizon is None else FrameForecasts(times_ahead(*self.horizon), self.walkable),
             None if self.asked is None else FrameBehaviour(SceneBehaviour(self.asked)),
             self.bounds,
             Conversations(self.model) if self.model.has_groups else None,
@@ -106,7 +115,7 @@ class Answers:
     def restored_person(self, key: Any, saved: Any) -> Any:
         """Restore a member of `people` from its state."""
         if self.horizon is not None and key == FORECASTS:
-            return FrameForecasts.from_state(times_ahead(*self.horizon), saved)
+            return FrameForecasts.from_state(times_ahead(*self.horizon), saved, self.walkable)
         if self.asked is not None and key == BEHAVIOUR:
             return FrameBehaviour.restore(saved, self.asked)
         if self.model.has_groups and key == CONVERSATIONS:
@@ -129,6 +138,7 @@ class Answers:
         """Return the settings that the answers depend on, as JSON-able data."""
         found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
         found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
+        found |= {} if self.walkable is None else {"walkable": self.walkable.digest()}
         return found | ({} if self.asked is None else self.asked.settings())
 
     def warm_up(self) -> None:
@@ -136,6 +146,8 @@ class Answers:
         engine = online_engine(self.model, self.engine)
         if engine == "chain" or self.model.has_modes:
             make_online_ready(self.model, engine)
+            if self.walkable is not None:
+                make_online_ready(self.model.with_terms(StaysInside), engine)
         if self.asked is not None or self.model.has_groups:
             attention.make_behaviour_ready()
         if self.horizon is not None:

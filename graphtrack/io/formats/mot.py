@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.cameras import PERSON_HEIGHT, placed_boxes, with_scores
+from graphtrack.io.cameras import boxes_on_ground, placed_boxes, with_scores
 from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
@@ -186,8 +186,7 @@ def _setting(text: str, name: str) -> str | None:
 def write(tracks: TrackSet, path: Path) -> None:
     """Write rows with positions in metres in columns 8 and 9.
 
-    With a camera the box is that of a person 1.7 m tall and 0.41 times as wide whose foot point is the
-    position; 1.7 m upwards are taken to span as many pixels as 1.7 m sideways on the ground.
+    With a camera boxes are those of `boxes_on_ground`.
     Without a camera, or behind it, the box is −1, −1, −1, −1. Ids are those of the tracks; frames too, unless
     they begin at 0 (see the module).
 
@@ -223,21 +222,9 @@ def _lines(track: Track, boxes: FloatArray, from_zero: bool) -> list[tuple[int, 
 
 def _boxes(track: Track, tracks: TrackSet) -> FloatArray:
     """Return boxes (n, 4) left, top, width, height."""
-    boxes = np.full((len(track), 4), -1.0)
     if tracks.camera is None:
-        return boxes
-    camera = tracks.camera
-    foot = camera.ground_to_image(track.position)
-    bearing = camera.ray_bearing(track.position) + np.pi / 2.0
-    aside = 0.5 * PERSON_HEIGHT * np.column_stack([np.cos(bearing), np.sin(bearing)])
-    height = np.linalg.norm(
-        camera.ground_to_image(track.position + aside) - camera.ground_to_image(track.position - aside),
-        axis=1,
-    )
-    width = 0.41 * height
-    drawable = np.isfinite(foot).all(axis=1) & (height > 1e-3) & (np.abs(foot).max(axis=1) + height < 1e6)
-    made = np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
-    return np.where(drawable[:, None], made, boxes)
+        return np.full((len(track), 4), -1.0)
+    return np.nan_to_num(boxes_on_ground(track.position, tracks.camera), nan=-1.0)
 
 
 MOT = Format(
