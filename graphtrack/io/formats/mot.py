@@ -195,6 +195,26 @@ def write(tracks: TrackSet, path: Path) -> None:
     InputWarning
         If the frames begin at 0, and are written with one added.
     """
+    _write_rows(tracks, path, [(track.position, _boxes(track, tracks)) for track in tracks])
+
+
+def write_2d(tracks: TrackSet, path: Path) -> None:
+    """Write boxes alone, with −1 in columns 8 and 9, of rows within the view of the camera; else as `write`.
+
+    Raises
+    ------
+    InputError
+        Without a camera.
+    """
+    if tracks.camera is None:
+        raise InputError("tracks without a camera", "--homography, which makes boxes of them", path=path)
+    boxes = [_boxes(track, tracks) for track in tracks]
+    nowhere = [np.where(box[:, 2:3] > 0.0, [-1.0, -1.0], np.nan) for box in boxes]
+    _write_rows(tracks, path, list(zip(nowhere, boxes, strict=True)))
+
+
+def _write_rows(tracks: TrackSet, path: Path, values: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+    """Write columns 8 and 9 (n, 2) and boxes (n, 4) of each track; rows without the former are left out."""
     negative = next((track.track_id for track in tracks if track.track_id < 0), None)
     if negative is not None:
         raise InputError(f"track id {negative}", "ids from 0 in MOT text")
@@ -203,16 +223,18 @@ def write(tracks: TrackSet, path: Path) -> None:
         raise InputError(f"frame {first}", "frames from 0 in MOT text")
     if first == 0:
         note = "frames begin at 0, and at 1 in MOT text: each is written as one more"
-        warnings.warn(note, InputWarning, stacklevel=2)
-    lines = [line for track in tracks for line in _lines(track, _boxes(track, tracks), first == 0)]
+        warnings.warn(note, InputWarning, stacklevel=3)
+    lines = [
+        line for track, one in zip(tracks, values, strict=True) for line in _lines(track, *one, first == 0)
+    ]
     lines.sort(key=lambda line: line[:2])
     with path.open("w", encoding="ascii", newline="\n") as stream:
         stream.writelines(text + "\n" for _, _, text in lines)
 
 
-def _lines(track: Track, boxes: FloatArray, from_zero: bool) -> list[tuple[int, int, str]]:
+def _lines(track: Track, place: FloatArray, boxes: FloatArray, from_zero: bool) -> list[tuple[int, int, str]]:
     result = []
-    for frame, box, position in zip(track.frame.tolist(), boxes, track.position, strict=True):
+    for frame, box, position in zip(track.frame.tolist(), boxes, place, strict=True):
         if np.isfinite(position).all():
             cells = [repr(float(value)) for value in (*np.round(box, 3), 1.0, *position)]
             cells = [str(frame + from_zero), str(track.track_id), *(one.removesuffix(".0") for one in cells)]
@@ -237,6 +259,14 @@ MOT = Format(
     read_boxes=read_boxes,
 )
 
+MOT_2D = Format(
+    name="mot2d",
+    description="MOTChallenge text of boxes alone, for 2-D evaluation (TrackEval); needs a camera",
+    suffixes=(".2d.txt",),
+    read=read,
+    write=write_2d,
+    is_read=False,
+)
 
 PERSON = 1
 """COCO's category of people."""
