@@ -172,7 +172,7 @@ class FrameRows:
     rows: FloatArray
 
     def __init__(self, model: Model) -> None:
-        self._type, self._packer = program_of(model).types.frame, _packer_of(model)
+        self._type, self._packer = program_of(model).types.frame, packer_of(model)
         self.place = {name: place_in_row(name, self._type) for name in self._type.names or ()}
 
     def make(self, n: int, origin: FloatArray, offsets: np.ndarray, prior: FloatArray) -> None:
@@ -215,6 +215,6 @@ class FrameRows:
 
 
 @lru_cache(16)
-def _packer_of(model: Model) -> FramePacker:
+def packer_of(model: Model) -> FramePacker:
     """One object for all people tracked with a model, so that packed frames are shared."""
     return FramePacker(model.compiled_terms, program_of(model).types)
