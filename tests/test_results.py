@@ -54,7 +54,9 @@ def test_figures_in_prose_are_those_of_the_data(quote):
 def test_data_name_their_command_and_hold_what_is_shown(stem):
     data = results.stored(stem)
     words = data["command"].split()
-    assert words[0] in ("graphtrack", "perception") and data["setting"].endswith(".")
+    assert words[0] in ("graphtrack", "perception", "pytest", "make") and data["setting"].endswith(".")
+    if words[0] == "pytest":
+        assert (ROOT / words[1]).exists()
     if words[1] == "reproduce":
         assert words[2] in all_experiments()
     assert all(table["title"].startswith(results.shown_titles(stem)) for table in data["tables"])
