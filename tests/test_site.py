@@ -139,6 +139,13 @@ def test_pages_of_results_have_the_tables_of_the_data(site):
     assert f"<td>{cell}</td>" in filters
 
 
+def test_pages_have_the_tables_of_the_code(site):
+    rooms = (site / "architecture" / "index.html").read_text(encoding="utf-8")
+    assert "<td><code>graphtrack/association/</code></td>" in rooms and "[rooms" not in rooms
+    service = (site / "serve" / "index.html").read_text(encoding="utf-8")
+    assert "<td><code>/v1/streams/NAME</code></td>" in service and "[addresses" not in service
+
+
 def test_pages_load_nothing_from_elsewhere(site):
     pages = sorted(site.rglob("index.html"))
     assert len(pages) > 50
