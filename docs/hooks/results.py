@@ -116,7 +116,7 @@ def _shown(value: Any, form: str) -> str:
 
 
 def block(name: str) -> str:
-    """A table as Markdown; of ``about NAME`` setting and command of a data file.
+    """A table as Markdown; of ``about NAME`` setting and command, if there is one, of a data file.
 
     Raises
     ------
@@ -125,7 +125,8 @@ def block(name: str) -> str:
     """
     if name.startswith("about "):
         about = stored(name.removeprefix("about "))
-        return f"{about['setting']} `{about['command']}`\n"
+        command = f" `{about['command']}`" if about["command"] else ""
+        return f"{about['setting']}{command}\n"
     spec = specs()[name]
     if "lines" in spec:
         lines = [spec["head"], *([line["label"], *map(quoted, line["cells"])] for line in spec["lines"])]
@@ -208,7 +209,7 @@ def marker(kind: str, name: str) -> str:
     '[setting baxter-weight: graphtrack reproduce baxter-weight]'
     """
     if kind == "setting":
-        return f"[setting {name}: {stored(name)['command']}]"
+        return f"[setting {name}: {stored(name)['command'] or 'recorded by hand'}]"
     spec = specs()[name]
     cells = [spec] if "data" in spec else [cell for line in spec["lines"] for cell in line["cells"]]
     files = dict.fromkeys(str(stored_at(stem).relative_to(ROOT)) for cell in cells for stem in stems(cell))
@@ -294,7 +295,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.measure is not None:
         for stem in options.measure or sorted(path.stem for path in (RESULTS / "data").glob("*.json")):
             if not measure(stem):
-                print(f"{stem}: not measured again, its command has no --json: {stored(stem)['command']}")
+                command = stored(stem)["command"] or "recorded by hand"
+                print(f"{stem}: not measured again, its command has no --json: {command}")
     for page in pages():
         text = page.read_text(encoding="utf-8")
         if written(text) != text:
