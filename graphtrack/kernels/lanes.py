@@ -281,16 +281,10 @@ def _lanes_at(builder: Any, data: Any) -> Any:
     return builder.bitcast(data, _DOUBLES.as_pointer())
 
 
-@intrinsic
-def lane_array(_context: Any, array: Any) -> Any:
-    """An array of floats (n, LANES), (n, 6, LANES) or (n, 6, 6, LANES) as one of lanes."""
-    return _viewed(array, LaneArrayType((6,) * (array.ndim - 2), False))
-
-
 @intrinsic(prefer_literal=True)
-def lane_rows(_context: Any, array: Any, size: Any) -> Any:
-    """An array of floats (n, size, LANES) as one of lanes; the size is a constant."""
-    return _viewed(array, LaneArrayType((size.literal_value,), False), size)
+def lane_array(_context: Any, array: Any, size: Any) -> Any:
+    """An array of floats (n, LANES), (n, size, LANES) or (n, size, size, LANES) as one of lanes."""
+    return _viewed(array, LaneArrayType((size.literal_value,) * (array.ndim - 2), False), size)
 
 
 def _viewed(array: Any, to: Any, *strides: Any) -> Any:
@@ -299,6 +293,34 @@ def _viewed(array: Any, to: Any, *strides: Any) -> Any:
         return _made(context, builder, to, data)._getvalue()
 
     return to(array, *strides), emit
+
+
+@intrinsic
+def lane_memory(_context: Any, memory: Any) -> Any:
+    """A named tuple of arrays, those of floats as arrays of lanes; or None.
+
+    Its class has their ``SIZES`` after the first axis by name, and the ``SIZE`` of all others.
+    """
+    if isinstance(memory, types.NoneType):
+        return memory(memory), lambda context, builder, sig, args: args[0]
+    made = memory.instance_class
+    sizes = [made.SIZES.get(name, made.SIZE) for name in memory.fields]
+    kinds = [
+        LaneArrayType((size,) * (array.ndim - 2), False) if array.dtype == types.float64 else array
+        for array, size in zip(memory.types, sizes, strict=True)
+    ]
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        parts = []
+        for i, (array, kind) in enumerate(zip(memory.types, kinds, strict=True)):
+            part = builder.extract_value(args[0], i)
+            if kind != array:
+                part = _made(context, builder, kind, context.make_array(array)(context, builder, part).data)
+                part = part._getvalue()
+            parts.append(impl_ret_borrowed(context, builder, kind, part))
+        return context.make_tuple(builder, sig.return_type, parts)
+
+    return types.NamedTuple(kinds, made)(memory), emit
 
 
 @intrinsic

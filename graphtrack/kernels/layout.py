@@ -78,6 +78,22 @@ class Problem(NamedTuple):
     prior: FloatArray  # (8, 6) on the first frame: rows Λ, then η and the point d = 0; no rows: no prior
 
 
+class Chain(NamedTuple):
+    """The frames of one track, or of one track in each lane, that are solved at once."""
+
+    problem: Problem  # that has them, or the lanes'
+    track: int  # their number there
+    n: int  # of frames, of the longest track
+    length: Any  # the same of each track, as a float or as lanes
+
+
+class Sums(NamedTuple):
+    """Gradient (6,) and Hessian (6, 6; lower triangle) of a frame, to which kernels add."""
+
+    gradient: FloatArray
+    hessian: FloatArray
+
+
 VariableName = Literal["position", "velocity", "body", "head"]
 Function = Callable[..., Any]
 

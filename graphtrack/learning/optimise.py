@@ -22,7 +22,7 @@ from graphtrack.inference.chain.initialisation import empty_result, pack, proble
 from graphtrack.inference.chain.newton import NOT_FINITE, Result, Workspace, factorise, workspace
 from graphtrack.inference.warm import make_solver_ready
 from graphtrack.kernels.compilation import allocating
-from graphtrack.kernels.layout import BODY, HEAD, N, Problem
+from graphtrack.kernels.layout import BODY, HEAD, Chain, N, Problem
 from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import MotionParameters, with_oscillation
@@ -244,8 +244,7 @@ def log_determinants(
     """
     for track in range(begin, end):
         a, b = problem.offsets[track], problem.offsets[track + 1]
-        here, n = states[a:b], b - a
-        factorise(problem, track, n, here, workspace)
+        factorise(Chain(problem, track, b - a, float(b - a)), states[a:b], workspace)
         total = 0.0
         for k in range(b - a):
             for i in range(N):

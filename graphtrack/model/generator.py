@@ -91,9 +91,11 @@ _GIVEN = {
     **{name: name for name in ("state", "before", "start", "exact", *_TURNS)},
     **{f"{name}_before": f"{name}_before" for name in _TURNS},
     **{
-        name: f"masked({name}, gate)"
-        for name in ("gradient", "hessian", "gradient_before", "hessian_before", "transition")
+        f"{name}{end}": f"masked(sums{end}.{name}, gate)"
+        for name in ("gradient", "hessian")
+        for end in ("", "_before")
     },
+    "transition": "masked(transition, gate)",
     "origin_x": "problem.origin[track, 0]",
     "origin_y": "problem.origin[track, 1]",
     "body_heights": "problem.body_heights[place]",
@@ -121,7 +123,7 @@ import numpy as np
 {imports}
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, Problem
+from graphtrack.kernels.layout import BODY, HEAD, Problem, Sums
 
 '''
 
@@ -129,7 +131,7 @@ _FRAME = '''
 @compiled
 def add_frame(
     problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
-    turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
+    turns: Any, sums_before: Sums, sums: Sums, transition: Any,
 ) -> Any:
     """Add the terms of frame k of a track; returns their cost.
 
@@ -159,13 +161,13 @@ def cut(frame: Any) -> None:
 _QUARTERS = '''
 @compiled
 def set_quarter_turns(
-    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
-    body: Any, head: Any,
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, sums: Sums, body: Any,
+    head: Any,
 ) -> None:
     """Costs of frame k with body or head at the directions ``turns``, and at their quarter turns.
 
     ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
-    filled in. ``gradient`` and ``hessian`` are memory.
+    filled in. ``sums`` is memory.
     """
     place = problem.offsets[track] + k
     frame, shared = problem.records[place], problem.shared[0]

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import math
+import threading
+import weakref
 from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import lru_cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.inference.chain.covariance import calibration_of
-from graphtrack.inference.chain.window_arrays import FrameRows, Slot, pool_of, window_problem
 from graphtrack.inference.chain.window_kernels import (
     AS_SET,
     NOTHING,
     PREDICTED,
+    SLOTS,
     TASK,
     Advanced,
     Rules,
+    Windows,
     advance,
+    window_problem,
 )
 from graphtrack.inference.state import (
     FAILURES,
@@ -32,11 +37,13 @@ from graphtrack.inference.state import (
     on_state,
     on_variables,
 )
-from graphtrack.kernels.layout import N
-from graphtrack.model import Model, Step
+from graphtrack.kernels.layout import N, Problem, number_rows, place_in_row
+from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import COUPLED
-from graphtrack.model.generator import program_of
+from graphtrack.model.generator import FrameProgram, program_of
+from graphtrack.model.packing import FramePacker, PackedTracks
 from graphtrack.model.terms.gait import Gait, gait_of
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """Arrays of the last solution that the next observation reads; a row for each frame."""
@@ -47,6 +54,112 @@ others."""
 
 _LEAST_FRAMES = 64
 _KNOWN = (math.nan, math.nan)
+
+
+class Slot:
+    """The arrays of one window of a block, by their names in `Windows`."""
+
+    def __init__(self, windows: Windows, number: int) -> None:
+        self.windows, self.number = windows, number
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.windows, name)[self.number]
+
+
+class Pool:
+    """Blocks for the windows of a program, as many as are needed."""
+
+    def __init__(self, program: FrameProgram) -> None:
+        self._program, self._mutex = program, threading.RLock()
+        self.blocks: dict[int, tuple[Windows, list[int]]] = {}  # with the indices of their free slots
+
+    def slot(self, size: int) -> Slot:
+        """A slot with room for a number of frames, freed as garbage. Arrays are not cleared."""
+        with self._mutex:
+            for windows, free in self.blocks.values():
+                if free and windows.states.shape[1] == size:
+                    break
+            else:
+                windows, free = Windows.empty(self._program, size), list(range(SLOTS - 1, -1, -1))
+                self.blocks[id(windows)] = windows, free
+            slot = Slot(windows, free.pop())
+        weakref.finalize(slot, self._take_back, id(windows), slot.number).atexit = False
+        return slot
+
+    def _take_back(self, block: int, number: int) -> None:
+        with self._mutex:
+            free = self.blocks[block][1]
+            free.append(number)
+            if len(free) == SLOTS:
+                del self.blocks[block]
+
+
+@lru_cache(16)
+def pool_of(program: FrameProgram) -> Pool:
+    """One for all windows of a process."""
+    return Pool(program)
+
+
+class FrameRows:
+    """The frames of one person in the arrays of a problem.
+
+    Attributes
+    ----------
+    problem : the arrays, once they are made
+    rows : its records as rows of numbers: writing to their fields is slow
+    place : field of a record → its index in such a row
+    """
+
+    problem: Problem
+    rows: FloatArray
+
+    def __init__(self, model: Model) -> None:
+        self._type, self._packer = program_of(model).types.frame, _packer_of(model)
+        self.place = {name: place_in_row(name, self._type) for name in self._type.names or ()}
+
+    def make(self, n: int, origin: FloatArray, offsets: np.ndarray, prior: FloatArray) -> None:
+        """Make arrays for n frames; the other arguments are those of `Problem`."""
+        self.take(
+            Problem(
+                np.zeros(n, self._type),
+                np.zeros(1, self._packer.types.shared),
+                np.zeros((n, BODY_CLASSES + 1)),
+                np.zeros((n, HEAD_CLASSES + 1)),
+                unit(class_centres(BODY_CLASSES)),
+                unit(class_centres(HEAD_CLASSES)),
+                origin[None],
+                offsets,
+                prior,
+            )
+        )
+
+    def take(self, problem: Problem) -> None:
+        """Use existing arrays."""
+        self.problem = problem
+        self.rows = number_rows(problem.records)
+        problem.shared[:] = self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
+
+    def put(self, row: int, step: Step) -> PackedTracks:
+        """Write a step into a row; return the packed frame."""
+        observation, record, problem = step.observation, self.rows[row], self.problem
+        packed = self._packer(observation, step.dt, step.starts, step.camera)
+        record[:] = packed.numbers
+        if step.camera is not None:
+            problem.shared[:] = packed.shared  # the camera is part of it
+        record[self.place["dt"]] = 0.0 if step.dt is None else step.dt
+        for name, value in self._packer.live(observation):
+            record[self.place[name]] = value
+        if len(packed.body_heights):
+            problem.body_heights[row] = packed.body_heights[0]
+        if len(packed.head_heights):
+            problem.head_heights[row] = packed.head_heights[0]
+        return packed
+
+
+@lru_cache(16)
+def _packer_of(model: Model) -> FramePacker:
+    """One object for all people tracked with a model, so that packed frames are shared."""
+    return FramePacker(model.compiled_terms, program_of(model).types)
 
 
 class ChainWindow:
