@@ -98,7 +98,7 @@ VariableName = Literal["position", "velocity", "body", "head"]
 Function = Callable[..., Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kernel:
     """A function that adds a term's part at one frame to the gradient and the Hessian, and returns its cost.
 

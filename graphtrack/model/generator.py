@@ -201,7 +201,7 @@ class Program:
         every = [*more_terms, *terms]
         self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields]))
         self.shared = tuple(dict.fromkeys(f for term in every for f in term.shared))
-        self.kernels: tuple[Kernel, ...] = tuple({id(k): k for term in terms for k in term.kernels}.values())
+        self.kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
         self._modules: dict[str, str] = {}
         self._frame_names = {f.name for f in self.fields}
         names = [f.name for f in (*self.fields, *self.shared)]
@@ -332,11 +332,7 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
 
 def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
     """The kernels and fields of some terms."""
-    return {
-        one
-        for kind in kinds
-        for one in (*kind.fields, *kind.shared, *(id(kernel) for kernel in kind.kernels))
-    }
+    return {one for kind in kinds for one in (*kind.fields, *kind.shared, *kind.kernels)}
 
 
 def _check(function: Function) -> None:

@@ -14,9 +14,9 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.source import read_toml
-from graphtrack.model.factors import COUPLED, Couplings, derived_factors
+from graphtrack.model.factors import COUPLED, Couplings
 from graphtrack.model.observation import States, Step
-from graphtrack.model.packing import FramePacker, PackedTracks, RecordTypes
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import (
     LikelihoodParameters,
     MotionParameters,
@@ -24,7 +24,7 @@ from graphtrack.model.parameters import (
     Parameters,
     steady,
 )
-from graphtrack.model.term import Term
+from graphtrack.model.term import FramePacker, Term, types_of
 from graphtrack.model.terms.anchor import Anchor
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.faces_group import FacesGroup
@@ -203,14 +203,14 @@ class Model:
         found: list[gtsam.NonlinearFactor] = []
         for term in self.terms:
             follows = any(not set(COUPLED).isdisjoint(kernel.arguments) for kernel in term.kernels)
-            found += derived_factors(term, step, couplings) if follows else term.factors(step)
+            found += term.derived_factors(step, couplings) if follows else term.factors(step)
         return found
 
     @cached_property
     def _packer(self) -> FramePacker:
         """The packer of frames for all terms at once."""
         known = [term for term in self.terms if term.is_compiled]
-        return FramePacker(known, RecordTypes.of(known))
+        return FramePacker(known, types_of(known))
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of states (up to constants), from the terms' densities and not the factors."""

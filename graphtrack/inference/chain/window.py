@@ -41,7 +41,8 @@ from graphtrack.kernels.layout import N, Problem, number_rows, place_in_row
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import FrameProgram, program_of
-from graphtrack.model.packing import FramePacker, PackedTracks
+from graphtrack.model.packing import PackedTracks
+from graphtrack.model.term import FramePacker
 from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 

@@ -15,7 +15,6 @@ from graphtrack.kernels.arithmetic import expm1
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import choose
 from graphtrack.kernels.layout import HEAD, VX, VY, Field, Kernel, X, Y
-from graphtrack.model.factors import derived_factors
 from graphtrack.model.observation import States, Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Variable
@@ -233,7 +232,7 @@ class IntentionalMotion(Motion):
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """One factor of four variables from the steered kernel; the native one where λ = 0."""
         steered = self.parameters.motion.head_rate > 0.0
-        return derived_factors(self, step) if steered else super().factors(step)
+        return self.derived_factors(step) if steered else super().factors(step)
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of the noise and of the first velocity."""

@@ -24,7 +24,7 @@ from graphtrack.kernels.arithmetic import exp, log, log_i0e, of_alike
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose
 from graphtrack.kernels.layout import Field, Kernel
-from graphtrack.model.factors import derived_factors, von_mises_prior
+from graphtrack.model.factors import von_mises_prior
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
@@ -232,7 +232,7 @@ class _PoseLikelihood(Term):
         angle, kappa = getattr(observed, self.name), getattr(observed, f"{self.name}_kappa")
         by_class = getattr(observed, f"{self.name}_likelihood") is not None
         if by_class or self.parameters.likelihood.outlier_probability > 0.0:
-            return derived_factors(self, step)
+            return self.derived_factors(step)
         (kappa,) = self._kappas(kappa, 1).tolist()
         if angle is None or kappa == 0.0:
             return []
