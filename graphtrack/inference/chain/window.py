@@ -30,12 +30,10 @@ from graphtrack.inference.chain.window_kernels import (
 from graphtrack.inference.state import (
     FAILURES,
     Angles,
+    MarginalPrior,
     Newest,
-    StatePrior,
     Window,
     leaving,
-    on_state,
-    on_variables,
 )
 from graphtrack.kernels.layout import N, Problem, number_rows, place_in_row
 from graphtrack.model import Model, Observation, Step
@@ -286,8 +284,7 @@ class ChainWindow:
         prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
         classified = self._slot.classified[0]
         if window.prior is not None:
-            prior[:] = np.vstack(on_state(window.prior, window.steps[0], self._model))
-            prior[N + 1, :2] -= origin
+            prior = window.prior.rows(origin)
         if window.modes is not None and self._model.has_modes:
             modes = window.modes
         size = _size_for(len(window.steps))
@@ -322,7 +319,7 @@ class ChainWindow:
         if steps and self._has_prior:
             there = self._prior.copy()
             there[N + 1, :2] += self._origin
-            prior = on_variables(StatePrior(there[:N], there[N], there[N + 1]), steps[0], self._model)
+            prior = MarginalPrior(there[:N], there[N], there[N + 1])
         return Window(steps, values, prior, self._anchor, self.modes_before)
 
     # -- arrays --------------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
 def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list[gtsam.NonlinearFactor]:
     """Factors on a window's first step: of its prior, or of the angles of a very first step."""
     if window.prior is not None:
-        return [window.prior.factor()]
+        return [window.prior.factor(window.steps[0], model)]
     if not window.steps or window.anchor is None or window.steps[0].dt is not None:
         return []
     step, (body, head) = window.steps[0], window.anchor

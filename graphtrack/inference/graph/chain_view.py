@@ -14,7 +14,7 @@ from graphtrack.inference.chain.covariance import spread_track
 from graphtrack.inference.chain.initialisation import observed_angles, pack, problem_of
 from graphtrack.inference.chain.newton import Workspace, workspace
 from graphtrack.inference.chain.window import FrameRows, gait_of_model
-from graphtrack.inference.state import MarginalPrior, on_state
+from graphtrack.inference.state import MarginalPrior
 from graphtrack.kernels.layout import Chain, N, Problem
 from graphtrack.model import Model, Step
 from graphtrack.model.coupling_modes import (
@@ -143,11 +143,9 @@ class WindowView(_View):
         gone = known.get(steps[0].index, len(known))
         if 0 < gone <= self._filtered.shape[1]:
             self.before = self._filtered[:, gone - 1].copy()
-        about = np.zeros((N + 2, N))
-        if prior is not None:
-            about[:] = np.vstack(on_state(prior, steps[0], self._model))
-            about[N + 1, :2] -= states[0, :2]
-        self._frames.make(n, states[0, :2].copy(), np.array([0, n]), about)
+        origin = states[0, :2].copy()
+        about = np.zeros((N + 2, N)) if prior is None else prior.rows(origin)
+        self._frames.make(n, origin, np.array([0, n]), about)
         problem = self._frames.problem
         if old is not None:
             problem.shared[:] = old.shared

@@ -193,8 +193,7 @@ class CouplingModeSmoother:
         if other is None:
             return None
         window = self.graph.window()
-        body, head = (other[0] - states[0])[4:].tolist()
-        turns = {recent[0].body_key: body, recent[0].head_key: head}
+        turns = (other[0] - states[0])[4:]
         prior = None if window.prior is None else window.prior.turned(turns, AT_END)
         here = replace(window, steps=tuple(recent))
         # From here, too: one or two Gauss–Newton steps per observation may not have converged.

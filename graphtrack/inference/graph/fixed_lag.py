@@ -15,7 +15,6 @@ from graphtrack.inference.state import (
     Window,
     finite,
     leaving,
-    marginal_prior,
     states_of,
     values_of,
     variable_keys,
@@ -166,7 +165,8 @@ class FixedLag:
         _, remaining = graph.linearize(values).eliminatePartialSequential(gtsam.Ordering(keys))
         steps = (first, *window.steps[n + 1 :])
         left = {step.index: window.values[step.index] for step in steps}
-        return Window(steps, left, marginal_prior(gtsam.HessianFactor(remaining), values), None)
+        prior = MarginalPrior.of(gtsam.HessianFactor(remaining), first, values, self._model)
+        return Window(steps, left, prior, None)
 
 
 def _last(bayes_net: gtsam.GaussianBayesNet, keys: Sequence[int]) -> gtsam.GaussianFactorGraph:

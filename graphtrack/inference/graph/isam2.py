@@ -19,7 +19,6 @@ from graphtrack.inference.state import (
     Window,
     finite,
     leaving,
-    marginal_prior,
     present,
     read_step,
     values_of,
@@ -275,7 +274,7 @@ class Isam2:
         graph = gtsam.GaussianFactorGraph()
         for index in self._marginals:
             graph.push_back(factors.at(index).linearize(points))
-        return marginal_prior(gtsam.HessianFactor(graph), points)
+        return MarginalPrior.of(gtsam.HessianFactor(graph), self.steps[0], points, self._model)
 
 
 def _parameters(thresholds: FloatArray) -> gtsam.ISAM2Params:
