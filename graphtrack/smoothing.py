@@ -36,7 +36,7 @@ from graphtrack.interaction.walls import model_with_walls, solve_inside, with_ob
 from graphtrack.io.options import FileReading, ReadingBase
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.faces_group import GROUP
+from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import without_walls
 from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, unpack_tree
 from graphtrack.tracks.gaps import at_times, filled, with_times_at

@@ -16,9 +16,9 @@ from graphtrack.kernels.arithmetic import cos_sin, direction_of, exp, floor_of, 
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
 from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, Problem
-from graphtrack.model.terms.body_follows_motion import squared_excess
+from graphtrack.model.terms.couplings import squared_excess
 from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
-from graphtrack.model.terms.intentional_motion import steer
+from graphtrack.model.terms.motion import steer
 
 BODY_MODE, HEAD_MODE = 0, 1  # Places of the two couplings in arrays of both
 

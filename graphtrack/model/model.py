@@ -25,16 +25,12 @@ from graphtrack.model.parameters import (
     steady,
 )
 from graphtrack.model.term import FramePacker, Term, types_of
-from graphtrack.model.terms.anchor import Anchor
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.faces_group import FacesGroup
+from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.gait import GaitOffsets
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.holds_still import OrientationPersistence
-from graphtrack.model.terms.intentional_motion import IntentionalMotion
-from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.motion import IntentionalMotion, Motion
 from graphtrack.model.terms.place import PlacePrior
-from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
+from graphtrack.model.terms.pose import Anchor, BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.packages import gtsam

@@ -11,12 +11,8 @@ from typing import Any
 
 import numpy as np
 
-import graphtrack.model.terms.anchor as anchor_kernels
-import graphtrack.model.terms.body_follows_motion as body_follows_motion_kernels
-import graphtrack.model.terms.faces_group as faces_group_kernels
-import graphtrack.model.terms.head_follows_body as head_follows_body_kernels
-import graphtrack.model.terms.holds_still as holds_still_kernels
-import graphtrack.model.terms.intentional_motion as intentional_motion_kernels
+import graphtrack.model.terms.conversation as conversation_kernels
+import graphtrack.model.terms.couplings as couplings_kernels
 import graphtrack.model.terms.motion as motion_kernels
 import graphtrack.model.terms.place as place_kernels
 import graphtrack.model.terms.pose as pose_kernels
@@ -145,22 +141,21 @@ def add_frame(
             cost += choose(gate, found, 0.0)
         gate = frame.steer_gain > 0.0
         if any_of(gate):
-            found = intentional_motion_kernels.add_steered_motion(before, state, head_cos_before,
-                head_sin_before, frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place,
-                frame.steer_cross, frame.steer_spread, exact, masked(sums_before.gradient, gate),
-                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
-                masked(transition, gate))
+            found = motion_kernels.add_steered_motion(before, state, head_cos_before, head_sin_before,
+                frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place, frame.steer_cross,
+                frame.steer_spread, exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
+                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_persistence(body_cos_before, body_sin_before, body_cos, body_sin,
+            found = conversation_kernels.add_persistence(body_cos_before, body_sin_before, body_cos, body_sin,
                 at_body, frame.group_hold, frame.group_drift, shared.group_body_hold, exact,
                 masked(sums_before.gradient, gate), masked(sums.gradient, gate), masked(sums_before.hessian,
                 gate), masked(sums.hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_persistence(head_cos_before, head_sin_before, head_cos, head_sin,
+            found = conversation_kernels.add_persistence(head_cos_before, head_sin_before, head_cos, head_sin,
                 at_head, frame.group_hold, frame.group_drift, shared.group_head_hold, exact,
                 masked(sums_before.gradient, gate), masked(sums.gradient, gate), masked(sums_before.hessian,
                 gate), masked(sums.hessian, gate), masked(transition, gate))
@@ -209,13 +204,13 @@ def add_frame(
             cost += choose(gate, found, 0.0)
         gate = frame.motion_body_kappa > 0.0
         if any_of(gate):
-            found = body_follows_motion_kernels.add_body_follows_motion(state, body_cos, body_sin,
+            found = couplings_kernels.add_body_follows_motion(state, body_cos, body_sin,
                 frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin, shared.speed_threshold,
                 exact, masked(sums.gradient, gate), masked(sums.hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_body_kappa > 0.0
         if any_of(gate):
-            found = head_follows_body_kernels.add_head_follows_body(body_cos, body_sin, head_cos, head_sin,
+            found = couplings_kernels.add_head_follows_body(body_cos, body_sin, head_cos, head_sin,
                 frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact, masked(sums.gradient,
                 gate), masked(sums.hessian, gate))
             cost += choose(gate, found, 0.0)
@@ -227,24 +222,24 @@ def add_frame(
             cost += choose(gate, found, 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(at_body, body_cos, body_sin, frame.group_weight,
+            found = conversation_kernels.add_faces_group(at_body, body_cos, body_sin, frame.group_weight,
                 frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
                 masked(sums.gradient, gate), masked(sums.hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(at_head, head_cos, head_sin, frame.group_weight,
+            found = conversation_kernels.add_faces_group(at_head, head_cos, head_sin, frame.group_weight,
                 frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
                 masked(sums.gradient, gate), masked(sums.hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.body_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(body_cos, body_sin, at_body, start, frame.body_anchor, exact,
+            found = pose_kernels.add_anchor(body_cos, body_sin, at_body, start, frame.body_anchor, exact,
                 masked(sums.gradient, gate), masked(sums.hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(head_cos, head_sin, at_head, start, frame.head_anchor, exact,
+            found = pose_kernels.add_anchor(head_cos, head_sin, at_head, start, frame.head_anchor, exact,
                 masked(sums.gradient, gate), masked(sums.hessian, gate))
             cost += choose(gate, found, 0.0)
     return cost
@@ -294,13 +289,13 @@ def set_quarter_turns(
             problem.head_directions, frame.head_class_kappa, frame.head_doubt, masked(head, gate))
     gate = frame.motion_body_kappa > 0.0
     if any_of(gate):
-        body_follows_motion_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa,
-            shared.speed_threshold, body_cos, body_sin, masked(body, gate))
+        couplings_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa, shared.speed_threshold,
+            body_cos, body_sin, masked(body, gate))
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = body_cos, body_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(at_body, cos, sin, frame.group_weight,
+            found = conversation_kernels.add_faces_group(at_body, cos, sin, frame.group_weight,
                 frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
                 masked(sums.gradient, gate), masked(sums.hessian, gate))
             body[q] += choose(gate, found, 0.0)
@@ -309,7 +304,7 @@ def set_quarter_turns(
     if any_of(gate):
         cos, sin = head_cos, head_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(at_head, cos, sin, frame.group_weight,
+            found = conversation_kernels.add_faces_group(at_head, cos, sin, frame.group_weight,
                 frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
                 masked(sums.gradient, gate), masked(sums.hessian, gate))
             head[q] += choose(gate, found, 0.0)

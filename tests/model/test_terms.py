@@ -43,15 +43,12 @@ from graphtrack.model.observation import chain
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import PlaceParameters, SocialParameters
 from graphtrack.model.term import filled
-from graphtrack.model.terms.anchor import Anchor
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.faces_group import FacesGroup
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.holds_still import OrientationPersistence
-from graphtrack.model.terms.intentional_motion import IntentionalMotion
-from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.terms.motion import IntentionalMotion, Motion
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.pose import (
+    Anchor,
     BodyLikelihood,
     HeadLikelihood,
     highest_log_density,

@@ -31,7 +31,7 @@ from graphtrack.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE
 from graphtrack.model.parameters import Parameters, kept_shares, oscillation_variances
-from graphtrack.model.terms.body_follows_motion import squared_excess
+from graphtrack.model.terms.couplings import squared_excess
 
 
 @compiled

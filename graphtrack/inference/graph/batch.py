@@ -29,7 +29,7 @@ from graphtrack.inference.warm import has_own_kernels, make_solver_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain
-from graphtrack.model.terms.anchor import ANCHOR_KAPPA
+from graphtrack.model.terms.pose import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
