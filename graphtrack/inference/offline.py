@@ -80,12 +80,8 @@ def smooth_track(
     SolveError
         If there are no positions, or the result is not finite or worse than the start.
     """
-    options = SolverOptions() if options is None else options
-    solver = engine_of(model, engine)
-    make_solver_ready(model, solver, camera)
-    if solver == "gtsam":
-        return smooth_graph(track, model, camera, options)
-    (result,) = _solve_chains([track], model, camera, options)
+    solver, alone = engine_of(model, engine), TrackSet((track,), camera=camera)
+    (result,) = solve_each(alone, model, solver, jobs=1, options=options)
     if isinstance(result, Failure):
         raise SolveError(result.track_id, result.reason)
     return result

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -263,19 +262,13 @@ class OnlineSmoother:
 
     def state(self) -> dict[str, Any]:
         """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
-        smoother = self._smoother
-        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
-        return pack_state(saved) | {"terms": self._terms()}
+        return self.later_state()()
 
     def later_state(self) -> Callable[[], dict[str, Any]]:
-        """Return a function that computes the present `state` later; quick with the chain engine."""
+        """Return a function that computes the present `state` later."""
         smoother = self._smoother
-        if not isinstance(smoother, ChainWindow):
-            found = self.state()
-            return lambda: found
-        kept = copy(self)
-        kept._smoother = smoother.snapshot()
-        return kept.state
+        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
+        return lambda: pack_state(saved) | {"terms": self._terms()}
 
     @classmethod
     def from_state(

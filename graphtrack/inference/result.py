@@ -92,11 +92,6 @@ class Failure:
     reason: str
 
 
-def seconds_to_ends(t: FloatArray) -> FloatArray:
-    """Seconds (n,) from the frames of a track at the times (n,) to its nearer end."""
-    return np.asarray(np.minimum(t - t[0], t[-1] - t))
-
-
 def estimated_tracks(
     tracks: Sequence[Track],
     offsets: NDArray[np.int64],

@@ -160,6 +160,12 @@ class Kernel:
         return "head" if turned == {"head"} else None
 
 
+def names_of(name: VariableName, **further: str) -> dict[str, str]:
+    """`Kernel.names` of a function of one orientation: ``cos``, ``sin``, their values before, ``place``."""
+    own = {f"{part}{end}": f"{name}_{part}{end}" for part in ("cos", "sin") for end in ("", "_before")}
+    return {"place": name.upper(), **own, **further}
+
+
 def arguments_of(function: Function, names: Mapping[str, str]) -> tuple[str, ...]:
     """The names of a function's parameters, or their replacements."""
     parameters = inspect.signature(getattr(function, "py_func", function)).parameters

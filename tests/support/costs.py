@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
+from calibrated import seconds_to_ends
 from calibration_formulas import calibrated
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.graph.batch import window_graph
-from graphtrack.inference.result import seconds_to_ends
 from graphtrack.inference.state import Window, values_of
 from graphtrack.model import Model, States, Step
 from graphtrack.tracks.track import Track

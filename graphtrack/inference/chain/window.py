@@ -6,20 +6,17 @@ import math
 import threading
 import weakref
 from collections.abc import Mapping, Sequence
-from copy import copy
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.window_kernels import (
     AS_SET,
     NOTHING,
     PREDICTED,
-    SLOTS,
     TASK,
     Advanced,
     Rules,
@@ -42,7 +39,6 @@ from graphtrack.model.generator import FrameProgram, program_of
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import FramePacker
 from graphtrack.model.terms.gait import Gait, gait_of
-from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """Arrays of the last solution that the next observation reads; a row for each frame."""
@@ -51,6 +47,7 @@ _OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
 """The arrays of a slot that move with a window: those with a row for each frame, its records left out, and
 others."""
 
+SLOTS = 32  # Windows per block
 _LEAST_FRAMES = 64
 _KNOWN = (math.nan, math.nan)
 
@@ -79,7 +76,7 @@ class Pool:
                 if free and windows.states.shape[1] == size:
                     break
             else:
-                windows, free = Windows.empty(self._program, size), list(range(SLOTS - 1, -1, -1))
+                windows, free = Windows.empty(self._program, size, SLOTS), list(range(SLOTS - 1, -1, -1))
                 self.blocks[id(windows)] = windows, free
             slot = Slot(windows, free.pop())
         weakref.finalize(slot, self._take_back, id(windows), slot.number).atexit = False
@@ -113,24 +110,15 @@ class FrameRows:
     rows: FloatArray
 
     def __init__(self, model: Model) -> None:
-        self._type, self._packer = program_of(model).types.frame, _packer_of(model)
-        self.place = {name: place_in_row(name, self._type) for name in self._type.names or ()}
+        self._program, self._packer = program_of(model), _packer_of(model)
+        record = self._program.types.frame
+        self.place = {name: place_in_row(name, record) for name in record.names or ()}
 
-    def make(self, n: int, origin: FloatArray, offsets: np.ndarray, prior: FloatArray) -> None:
-        """Make arrays for n frames; the other arguments are those of `Problem`."""
-        self.take(
-            Problem(
-                np.zeros(n, self._type),
-                np.zeros(1, self._packer.types.shared),
-                np.zeros((n, BODY_CLASSES + 1)),
-                np.zeros((n, HEAD_CLASSES + 1)),
-                unit(class_centres(BODY_CLASSES)),
-                unit(class_centres(HEAD_CLASSES)),
-                origin[None],
-                offsets,
-                prior,
-            )
-        )
+    def make(self, n: int, origin: FloatArray, prior: FloatArray) -> None:
+        """Make arrays for n frames; the other arguments are those of `Problem`, without the first axis."""
+        problem = window_problem(Windows.empty(self._program, n, 1), 0)
+        problem.origin[0], problem.offsets[1], problem.prior[:] = origin, n, prior
+        self.take(problem)
 
     def take(self, problem: Problem) -> None:
         """Use existing arrays."""
@@ -251,18 +239,6 @@ class ChainWindow:
             kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
 
-    def snapshot(self) -> ChainWindow:
-        """A copy from which `window` and `arrays` can be read later; it takes no further observations."""
-        kept, open_frames = copy(self), slice(*self._offsets.tolist())
-        arrays = {name: getattr(self._slot, name).copy() for name in _OF_WINDOW}
-        arrays |= {
-            name: getattr(self._slot, name)[open_frames].copy() for name in ("records", *_FACTORISATION)
-        }
-        kept._slot, kept._steps = SimpleNamespace(**arrays), list(self._steps)
-        kept._states, kept._offsets = self._states[open_frames].copy(), np.array([0, len(self._steps)])
-        kept._prior, kept._origin = arrays["prior"], arrays["origin"][0]
-        return kept
-
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
         """Continue from `window` and `arrays`; KeyError or ValueError if these do not fit."""
         n = len(window.steps)
@@ -326,7 +302,7 @@ class ChainWindow:
 
     def _take_slot(self, size: int) -> None:
         """Take a cleared slot with room for a number of frames."""
-        self._slot: Slot | SimpleNamespace = pool_of(self._program).slot(size)
+        self._slot = pool_of(self._program).slot(size)
         self._states, self._offsets = self._slot.states, self._slot.offsets
         self._prior, self._origin = self._slot.prior, self._slot.origin[0]
         self._clear()

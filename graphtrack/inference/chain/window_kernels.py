@@ -59,8 +59,6 @@ from graphtrack.model.terms.motion import steer
 from graphtrack.model.terms.position import CAUCHY
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
-SLOTS = 32  # Windows per block
-
 
 class Windows(NamedTuple):
     """A block: the windows of S people, each of up to n frames. For the arrays see `Problem`, `Workspace`."""
@@ -84,27 +82,27 @@ class Windows(NamedTuple):
     classified: NDArray[np.bool_]  # (S, 1) True once class likelihoods of the head were observed
 
     @classmethod
-    def empty(cls, program: FrameProgram, size: int) -> Windows:
-        """A block of windows of up to ``size`` frames."""
-        frames = (SLOTS, size)
+    def empty(cls, program: FrameProgram, size: int, slots: int) -> Windows:
+        """A block for a number of windows, of up to ``size`` frames each."""
+        frames = (slots, size)
         return cls(
             np.zeros(frames, program.types.frame),
-            np.zeros((SLOTS, 1), program.types.shared),
+            np.zeros((slots, 1), program.types.shared),
             np.zeros((*frames, BODY_CLASSES + 1)),
             np.zeros((*frames, HEAD_CLASSES + 1)),
             unit(class_centres(BODY_CLASSES)),
             unit(class_centres(HEAD_CLASSES)),
-            np.zeros((SLOTS, 1, 2)),
-            np.zeros((SLOTS, 2), np.int64),
-            np.zeros((SLOTS, N + 2, N)),
+            np.zeros((slots, 1, 2)),
+            np.zeros((slots, 2), np.int64),
+            np.zeros((slots, N + 2, N)),
             np.zeros((*frames, N)),
             np.zeros((*frames, N, N)),
             np.zeros((*frames, N, N)),
             np.zeros((*frames, 4)),
             np.zeros((*frames, N + 1, N)),
             np.zeros((*frames, N)),
-            np.zeros((SLOTS, 2, ROW)),
-            np.zeros((SLOTS, 1), bool),
+            np.zeros((slots, 2, ROW)),
+            np.zeros((slots, 1), bool),
         )
 
 

@@ -13,7 +13,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import AT_END, AT_START
 from graphtrack.inference.chain.batch import PASSES
-from graphtrack.inference.chain.covariance import calibrate, calibration_of
+from graphtrack.inference.chain.covariance import calibrate_tracks, calibration_of
 from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.result import (
@@ -21,7 +21,6 @@ from graphtrack.inference.result import (
     SolverOptions,
     estimated_tracks,
     not_finite,
-    seconds_to_ends,
     with_extreme,
 )
 from graphtrack.inference.state import Window, states_of, values_of, variable_keys, variables
@@ -159,13 +158,14 @@ def smooth_graph(
     states = states_of(values, steps, model)
     if view is not None and model.has_modes:
         view.widen(states, covariance)
-    calibrate(covariance, states, seconds_to_ends(track.t), calibration_of(model.parameters))
+    offsets, t = np.array([0, len(track)]), track.t - track.t[0]
+    calibrate_tracks(covariance, states, offsets, t, calibration_of(model.parameters))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     modes = np.full((len(track), 3), np.nan) if view is None else view.modes
-    (estimate,) = estimated_tracks([track], np.array([0, len(track)]), states, covariance, modes)
+    (estimate,) = estimated_tracks([track], offsets, states, covariance, modes)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
 
 

@@ -145,7 +145,7 @@ class WindowView(_View):
             self.before = self._filtered[:, gone - 1].copy()
         origin = states[0, :2].copy()
         about = np.zeros((N + 2, N)) if prior is None else prior.rows(origin)
-        self._frames.make(n, origin, np.array([0, n]), about)
+        self._frames.make(n, origin, about)
         problem = self._frames.problem
         if old is not None:
             problem.shared[:] = old.shared

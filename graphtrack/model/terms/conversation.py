@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import choose
-from graphtrack.kernels.layout import Field, Kernel
+from graphtrack.kernels.layout import Field, Kernel, names_of
 from graphtrack.model.observation import Observation, States
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
@@ -59,12 +59,7 @@ def add_faces_group(
 
 
 def _faces(name: Variable) -> Kernel:
-    names = {
-        "place": name.upper(),
-        "cos": f"{name}_cos",
-        "sin": f"{name}_sin",
-        "kappa": f"group_{name}_kappa",
-    }
+    names = names_of(name, kappa=f"group_{name}_kappa")
     return Kernel(add_faces_group, gate="group_weight", variables=(name,), names=names)
 
 
@@ -154,9 +149,7 @@ def add_persistence(
 
 
 def _persistence(name: Variable) -> Kernel:
-    names = {"place": name.upper(), "hold": f"group_{name}_hold"}
-    for part in ("cos", "sin"):
-        names |= {part: f"{name}_{part}", f"{part}_before": f"{name}_{part}_before"}
+    names = names_of(name, hold=f"group_{name}_hold")
     return Kernel(add_persistence, gate="group_hold", variables=(name,), before=(name,), names=names)
 
 

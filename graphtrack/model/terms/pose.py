@@ -24,7 +24,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.arithmetic import exp, log, log_i0e, of_alike
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose
-from graphtrack.kernels.layout import Field, Kernel
+from graphtrack.kernels.layout import Field, Kernel, names_of
 from graphtrack.model.factors import von_mises_prior
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks
@@ -111,24 +111,13 @@ def add_class_quarter_turns(
 
 
 @compiled
-def peaked_cost(close: float, kappa: float) -> float:
-    """Return the cost of an observed angle without outliers, at a deviation whose cosine is ``close``."""
-    return kappa * (1.0 - close)
-
-
-@compiled
-def softened_cost(close: float, kappa: float, uniform: float) -> float:
-    """Return the cost of an observed angle with outliers, at a deviation whose cosine is ``close``."""
-    # As in the factor: never negative, since the resultant is at most κ.
-    return 2.0 * kappa - log((exp(-kappa * (1.0 - close)) + uniform) / (1.0 + uniform))
-
-
-@compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
     """Return the cost of `add_angle` at a deviation whose cosine is ``close``."""
+    far = kappa * (1.0 - close)
     if not any_of(uniform > 0.0):
-        return peaked_cost(close, kappa)
-    return choose(uniform > 0.0, softened_cost(close, kappa, uniform), peaked_cost(close, kappa))
+        return far
+    # As in the factor: never negative, since the resultant is at most κ.
+    return choose(uniform > 0.0, 2.0 * kappa - log((exp(-far) + uniform) / (1.0 + uniform)), far)
 
 
 @compiled
@@ -182,7 +171,7 @@ def add_angle_quarter_turns(
 
 def _observed(name: Variable) -> tuple[Kernel, Kernel]:
     """The kernels of an observed angle and of class likelihoods."""
-    names = {"cos": f"{name}_cos", "sin": f"{name}_sin", "place": name.upper()}
+    names = names_of(name)
     angle = {"mean_cos": f"observed_{name}_cos", "mean_sin": f"observed_{name}_sin"}
     angle |= {"kappa": f"{name}_kappa", "uniform": f"{name}_uniform"}
     classes = {"kappa": f"{name}_class_kappa", "doubt": f"{name}_doubt"}
@@ -360,8 +349,8 @@ orientation without observations has a solution."""
 
 @compiled
 def add_anchor(
-    state_cos: float,
-    state_sin: float,
+    cos: float,
+    sin: float,
     place: int,
     start: FloatArray,
     anchor: float,
@@ -370,14 +359,13 @@ def add_anchor(
     hessian: FloatArray,
 ) -> float:
     """κ·(1 − cos Δ) between an orientation and its initial value."""
-    cos, sin = math.cos(start[place]), math.sin(start[place])
-    return add_angle(state_cos, state_sin, place, cos, sin, anchor, 0.0, exact, gradient, hessian)
+    mean_cos, mean_sin = math.cos(start[place]), math.sin(start[place])
+    return add_angle(cos, sin, place, mean_cos, mean_sin, anchor, 0.0, exact, gradient, hessian)
 
 
 def _held(name: Variable) -> Kernel:
-    names = {"place": name.upper(), "anchor": f"{name}_anchor"}
-    names |= {f"state_{part}": f"{name}_{part}" for part in ("cos", "sin")}
-    return Kernel(add_anchor, gate=f"{name}_anchor", variables=(name,), names=names)
+    gate = f"{name}_anchor"
+    return Kernel(add_anchor, gate=gate, variables=(name,), names=names_of(name, anchor=gate))
 
 
 class Anchor(Term):
