@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal, NamedTuple
@@ -271,17 +271,20 @@ class Window:
     Attributes
     ----------
     steps : the steps whose variables are not marginalised, oldest first
-    values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
+    states : (n, 6) their linearisation points: x, y, vx, vy, body, head (metres, m/s, radians)
     prior : marginal of the earlier steps; None if there were none
     anchor : else the angles (radians) at which first orientations are held; see `graph.batch.beginning`
     modes : probabilities of the coupling modes before the window
     """
 
     steps: tuple[Step, ...]
-    values: dict[int, tuple[float, ...]]
+    states: FloatArray
     prior: MarginalPrior | None
     anchor: Angles | None
     modes: FloatArray | None = None
+
+
+EMPTY = Window((), np.zeros((0, N)), None, None)
 
 
 def present(model: Model) -> list[int]:
@@ -297,14 +300,17 @@ def leaving(steps: Sequence[Step], lag: float, newest: Step | None = None) -> in
     return bisect_left(steps, horizon, key=lambda step: step.observation.t)
 
 
-def predicted(step: Step, state_of: Callable[[Step], tuple[float, ...]]) -> tuple[float, ...]:
-    """Initial values of a new step: constant velocity, angles constant or as observed."""
+def predicted(step: Step, before: FloatArray | None) -> tuple[float, ...]:
+    """Initial values of a new step: constant velocity, angles constant or as observed.
+
+    ``before`` (6,) is the state of the previous step; None without one.
+    """
     observation = step.observation
-    if step.previous is None or step.dt is None:
+    if before is None or step.dt is None:
         x, y = observation.position if observation.position is not None else (math.nan, math.nan)
         vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
     else:
-        x, y, vx, vy, body, head = state_of(step.previous)
+        x, y, vx, vy, body, head = before.tolist()
         x, y = x + step.dt * vx, y + step.dt * vy
     if not math.isfinite(body):
         body = next((a for a in (observation.body, observation.head) if a is not None), 0.0)
@@ -357,22 +363,22 @@ class SavedState(NamedTuple):
     next_index: int
 
 
-def pack_state(state: SavedState) -> dict[str, Any]:
+def pack_state(saved: SavedState) -> dict[str, Any]:
     """A state as JSON-able data: NaN becomes null, and arrays Base64 of their bytes."""
-    window, prior, last = state.window, state.window.prior, state.last
+    window, prior, last = saved.window, saved.window.prior, saved.last
     return {
         "version": STATE_VERSION,
-        "engine": state.engine,
-        "next_index": state.next_index,
+        "engine": saved.engine,
+        "next_index": saved.next_index,
         "steps": [
             {
                 "index": step.index,
                 "starts": step.starts,
                 "dt": step.dt,
-                "values": _nulls(window.values[step.index]),
+                "values": _nulls(state),
                 "observation": pack_observation(step.observation),
             }
-            for step in window.steps
+            for step, state in zip(window.steps, window.states.tolist(), strict=True)
         ],
         "prior": None
         if prior is None
@@ -384,7 +390,7 @@ def pack_state(state: SavedState) -> dict[str, Any]:
         },
         "anchor": None if window.anchor is None else _nulls(window.anchor),
         "modes": None if window.modes is None else window.modes.tolist(),
-        "arrays": {name: to_text(values) for name, values in state.arrays.items()},
+        "arrays": {name: to_text(values) for name, values in saved.arrays.items()},
         "last": None
         if last is None
         else {
@@ -426,7 +432,7 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
 
 def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     steps: list[Step] = []
-    values: dict[int, tuple[float, ...]] = {}
+    states = np.empty((len(state["steps"]), N))
     for entry in state["steps"]:
         previous = steps[-1].alone() if steps else None
         observation = unpack_observation(entry["observation"])
@@ -436,7 +442,7 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
         if steps and not observation.t > steps[-1].observation.t:
             raise ValueError("steps that are not in order")
         steps.append(Step(integer(entry["index"]), observation, previous, dt, entry["starts"], camera))
-        values[entry["index"]] = tuple(_nans(entry["values"]).reshape(6).tolist())
+        states[len(steps) - 1] = _nans(entry["values"]).reshape(N)
     prior = None
     if state["prior"] is not None:
         saved = state["prior"]
@@ -451,7 +457,7 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     modes = None if state["modes"] is None else _matrix(state["modes"])
     if modes is not None and (modes.shape[0] != 2 or not modes.size):
         raise ValueError(f"modes {modes.shape}")
-    return Window(tuple(steps), values, prior, anchor, modes)
+    return Window(tuple(steps), states, prior, anchor, modes)
 
 
 def _estimate(saved: dict[str, Any]) -> Estimate:

@@ -186,13 +186,14 @@ class ChainWindow:
         """The steps of the window, oldest first."""
         return self._steps
 
-    def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head of a step of the window; NaN for variables outside the model."""
-        # The newest step is read at every observation.
-        back = 1
-        if step is not self._steps[-1]:
-            back = next(k for k, known in enumerate(reversed(self._steps), 1) if known.index == step.index)
-        return self._read(self._offsets[1] - back)
+    def states(self, last: int | None = None) -> FloatArray:
+        """States (n, 6) of the window's steps, or of its last ones; NaN for variables outside the model."""
+        begin, end = self._offsets.tolist()
+        states = self._states[begin if last is None else end - last : end].copy()
+        states[:, :2] += self._origin
+        outside = [False] * 4 + [not self._model.has_body, not self._model.has_head]
+        states[:, outside] = math.nan
+        return states
 
     @property
     def modes_before(self) -> FloatArray | None:
@@ -223,8 +224,7 @@ class ChainWindow:
 
     def restore(self, window: Window) -> None:
         """Replace the window without solving it."""
-        origin = window.values[window.steps[0].index][:2] if window.steps else (0.0, 0.0)
-        self._take(window, np.array(origin))
+        self._take(window, window.states[0, :2].copy() if window.steps else np.zeros(2))
 
     def arrays(self) -> dict[str, FloatArray]:
         """The arrays that reproduce the next estimates exactly, in addition to the window; see `resume`."""
@@ -273,7 +273,7 @@ class ChainWindow:
         self._has_prior, self._anchor = window.prior is not None, window.anchor
         for k, step in enumerate(window.steps):
             self._put(k, step, k > 0)
-            self._set(k, window.values[step.index])
+            self._set(k, window.states[k])
         self._offsets[1] = len(window.steps)
         self._steps = [step.alone() for step in window.steps]
         for k in range(1, len(window.steps)):
@@ -290,13 +290,12 @@ class ChainWindow:
     def window(self) -> Window:
         """The window from which another smoother can resume."""
         steps = tuple(self._steps)
-        values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
         prior = None
         if steps and self._has_prior:
             there = self._prior.copy()
             there[N + 1, :2] += self._origin
             prior = MarginalPrior(there[:N], there[N], there[N + 1])
-        return Window(steps, values, prior, self._anchor, self.modes_before)
+        return Window(steps, self.states(), prior, self._anchor, self.modes_before)
 
     # -- arrays --------------------------------------------------------------------------------------------
 
@@ -330,17 +329,9 @@ class ChainWindow:
         self._warm = warm
         self._offsets[:] = 0, n
 
-    def _read(self, row: int) -> tuple[float, ...]:
-        x, y, vx, vy, body, head = self._states[row].tolist()
-        left, bottom = self._origin.tolist()
-        body = body if self._model.has_body else math.nan
-        return x + left, y + bottom, vx, vy, body, head if self._model.has_head else math.nan
-
     def _set(self, row: int, state: Sequence[float]) -> None:
-        left, bottom = self._origin.tolist()
-        x, y, vx, vy, body, head = state
-        known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
-        self._states[row] = (x - left, y - bottom, vx, vy, *known)
+        self._states[row] = np.nan_to_num(state)
+        self._states[row, :2] -= self._origin
 
     def _put_next(self, step: Step) -> None:
         """Write a step into the row after the newest."""

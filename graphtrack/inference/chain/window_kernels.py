@@ -314,8 +314,8 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
             prior[N + 1, place] += turn
 
 
-@inner
-def chain_of(problem: Problem) -> Any:
+@inner_allocating
+def chain_of(problem: Problem) -> Chain:
     """The frames of a window."""
     n = problem.offsets[1] - problem.offsets[0]
     # The index of the only track, 0, as a variable: functions are compiled again for each constant.

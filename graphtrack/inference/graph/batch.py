@@ -127,7 +127,7 @@ def smooth_graph(
     steps = chain(track, camera)
     view = _view(track, model, camera, steps)
     first = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
-    window = Window(tuple(steps), {}, None, (float(initial.body[0]), float(initial.head[0])))
+    window = Window(tuple(steps), first, None, (float(initial.body[0]), float(initial.head[0])))
     # With coupling modes the factors read the couplings from the view; else these are constant.
     graph = window_graph(window, model, None if view is None else view.couplings)
     values = values_of(steps, first, model)

@@ -138,30 +138,19 @@ class WindowView(_View):
 
     def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
         """Replace the steps, with states (n, 6), and the data of the first."""
-        n, known = len(steps), {step.index: row for row, step in enumerate(self._steps)}
-        old = self._problem if known else None
-        gone = known.get(steps[0].index, len(known))
+        n, known = len(steps), [step.index for step in self._steps]
+        gone = known.index(steps[0].index) if steps[0].index in known else len(known)
         if 0 < gone <= self._filtered.shape[1]:
             self.before = self._filtered[:, gone - 1].copy()
         origin = states[0, :2].copy()
-        about = np.zeros((N + 2, N)) if prior is None else prior.rows(origin)
-        self._frames.make(n, origin, about)
-        problem = self._frames.problem
-        if old is not None:
-            problem.shared[:] = old.shared
+        self._frames.make(n, origin, np.zeros((N + 2, N)) if prior is None else prior.rows(origin))
         for row, step in enumerate(steps):
-            there = known.get(step.index)
-            # The links of a first row were cut.
-            if there is None or row > there == 0 or not _is_same(self._steps[there], step):
-                self._frames.put(row, step)
-                continue
-            for name in ("records", "body_heights", "head_heights"):
-                getattr(problem, name)[row] = getattr(old, name)[there]
+            self._frames.put(row, step)
         for name in self._program.links:
             # They are part of the prior, or link to steps outside the window.
             self._frames.rows[0, self._frames.place[name]] = 0.0
         self._steps = list(steps)
-        self._start(problem, n)
+        self._start(self._frames.problem, n)
 
     def _note(self) -> None:
         rows = couplings_of(self._problem.records[: len(self._steps)])
@@ -169,12 +158,3 @@ class WindowView(_View):
         for step, row in zip(self._steps[1:], rows[1:], strict=True):
             self.couplings[step.index] = row
         self.couplings.setdefault(self._steps[0].index, rows[0])
-
-
-def _is_same(known: Step, step: Step) -> bool:
-    """Return True if a step was packed; the first of a window has lost its link to the previous one."""
-    return (
-        known.index == step.index
-        and known.observation is step.observation
-        and (known.dt == step.dt or step.dt is None)
-    )
