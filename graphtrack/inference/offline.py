@@ -16,16 +16,16 @@ from graphtrack.inference.chain.batch import fit_lanes, solve_packed
 from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import pack_to_solve
 from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
-from graphtrack.inference.engines import engine_of
-from graphtrack.inference.graph.batch import smooth_graph
-from graphtrack.inference.result import (
+from graphtrack.inference.engines import (
     Failure,
     OfflineEngine,
     Solution,
     SolverOptions,
+    engine_of,
     estimated_tracks,
     not_finite,
 )
+from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.warm import make_solver_ready
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import LANES

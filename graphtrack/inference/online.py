@@ -20,11 +20,10 @@ from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
-from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine
+from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine, with_extreme_of
 from graphtrack.inference.graph.coupling_modes import CouplingModeSmoother
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
-from graphtrack.inference.result import with_extreme_of
 from graphtrack.inference.state import (
     FAILURES,
     Estimate,

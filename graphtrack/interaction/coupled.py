@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.result import Failure, Solution
+from graphtrack.inference.engines import Failure, Solution
 from graphtrack.inference.state import Estimate, checked
 from graphtrack.interaction.evidence import (
     FORGOTTEN,

@@ -317,23 +317,6 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
         for j in range(BASE):
             row[j] = exp(row[j] - greatest)
         base_total = glance_total = 0.0 * share
-        if k == 0 and not any_of(dt > 0.0):
-            outside = 1.0 - modes.glance_share
-            for j in range(BINS):
-                found = row[j] * (outside * (1.0 - modes.aligned) * anywhere[j])
-                now[j] = found
-                base_total += found
-            for j in range(BINS, BASE):
-                found = row[j] * (outside * modes.aligned * near[j - BINS])
-                now[j] = found
-                base_total += found
-            for j in range(BINS):
-                found = row[j] * (modes.glance_share * modes.glance[j])
-                now[BASE + j] = found
-                glance_total += found
-            share = 1.0 / (base_total + glance_total)
-            base = base_total * share
-            continue
         previous = filtered[k - 1] if k > 0 else before
         passes, side = drift_of(modes.drift, dt)
         source = previous
@@ -342,9 +325,12 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
                 spare[j] = previous[j]
             drift_further(spare, passes, side)
             source = spare
-        changes = changes_in(modes, dt)
+        # At a first frame all modes are drawn from the stationary density.
+        changes, inside = changes_in(modes, dt), dt > 0.0
         again = (1.0 - changes.begins - changes.kept) * base + changes.ends * (1.0 - base)
-        free, aligned, kept = again * (1.0 - modes.aligned), again * modes.aligned, changes.kept * share
+        again = choose(inside, again, 1.0 - modes.glance_share)
+        free, aligned = again * (1.0 - modes.aligned), again * modes.aligned
+        kept = choose(inside, changes.kept * share, 0.0)
         own, behind = source[0], source[_LAST]
         for j in range(BINS):
             beyond = source[j + 1 if j < _LAST else 0]
@@ -357,8 +343,9 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
             now[j] = found
             base_total += found
         if glances:
-            kept = changes.kept_glance * share
+            kept = choose(inside, changes.kept_glance * share, 0.0)
             again = changes.begins * base + (1.0 - changes.ends - changes.kept_glance) * (1.0 - base)
+            again = choose(inside, again, modes.glance_share)
             for j in range(BINS):
                 found = row[j] * (kept * previous[BASE + j] + again * modes.glance[j])
                 now[BASE + j] = found

@@ -25,7 +25,7 @@ from numba.extending import overload
 
 from graphtrack.errors import InputError
 from graphtrack.kernels.compilation import INNER, OPTIONS
-from graphtrack.kernels.lanes import LaneRecordsType
+from graphtrack.kernels.lanes import LaneArrayType
 from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of
 from graphtrack.model import Model, Term, program
 from graphtrack.model.model import every_term
@@ -64,7 +64,7 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
 
     def implementation(*arguments: Any) -> Any:
         kind = records_of(*arguments)
-        if isinstance(kind, LaneRecordsType):
+        if isinstance(kind, LaneArrayType):
             fields = kind.places
         else:
             fields = (kind.dtype if isinstance(kind, types.Array) else kind).fields
@@ -223,18 +223,19 @@ class Program:
             alias += "_"
         return f"{alias}.{name}"
 
-    def _call(
-        self, indent: int, begin: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]
-    ) -> str:
-        """A call of a function, with its parameters renamed by ``names`` and replaced by ``here``."""
+    def _call(self, line: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]) -> str:
+        """A line with the call of a function at its ``{}``.
+
+        Its parameters are renamed by ``names`` and replaced by ``here``.
+        """
         known, given = {**self._known, **here}, arguments_of(function, names)
         for name in given:
             if name not in known:
                 expected = "a field or a name of `Kernel`"
                 raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
-        line = f"{begin}{self._name(function)}({', '.join(known[name] for name in given)})"
-        space = " " * indent
-        return textwrap.fill(line, 110, initial_indent=space, subsequent_indent=space + "    ") + "\n"
+        line = line.format(f"{self._name(function)}({', '.join(known[name] for name in given)})")
+        space = " " * (len(line) - len(line.lstrip()))
+        return textwrap.fill(line, 110, subsequent_indent=space + "    ") + "\n"
 
     def _opened(self, kernel: Kernel, indent: int) -> str:
         """The condition under which a kernel is called."""
@@ -273,8 +274,8 @@ class Program:
             for kernel in self.kernels:
                 if bool(kernel.before) is links:
                     text += self._opened(kernel, 8)
-                    text += self._call(12, "found = ", kernel.function, kernel.names, {})
-                    text += "            cost += choose(gate, found, 0.0)\n"
+                    line = " " * 12 + "cost += choose(gate, {}, 0.0)"
+                    text += self._call(line, kernel.function, kernel.names, {})
         return text + "    return cost\n\n"
 
     def _cut(self) -> str:
@@ -291,12 +292,12 @@ class Program:
             text += self._opened(kernel, 4)
             if kernel.add_quarter_turns is not None:
                 here = {"cost": f"masked({name}, gate)"}
-                text += self._call(8, "", kernel.add_quarter_turns, kernel.names, here)
+                text += self._call(" " * 8 + "{}", kernel.add_quarter_turns, kernel.names, here)
                 continue
             here = {f"{name}_cos": "cos", f"{name}_sin": "sin"}
             text += f"        cos, sin = {name}_cos, {name}_sin\n        for q in range(4):\n"
-            text += self._call(12, "found = ", kernel.function, kernel.names, here)
-            text += f"            {name}[q] += choose(gate, found, 0.0)\n"
+            line = " " * 12 + name + "[q] += choose(gate, {}, 0.0)"
+            text += self._call(line, kernel.function, kernel.names, here)
             text += "            cos, sin = -sin, cos\n"
         return text
 

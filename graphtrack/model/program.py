@@ -123,125 +123,110 @@ def add_frame(
         head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
         gate = (frame.motion_information > 0.0) & negate(frame.steer_gain > 0.0)
         if any_of(gate):
-            found = motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
+            cost += choose(gate, motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
                 masked(sums_before.gradient, gate), masked(sums.gradient, gate), masked(sums_before.hessian,
-                gate), masked(sums.hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+                gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
         gate = frame.body_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos, body_sin, at_body,
-                frame.body_turn_kappa, exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
-                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos,
+                body_sin, at_body, frame.body_turn_kappa, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.head_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos, head_sin, at_head,
-                frame.head_turn_kappa, exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
-                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos,
+                head_sin, at_head, frame.head_turn_kappa, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.steer_gain > 0.0
         if any_of(gate):
-            found = motion_kernels.add_steered_motion(before, state, head_cos_before, head_sin_before,
-                frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place, frame.steer_cross,
-                frame.steer_spread, exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
-                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, motion_kernels.add_steered_motion(before, state, head_cos_before,
+                head_sin_before, frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place,
+                frame.steer_cross, frame.steer_spread, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = conversation_kernels.add_persistence(body_cos_before, body_sin_before, body_cos, body_sin,
-                at_body, frame.group_hold, frame.group_drift, shared.group_body_hold, exact,
-                masked(sums_before.gradient, gate), masked(sums.gradient, gate), masked(sums_before.hessian,
-                gate), masked(sums.hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_persistence(body_cos_before, body_sin_before,
+                body_cos, body_sin, at_body, frame.group_hold, frame.group_drift, shared.group_body_hold,
+                exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
+                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = conversation_kernels.add_persistence(head_cos_before, head_sin_before, head_cos, head_sin,
-                at_head, frame.group_hold, frame.group_drift, shared.group_head_hold, exact,
-                masked(sums_before.gradient, gate), masked(sums.gradient, gate), masked(sums_before.hessian,
-                gate), masked(sums.hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_persistence(head_cos_before, head_sin_before,
+                head_cos, head_sin, at_head, frame.group_hold, frame.group_drift, shared.group_head_hold,
+                exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
+                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
     if own:
         gate = frame.velocity_information > 0.0
         if any_of(gate):
-            found = motion_kernels.add_first_velocity(state, frame.velocity_information, masked(sums.gradient,
-                gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, motion_kernels.add_first_velocity(state, frame.velocity_information,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = (frame.position_information > 0.0) & negate(frame.pixel_information > 0.0)
         if any_of(gate):
-            found = position_kernels.add_position(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.x, frame.y, frame.position_information, shared.robust, shared.robust_threshold, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, position_kernels.add_position(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.x, frame.y, frame.position_information, shared.robust,
+                shared.robust_threshold, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.pixel_information > 0.0
         if any_of(gate):
-            found = position_kernels.add_pixel(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.u, frame.v, frame.pixel_information, shared.to_image, shared.robust,
-                shared.robust_threshold, exact, masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, position_kernels.add_pixel(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.u, frame.v, frame.pixel_information, shared.to_image,
+                shared.robust, shared.robust_threshold, exact, masked(sums.gradient, gate),
+                masked(sums.hessian, gate)), 0.0)
         gate = frame.body_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(body_cos, body_sin, at_body, frame.observed_body_cos,
+            cost += choose(gate, pose_kernels.add_angle(body_cos, body_sin, at_body, frame.observed_body_cos,
                 frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(sums.gradient,
-                gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+                gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_class_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_classes(body_cos, body_sin, at_body, problem.body_heights[place],
-                problem.body_directions, frame.body_class_kappa, frame.body_doubt, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_classes(body_cos, body_sin, at_body,
+                problem.body_heights[place], problem.body_directions, frame.body_class_kappa,
+                frame.body_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(head_cos, head_sin, at_head, frame.observed_head_cos,
+            cost += choose(gate, pose_kernels.add_angle(head_cos, head_sin, at_head, frame.observed_head_cos,
                 frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(sums.gradient,
-                gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+                gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_class_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_classes(head_cos, head_sin, at_head, problem.head_heights[place],
-                problem.head_directions, frame.head_class_kappa, frame.head_doubt, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_classes(head_cos, head_sin, at_head,
+                problem.head_heights[place], problem.head_directions, frame.head_class_kappa,
+                frame.head_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.motion_body_kappa > 0.0
         if any_of(gate):
-            found = couplings_kernels.add_body_follows_motion(state, body_cos, body_sin,
+            cost += choose(gate, couplings_kernels.add_body_follows_motion(state, body_cos, body_sin,
                 frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin, shared.speed_threshold,
-                exact, masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+                exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_body_kappa > 0.0
         if any_of(gate):
-            found = couplings_kernels.add_head_follows_body(body_cos, body_sin, head_cos, head_sin,
-                frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact, masked(sums.gradient,
-                gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, couplings_kernels.add_head_follows_body(body_cos, body_sin, head_cos,
+                head_sin, frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.place_weight > 0.0
         if any_of(gate):
-            found = place_kernels.add_place(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.place_weight, shared.place_x, shared.place_y, shared.place_radius, shared.place_sign,
-                exact, masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, place_kernels.add_place(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.place_weight, shared.place_x, shared.place_y,
+                shared.place_radius, shared.place_sign, exact, masked(sums.gradient, gate),
+                masked(sums.hessian, gate)), 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = conversation_kernels.add_faces_group(at_body, body_cos, body_sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_faces_group(at_body, body_cos, body_sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_body_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = conversation_kernels.add_faces_group(at_head, head_cos, head_sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_faces_group(at_head, head_cos, head_sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_head_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_anchor > 0.0
         if any_of(gate):
-            found = pose_kernels.add_anchor(body_cos, body_sin, at_body, start, frame.body_anchor, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_anchor(body_cos, body_sin, at_body, start,
+                frame.body_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_anchor > 0.0
         if any_of(gate):
-            found = pose_kernels.add_anchor(head_cos, head_sin, at_head, start, frame.head_anchor, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_anchor(head_cos, head_sin, at_head, start,
+                frame.head_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
     return cost
 
 
@@ -295,17 +280,15 @@ def set_quarter_turns(
     if any_of(gate):
         cos, sin = body_cos, body_sin
         for q in range(4):
-            found = conversation_kernels.add_faces_group(at_body, cos, sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            body[q] += choose(gate, found, 0.0)
+            body[q] += choose(gate, conversation_kernels.add_faces_group(at_body, cos, sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_body_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
             cos, sin = -sin, cos
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = head_cos, head_sin
         for q in range(4):
-            found = conversation_kernels.add_faces_group(at_head, cos, sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate))
-            head[q] += choose(gate, found, 0.0)
+            head[q] += choose(gate, conversation_kernels.add_faces_group(at_head, cos, sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_head_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
             cos, sin = -sin, cos

@@ -10,6 +10,7 @@ from calibrated import calibrated, seconds_to_ends
 from calibration_formulas import calibrated as documented
 from walks import walk
 
+from graphtrack.baselines.kalman import process_noise, transition_matrix
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.inference.chain.batch import solve_packed
 from graphtrack.inference.chain.covariance import (
@@ -27,7 +28,6 @@ from graphtrack.model.parameters import (
     steady,
     with_oscillation,
 )
-from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
 
 STILL, RESTING = steady(Parameters()), np.zeros(2)

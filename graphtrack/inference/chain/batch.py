@@ -73,14 +73,19 @@ from graphtrack.model.packing import PackedTracks
 from graphtrack.model.terms.gait import gait_of
 from graphtrack.tracks.track import Track
 
+PASSES = 2
+"""Alternations of coupling modes and states; a third does not reduce the errors on motion capture."""
+
+ON_THE_WAY = 1e-6
+"""Relative cost tolerance of all descents but the last, which only determine the modes; their last step is
+still taken. The result is within 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, of that at 10⁻¹²."""
+
 
 class Options(NamedTuple):
     """Options of the solver."""
 
     max_iterations: int  # most steps of each descent
-    tolerance: float  # of the cost, of the last descent
-    on_the_way: float  # the same of earlier descents, which only determine the modes
-    passes: int  # alternations of coupling modes and states
+    tolerance: float  # of the cost, of the last descent; see `ON_THE_WAY`
     search: bool  # True for basin search
 
 
@@ -272,14 +277,15 @@ def solve_group(
     length, ended, most = chain.length, workspace.ended, options.max_iterations
     copy_rows(0, chain.n, states, workspace.before)
     ended[RIVAL_COST] = 0.0 * length + math.inf
-    tolerance = options.tolerance if gait is None else options.on_the_way
+    on_the_way = max(options.tolerance, ON_THE_WAY)
+    tolerance = options.tolerance if gait is None else on_the_way
     settle(group, most, tolerance, options.search, as_variable(gait is None))
     if gait is not None:
         # The first descent has no couplings; then modes and states alternate.
         put_back(group, guessed, workspace.before)
-        for left in range(options.passes - 1, -1, -1):
+        for left in range(PASSES - 1, -1, -1):
             last = left == 0
-            tolerance = options.tolerance if last else options.on_the_way
+            tolerance = options.tolerance if last else on_the_way
             renew_couplings(chain, states, gait, classified, last, group.modes)
             # Costs of rivals are invalid with other couplings.
             ended[RIVAL_COST] = choose(ended[RIVAL_COST] < math.inf, 1e300, math.inf)
@@ -355,7 +361,7 @@ def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
 
 def _for_lanes(memory: Any) -> Any:
     """A `Workspace` or a `ModeMemory` with room in every array of floats for all lanes."""
-    return type(memory)(*(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory))
+    return type(memory)(*(np.zeros((*one.shape, LANES)) if one.dtype == float else one for one in memory))
 
 
 @inner_allocating
@@ -440,13 +446,6 @@ def solve_lanes(
         scatter(problem, arrays, result)
 
 
-PASSES = 2
-"""Alternations of coupling modes and states; a third does not reduce the errors on motion capture."""
-
-ON_THE_WAY = 1e-6
-"""Relative cost tolerance of all descents but the last, which only determine the modes; their last step is
-still taken. The result is within 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, of that at 10⁻¹²."""
-
 LARGE = 200_000
 """Person-frames from which work is solved in lanes, which takes as long to compile as the rest of an engine,
 and a third of the time."""
@@ -515,7 +514,7 @@ def solve_packed(
         problem, angles_observed = problem_of(packed), observed_angles(packed, model)
         initialise(linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
         guessed = never_observed(packed, angles_observed) if model.has_modes else NONE_GUESSED
-        options = Options(max_iterations, tolerance, max(ON_THE_WAY, tolerance), PASSES, basin_search)
+        options = Options(max_iterations, tolerance, basin_search)
         solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     if calibration is not None:

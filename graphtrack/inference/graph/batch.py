@@ -15,14 +15,14 @@ from graphtrack.inference.chain.basin_search import AT_END, AT_START
 from graphtrack.inference.chain.batch import PASSES
 from graphtrack.inference.chain.covariance import calibrate_tracks, calibration_of
 from graphtrack.inference.chain.initialisation import initial_states
-from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.result import (
+from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     estimated_tracks,
     not_finite,
     with_extreme,
 )
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.state import Window, states_of, values_of, variable_keys, variables
 from graphtrack.inference.warm import has_own_kernels, make_solver_ready
 from graphtrack.model import Model, Step

@@ -11,11 +11,11 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END
+from graphtrack.inference.engines import SolverOptions
 from graphtrack.inference.graph.batch import keys_of, optimize, window_graph
 from graphtrack.inference.graph.chain_view import WindowView
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
-from graphtrack.inference.result import SolverOptions
 from graphtrack.inference.state import (
     EMPTY,
     FAILURES,
