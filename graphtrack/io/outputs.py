@@ -13,10 +13,10 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import boxes_on_ground, read_homography
-from graphtrack.io.cells import cells_of_frame, numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import boxes_of_file, cells_of_file, is_table, tracks_given
 from graphtrack.packages import package
+from graphtrack.tracks.cells import cells_of_frame, numbers
 from graphtrack.tracks.schema import BOX_COLUMNS
 from graphtrack.tracks.table import check_identities
 from graphtrack.tracks.track import TrackSet, to_columns
