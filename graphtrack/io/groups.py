@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
-from graphtrack.io.formats.native import read_csv
+from graphtrack.io.formats.native import open_table
 from graphtrack.io.source import Source
-from graphtrack.tracks.cells import numbers
-from graphtrack.tracks.table import check_integers
-from graphtrack.tracks.validation import LARGEST_ID, LARGEST_SECONDS, parse_number
+from graphtrack.tracks.cells import integers
+from graphtrack.tracks.validation import LARGEST_SECONDS, parse_number
 
 IntArray = NDArray[np.int64]
 
@@ -159,7 +158,7 @@ def read_groups(path: str | Path) -> GroupLabels:
         raise InputError("no rows", "groups", path=source.path)
     first = lines[0][1]
     if _names_groups(first):
-        return _read_table(source)
+        return _read_table(source.path)
     return _read_salsa(source, lines) if "<" in first else _read_lines(source, lines)
 
 
@@ -225,15 +224,9 @@ def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
     return frozenset(group)
 
 
-def _read_table(source: Source) -> GroupLabels:
-    cells = read_csv(source, known=_NEEDED)
-    columns = []
-    for name in _NEEDED:
-        values = numbers(cells, name)
-        check_integers(values, name, LARGEST_ID, cells.fail)
-        columns.append(values.astype(np.int64).tolist())
-    if not columns[0]:
-        raise InputError("no rows", "at least one row", path=source.path)
+def _read_table(path: Path) -> GroupLabels:
+    cells = open_table(path, _NEEDED)
+    columns = [integers(cells, name).tolist() for name in _NEEDED]
     frames: dict[int, dict[int, int]] = {}
     line_of: dict[int, int] = {}
     for row, (frame, person, group) in enumerate(zip(*columns, strict=True)):
@@ -249,7 +242,7 @@ def _read_table(source: Source) -> GroupLabels:
             if group >= 0:
                 members.setdefault(group, set()).add(person)
         steps.append(GroupStep(frame, tuple(frozenset(one) for one in members.values()), line_of[frame]))
-    return GroupLabels("frame", tuple(steps), source.path)
+    return GroupLabels("frame", tuple(steps), path)
 
 
 def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:

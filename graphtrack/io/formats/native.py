@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import gzip
 import io
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,6 +67,17 @@ def read_csv(source: Source, options: ReadOptions = ReadOptions(), known: Collec
     place = {name: k for k, name in enumerate(names)}
     columns = Columns(names, lambda name: np.array([row[place[name]] for row in cells], dtype=object))
     return Cells(source.path, "csv", columns, lines.__getitem__)
+
+
+def open_table(path: str | Path, needed: Sequence[str]) -> Cells:
+    """Read a CSV file that has some columns and at least one row."""
+    cells = read_csv(Source.open(path), known=needed)
+    missing = next((name for name in needed if name not in cells.columns), None)
+    if missing is not None:
+        raise InputError(f"no column {missing}", f"the columns {', '.join(needed)}", path=path)
+    if not len(cells.columns[needed[0]]):
+        raise InputError("no rows", "at least one row", path=path)
+    return cells
 
 
 def _names(source: Source, line: int, row: list[str], known: Collection[str]) -> list[str]:
