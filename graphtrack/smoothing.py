@@ -25,10 +25,16 @@ from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.inference.engines import OnlineEngine, engine_of
+from graphtrack.inference.engines import (
+    Failure,
+    OfflineEngine,
+    OnlineEngine,
+    Solution,
+    SolverOptions,
+    engine_of,
+)
 from graphtrack.inference.offline import solve_each
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.result import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.inference.state import Estimate, as_track
 from graphtrack.inference.warm import make_all_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
@@ -36,7 +42,7 @@ from graphtrack.interaction.walls import model_with_walls, solve_inside, with_ob
 from graphtrack.io.options import FileReading, ReadingBase
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.faces_group import GROUP
+from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import without_walls
 from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, unpack_tree
 from graphtrack.tracks.gaps import at_times, filled, with_times_at

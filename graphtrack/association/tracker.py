@@ -24,7 +24,7 @@ from graphtrack.inference.state import Estimate, as_track, checked, pack_observa
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import CHANNELS, observation_at
-from graphtrack.model.terms.faces_group import Group, with_group_at
+from graphtrack.model.terms.conversation import Group, with_group_at
 from graphtrack.model.terms.walls import with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.gaps import with_rows

@@ -27,11 +27,9 @@ from graphtrack.model.coupling_modes import (
     mode_memory,
     smooth_modes,
 )
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.gait import BASE, ROW, GaitOffsets, Modes, gait_of
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.intentional_motion import HEAD_RATE, IntentionalMotion, head_rates, steered_step
-from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.motion import HEAD_RATE, IntentionalMotion, Motion, head_rates, steered_step
 from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics

@@ -81,8 +81,7 @@ def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
     """Read the tracks, and smooth them if a model is named."""
     if model is None:
         return tracks
-    from graphtrack.inference.engines import engine_of
-    from graphtrack.inference.result import Solution
+    from graphtrack.inference.engines import Solution, engine_of
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
 

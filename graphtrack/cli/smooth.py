@@ -120,8 +120,7 @@ def smooth(
     from graphtrack.diagnostics import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
-    from graphtrack.inference.engines import engine_of
-    from graphtrack.inference.result import Failure, Solution
+    from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.inference.warm import make_solver_ready
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks

@@ -28,7 +28,7 @@ from graphtrack.evaluation.compare import Described, compared, group_of
 from graphtrack.evaluation.identities import SequenceScore, Threshold, judge, threshold_of
 from graphtrack.evaluation.matching import estimated_detections, true_detections
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.result import Solution
+from graphtrack.inference.engines import Solution
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import boxes_of_file, rows_of_file
 from graphtrack.model import Model

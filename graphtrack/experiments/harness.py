@@ -32,7 +32,7 @@ from graphtrack.inference import Solution
 from graphtrack.inference.engines import OnlineEngine
 from graphtrack.io import read_identified
 from graphtrack.model import Model, Parameters
-from graphtrack.model.terms.intentional_motion import (
+from graphtrack.model.terms.motion import (
     HEAD_RATE,
     STANDSTILL,
     IntentionalMotion,

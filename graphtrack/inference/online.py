@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -21,11 +20,10 @@ from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
-from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine
+from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine, with_extreme_of
 from graphtrack.inference.graph.coupling_modes import CouplingModeSmoother
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
-from graphtrack.inference.result import with_extreme_of
 from graphtrack.inference.state import (
     FAILURES,
     Estimate,
@@ -47,10 +45,9 @@ from graphtrack.tracks.display import html_pairs
 
 def worked_in(window: Window, observation: Observation, place: int, inserted: bool, template: Step) -> Window:
     """The window with one more observation, in a step like ``template`` or in place of one; linked again."""
-    values = dict(window.values)
-    steps = list(window.steps[:place])
+    states, steps = window.states, list(window.steps[:place])
     if inserted:
-        values[template.index] = _between(window, steps[-1], window.steps[place], observation.t)
+        states = np.insert(states, place, _between(window, place, observation.t), axis=0)
     else:
         template = replace(window.steps[place], observation=observation)
     for step in (template, *window.steps[place if inserted else place + 1 :]):
@@ -59,7 +56,7 @@ def worked_in(window: Window, observation: Observation, place: int, inserted: bo
             dt = seconds_between(previous, step.observation)
             step = replace(step, previous=previous, dt=dt)
         steps.append(step)
-    return replace(window, steps=tuple(steps), values=values)
+    return replace(window, steps=tuple(steps), states=states)
 
 
 def merged(known: Observation, new: Observation) -> Observation | None:
@@ -74,14 +71,14 @@ def merged(known: Observation, new: Observation) -> Observation | None:
     return replace(known, **added) if added else None
 
 
-def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float, ...]:
-    """Initial state at t, between two steps of the window."""
-    start, end = before.observation.t, after.observation.t
+def _between(window: Window, place: int, t: float) -> FloatArray:
+    """Initial state (6,) at t, between the step at a place of the window and the previous one."""
+    start, end = (step.observation.t for step in window.steps[place - 1 : place + 1])
     share = (t - start) / (end - start)
-    a, b = np.array(window.values[before.index]), np.array(window.values[after.index])
+    a, b = window.states[place - 1 : place + 1]
     state = a + share * (b - a)
     state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
-    return tuple(state.tolist())
+    return np.asarray(state)
 
 
 _PROMISED_DECREASE = 1e-8
@@ -228,19 +225,20 @@ class OnlineSmoother:
         steps = [step for step in window.steps if step.observation.t < since]
         if not steps:
             return None
-        known = {step.observation.t: window.values[step.index] for step in window.steps}
-        values = {step.index: window.values[step.index] for step in steps}
+        times = (step.observation.t for step in window.steps)
+        known = dict(zip(times, window.states, strict=True))
+        states = list(window.states[: len(steps)])
         for observation in map(self.usable, observations):
             previous = steps[-1].alone()
             dt = seconds_between(previous, observation)
             steps.append(Step(self._next_index, observation, previous, dt, False, self.camera))
-            state = np.array(values[previous.index])
+            state = states[-1].copy()
             state[:2] += dt * state[2:4]
-            values[self._next_index] = known.get(observation.t, tuple(state.tolist()))
+            states.append(known.get(observation.t, state))
             self._next_index += 1
         latest = steps[-1].observation
         try:
-            newest = self._smoother.rework(replace(window, steps=tuple(steps), values=values))
+            newest = self._smoother.rework(replace(window, steps=tuple(steps), states=np.array(states)))
         except FAILURES as error:
             return self._failed(latest, error)
         return self._estimate(newest, latest, "late")
@@ -258,24 +256,18 @@ class OnlineSmoother:
 
     def history(self) -> list[tuple[float, FloatArray]]:
         """Smoothed states of the window: (t, array of x, y, vx, vy, body, head), oldest first."""
-        smoother = self._smoother
-        return [(step.observation.t, np.array(smoother.state(step))) for step in smoother.steps]
+        times = (step.observation.t for step in self._smoother.steps)
+        return list(zip(times, self._smoother.states(), strict=True))
 
     def state(self) -> dict[str, Any]:
         """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
-        smoother = self._smoother
-        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
-        return pack_state(saved) | {"terms": self._terms()}
+        return self.later_state()()
 
     def later_state(self) -> Callable[[], dict[str, Any]]:
-        """Return a function that computes the present `state` later; quick with the chain engine."""
+        """Return a function that computes the present `state` later."""
         smoother = self._smoother
-        if not isinstance(smoother, ChainWindow):
-            found = self.state()
-            return lambda: found
-        kept = copy(self)
-        kept._smoother = smoother.snapshot()
-        return kept.state
+        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
+        return lambda: pack_state(saved) | {"terms": self._terms()}
 
     @classmethod
     def from_state(
@@ -323,7 +315,8 @@ class OnlineSmoother:
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
-            return self._extended(smoother.extend(step, predicted(step, smoother.state)), observation)
+            before = smoother.states(1)[0] if steps else None
+            return self._extended(smoother.extend(step, predicted(step, before)), observation)
         except FAILURES as error:
             return self._extended(error, observation)
 

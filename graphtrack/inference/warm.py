@@ -12,8 +12,8 @@ from graphtrack.inference.chain.batch import has_lanes, is_chain, solve_packed
 from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import initial_states, pack, pack_to_solve
 from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.engines import OfflineEngine
 from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.result import OfflineEngine
 from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between

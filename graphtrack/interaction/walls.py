@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.walkable import WalkableArea
-from graphtrack.inference.result import Failure, Solution
+from graphtrack.inference.engines import Failure, Solution
 from graphtrack.model import Model
 from graphtrack.model.terms.walls import StaysInside, barrier_depth, with_walls, without_walls
 from graphtrack.tracks.track import Track, TrackSet

@@ -60,21 +60,16 @@ class _MaskType(types.Type):
 
 
 class LaneArrayType(types.Type):
-    """An array (n, *dims) of lanes; ``masked``: assignments change some lanes only."""
+    """An array (n, *dims) of lanes; ``masked``: assignments change some lanes only.
 
-    def __init__(self, dims: tuple[int, ...], masked: bool) -> None:
-        self.dims, self.masked = dims, masked
-        super().__init__(name=f"LaneArray({dims}, {masked})")
+    Of records, ``dtype`` is their type, and the last axis is that of their numbers: ``places`` by name.
+    """
 
-
-class LaneRecordsType(types.Type):
-    """An array (n,) of records, or one record, of lanes; ``indices`` of their fields, by name."""
-
-    def __init__(self, dtype: np.dtype, *, one: bool) -> None:
-        self.dtype, self.one = dtype, one
-        fields: Any = dtype.fields
+    def __init__(self, dims: tuple[int, ...], masked: bool = False, dtype: np.dtype | None = None) -> None:
+        self.dims, self.masked, self.dtype = dims, masked, dtype
+        fields: Any = {} if dtype is None else dtype.fields
         self.places = {name: known[1] // 8 for name, known in fields.items()}
-        super().__init__(name=f"LaneRecords({dtype}, {one})")
+        super().__init__(name=f"LaneArray({dims}, {masked}, {dtype})")
 
 
 Lanes, LaneMask = _LanesType(name="Lanes"), _MaskType(name="LaneMask")
@@ -97,12 +92,6 @@ class _ArrayModel(models.StructModel):
     def __init__(self, manager: Any, kind: LaneArrayType) -> None:
         members = [("data", types.CPointer(types.float64))]
         super().__init__(manager, kind, [*members, ("mask", LaneMask)] if kind.masked else members)
-
-
-@register_model(LaneRecordsType)
-class _RecordsModel(models.StructModel):
-    def __init__(self, manager: Any, kind: LaneRecordsType) -> None:
-        super().__init__(manager, kind, [("data", types.CPointer(types.float64))])
 
 
 # -- arithmetic --------------------------------------------------------------------------------------------
@@ -281,16 +270,10 @@ def _lanes_at(builder: Any, data: Any) -> Any:
     return builder.bitcast(data, _DOUBLES.as_pointer())
 
 
-@intrinsic
-def lane_array(_context: Any, array: Any) -> Any:
-    """An array of floats (n, LANES), (n, 6, LANES) or (n, 6, 6, LANES) as one of lanes."""
-    return _viewed(array, LaneArrayType((6,) * (array.ndim - 2), False))
-
-
 @intrinsic(prefer_literal=True)
-def lane_rows(_context: Any, array: Any, size: Any) -> Any:
-    """An array of floats (n, size, LANES) as one of lanes; the size is a constant."""
-    return _viewed(array, LaneArrayType((size.literal_value,), False), size)
+def lane_array(_context: Any, array: Any, size: Any) -> Any:
+    """An array of floats (n, LANES), (n, size, LANES) or (n, size, size, LANES) as one of lanes."""
+    return _viewed(array, LaneArrayType((size.literal_value,) * (array.ndim - 2)), size)
 
 
 def _viewed(array: Any, to: Any, *strides: Any) -> Any:
@@ -302,9 +285,38 @@ def _viewed(array: Any, to: Any, *strides: Any) -> Any:
 
 
 @intrinsic
+def lane_memory(_context: Any, memory: Any) -> Any:
+    """A named tuple of arrays, those of floats as arrays of lanes; or None.
+
+    Its class has their ``SIZES`` after the first axis by name, and the ``SIZE`` of all others.
+    """
+    if isinstance(memory, types.NoneType):
+        return memory(memory), lambda context, builder, sig, args: args[0]
+    made = memory.instance_class
+    sizes = [made.SIZES.get(name, made.SIZE) for name in memory.fields]
+    kinds = [
+        LaneArrayType((size,) * (array.ndim - 2)) if array.dtype == types.float64 else array
+        for array, size in zip(memory.types, sizes, strict=True)
+    ]
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        parts = []
+        for i, (array, kind) in enumerate(zip(memory.types, kinds, strict=True)):
+            part = builder.extract_value(args[0], i)
+            if kind != array:
+                part = _made(context, builder, kind, context.make_array(array)(context, builder, part).data)
+                part = part._getvalue()
+            parts.append(impl_ret_borrowed(context, builder, kind, part))
+        return context.make_tuple(builder, sig.return_type, parts)
+
+    return types.NamedTuple(kinds, made)(memory), emit
+
+
+@intrinsic
 def lane_records(_context: Any, array: Any, records: Any) -> Any:
     """Floats (n, fields, LANES) as records of lanes, of the type of other ``records``."""
-    return _viewed(array, LaneRecordsType(numba.np.numpy_support.as_dtype(records.dtype), one=False), records)
+    dtype = numba.np.numpy_support.as_dtype(records.dtype)
+    return _viewed(array, LaneArrayType((dtype.itemsize // 8,), dtype=dtype), records)
 
 
 @intrinsic
@@ -314,7 +326,7 @@ def masked(_context: Any, array: Any, mask: Any) -> Any:
         return array(array, mask), lambda context, builder, sig, args: impl_ret_borrowed(
             context, builder, array, args[0]
         )
-    to = LaneArrayType(array.dims, True)
+    to = LaneArrayType(array.dims, masked=True)
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         given = cgutils.create_struct_proxy(array)(context, builder, value=args[0])
@@ -344,13 +356,11 @@ def _rest(kind: LaneArrayType, index: Any) -> tuple[int, ...] | None:
 class _Get(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
         kind, index = args
-        if isinstance(kind, LaneRecordsType) and isinstance(index, types.Integer) and not kind.one:
-            return signature(LaneRecordsType(kind.dtype, one=True), kind, types.intp)
         to = _index_of(kind, index) if isinstance(kind, LaneArrayType) else None
         if to is None:
             return None
         dims = _rest(kind, to)
-        return signature(Lanes if dims is None else LaneArrayType(dims, kind.masked), kind, to)
+        return signature(Lanes if dims is None else LaneArrayType(dims, kind.masked, kind.dtype), kind, to)
 
 
 @infer_global(operator.setitem)
@@ -399,33 +409,25 @@ def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return context.get_dummy_value()
 
 
-@lower_builtin(operator.getitem, LaneRecordsType, types.intp)
-def _get_record(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    given = cgutils.create_struct_proxy(sig.args[0])(context, builder, value=args[0])
-    step = ir.Constant(args[1].type, LANES * (sig.args[0].dtype.itemsize // 8))
-    data = builder.gep(given.data, [builder.mul(args[1], step)])
-    return _made(context, builder, sig.return_type, data)._getvalue()
-
-
 @infer_getattr
 class _Fields(AttributeTemplate):
-    key = LaneRecordsType
+    key = LaneArrayType
 
-    def generic_resolve(self, kind: LaneRecordsType, name: str) -> Any:
-        return Lanes if kind.one and name in kind.places else None
+    def generic_resolve(self, kind: LaneArrayType, name: str) -> Any:
+        return Lanes if kind.dims == () and name in kind.places else None
 
 
-def _field_pointer(context: Any, builder: Any, kind: LaneRecordsType, value: Any, name: str) -> Any:
+def _field_pointer(context: Any, builder: Any, kind: LaneArrayType, value: Any, name: str) -> Any:
     given = cgutils.create_struct_proxy(kind)(context, builder, value=value)
     place = ir.Constant(ir.IntType(64), LANES * kind.places[name])
     return _lanes_at(builder, builder.gep(given.data, [place]))
 
 
-@lower_getattr_generic(LaneRecordsType)
+@lower_getattr_generic(LaneArrayType)
 def _get_field(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
     return builder.load(_field_pointer(context, builder, kind, value, name), align=8)
 
 
-@lower_setattr_generic(LaneRecordsType)
+@lower_setattr_generic(LaneArrayType)
 def _set_field(context: Any, builder: Any, sig: Any, args: Any, name: str) -> None:
     builder.store(args[1], _field_pointer(context, builder, sig.args[0], args[0], name), align=8)

@@ -78,11 +78,27 @@ class Problem(NamedTuple):
     prior: FloatArray  # (8, 6) on the first frame: rows Λ, then η and the point d = 0; no rows: no prior
 
 
+class Chain(NamedTuple):
+    """The frames of one track, or of one track in each lane, that are solved at once."""
+
+    problem: Problem  # that has them, or the lanes'
+    track: int  # their number there
+    n: int  # of frames, of the longest track
+    length: Any  # the same of each track, as a float or as lanes
+
+
+class Sums(NamedTuple):
+    """Gradient (6,) and Hessian (6, 6; lower triangle) of a frame, to which kernels add."""
+
+    gradient: FloatArray
+    hessian: FloatArray
+
+
 VariableName = Literal["position", "velocity", "body", "head"]
 Function = Callable[..., Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kernel:
     """A function that adds a term's part at one frame to the gradient and the Hessian, and returns its cost.
 
@@ -142,6 +158,12 @@ class Kernel:
         if turned == {"body"}:
             return "body"
         return "head" if turned == {"head"} else None
+
+
+def names_of(name: VariableName, **further: str) -> dict[str, str]:
+    """`Kernel.names` of a function of one orientation: ``cos``, ``sin``, their values before, ``place``."""
+    own = {f"{part}{end}": f"{name}_{part}{end}" for part in ("cos", "sin") for end in ("", "_before")}
+    return {"place": name.upper(), **own, **further}
 
 
 def arguments_of(function: Function, names: Mapping[str, str]) -> tuple[str, ...]:

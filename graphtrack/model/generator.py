@@ -25,7 +25,7 @@ from numba.extending import overload
 
 from graphtrack.errors import InputError
 from graphtrack.kernels.compilation import INNER, OPTIONS
-from graphtrack.kernels.lanes import LaneRecordsType
+from graphtrack.kernels.lanes import LaneArrayType
 from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of
 from graphtrack.model import Model, Term, program
 from graphtrack.model.model import every_term
@@ -64,7 +64,7 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
 
     def implementation(*arguments: Any) -> Any:
         kind = records_of(*arguments)
-        if isinstance(kind, LaneRecordsType):
+        if isinstance(kind, LaneArrayType):
             fields = kind.places
         else:
             fields = (kind.dtype if isinstance(kind, types.Array) else kind).fields
@@ -91,9 +91,11 @@ _GIVEN = {
     **{name: name for name in ("state", "before", "start", "exact", *_TURNS)},
     **{f"{name}_before": f"{name}_before" for name in _TURNS},
     **{
-        name: f"masked({name}, gate)"
-        for name in ("gradient", "hessian", "gradient_before", "hessian_before", "transition")
+        f"{name}{end}": f"masked(sums{end}.{name}, gate)"
+        for name in ("gradient", "hessian")
+        for end in ("", "_before")
     },
+    "transition": "masked(transition, gate)",
     "origin_x": "problem.origin[track, 0]",
     "origin_y": "problem.origin[track, 1]",
     "body_heights": "problem.body_heights[place]",
@@ -121,7 +123,7 @@ import numpy as np
 {imports}
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, Problem
+from graphtrack.kernels.layout import BODY, HEAD, Problem, Sums
 
 '''
 
@@ -129,7 +131,7 @@ _FRAME = '''
 @compiled
 def add_frame(
     problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
-    turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
+    turns: Any, sums_before: Sums, sums: Sums, transition: Any,
 ) -> Any:
     """Add the terms of frame k of a track; returns their cost.
 
@@ -159,13 +161,13 @@ def cut(frame: Any) -> None:
 _QUARTERS = '''
 @compiled
 def set_quarter_turns(
-    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
-    body: Any, head: Any,
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, sums: Sums, body: Any,
+    head: Any,
 ) -> None:
     """Costs of frame k with body or head at the directions ``turns``, and at their quarter turns.
 
     ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
-    filled in. ``gradient`` and ``hessian`` are memory.
+    filled in. ``sums`` is memory.
     """
     place = problem.offsets[track] + k
     frame, shared = problem.records[place], problem.shared[0]
@@ -199,7 +201,7 @@ class Program:
         every = [*more_terms, *terms]
         self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields]))
         self.shared = tuple(dict.fromkeys(f for term in every for f in term.shared))
-        self.kernels: tuple[Kernel, ...] = tuple({id(k): k for term in terms for k in term.kernels}.values())
+        self.kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
         self._modules: dict[str, str] = {}
         self._frame_names = {f.name for f in self.fields}
         names = [f.name for f in (*self.fields, *self.shared)]
@@ -221,18 +223,19 @@ class Program:
             alias += "_"
         return f"{alias}.{name}"
 
-    def _call(
-        self, indent: int, begin: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]
-    ) -> str:
-        """A call of a function, with its parameters renamed by ``names`` and replaced by ``here``."""
+    def _call(self, line: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]) -> str:
+        """A line with the call of a function at its ``{}``.
+
+        Its parameters are renamed by ``names`` and replaced by ``here``.
+        """
         known, given = {**self._known, **here}, arguments_of(function, names)
         for name in given:
             if name not in known:
                 expected = "a field or a name of `Kernel`"
                 raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
-        line = f"{begin}{self._name(function)}({', '.join(known[name] for name in given)})"
-        space = " " * indent
-        return textwrap.fill(line, 110, initial_indent=space, subsequent_indent=space + "    ") + "\n"
+        line = line.format(f"{self._name(function)}({', '.join(known[name] for name in given)})")
+        space = " " * (len(line) - len(line.lstrip()))
+        return textwrap.fill(line, 110, subsequent_indent=space + "    ") + "\n"
 
     def _opened(self, kernel: Kernel, indent: int) -> str:
         """The condition under which a kernel is called."""
@@ -271,8 +274,8 @@ class Program:
             for kernel in self.kernels:
                 if bool(kernel.before) is links:
                     text += self._opened(kernel, 8)
-                    text += self._call(12, "found = ", kernel.function, kernel.names, {})
-                    text += "            cost += choose(gate, found, 0.0)\n"
+                    line = " " * 12 + "cost += choose(gate, {}, 0.0)"
+                    text += self._call(line, kernel.function, kernel.names, {})
         return text + "    return cost\n\n"
 
     def _cut(self) -> str:
@@ -289,12 +292,12 @@ class Program:
             text += self._opened(kernel, 4)
             if kernel.add_quarter_turns is not None:
                 here = {"cost": f"masked({name}, gate)"}
-                text += self._call(8, "", kernel.add_quarter_turns, kernel.names, here)
+                text += self._call(" " * 8 + "{}", kernel.add_quarter_turns, kernel.names, here)
                 continue
             here = {f"{name}_cos": "cos", f"{name}_sin": "sin"}
             text += f"        cos, sin = {name}_cos, {name}_sin\n        for q in range(4):\n"
-            text += self._call(12, "found = ", kernel.function, kernel.names, here)
-            text += f"            {name}[q] += choose(gate, found, 0.0)\n"
+            line = " " * 12 + name + "[q] += choose(gate, {}, 0.0)"
+            text += self._call(line, kernel.function, kernel.names, here)
             text += "            cos, sin = -sin, cos\n"
         return text
 
@@ -330,11 +333,7 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
 
 def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
     """The kernels and fields of some terms."""
-    return {
-        one
-        for kind in kinds
-        for one in (*kind.fields, *kind.shared, *(id(kernel) for kernel in kind.kernels))
-    }
+    return {one for kind in kinds for one in (*kind.fields, *kind.shared, *kind.kernels)}
 
 
 def _check(function: Function) -> None:

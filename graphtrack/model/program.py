@@ -11,12 +11,8 @@ from typing import Any
 
 import numpy as np
 
-import graphtrack.model.terms.anchor as anchor_kernels
-import graphtrack.model.terms.body_follows_motion as body_follows_motion_kernels
-import graphtrack.model.terms.faces_group as faces_group_kernels
-import graphtrack.model.terms.head_follows_body as head_follows_body_kernels
-import graphtrack.model.terms.holds_still as holds_still_kernels
-import graphtrack.model.terms.intentional_motion as intentional_motion_kernels
+import graphtrack.model.terms.conversation as conversation_kernels
+import graphtrack.model.terms.couplings as couplings_kernels
 import graphtrack.model.terms.motion as motion_kernels
 import graphtrack.model.terms.place as place_kernels
 import graphtrack.model.terms.pose as pose_kernels
@@ -24,7 +20,7 @@ import graphtrack.model.terms.position as position_kernels
 import graphtrack.model.terms.turning as turning_kernels
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, Problem
+from graphtrack.kernels.layout import BODY, HEAD, Problem, Sums
 
 FRAME = np.dtype([
     ("dt", float),  # seconds since the person's previous frame; 0 at the first
@@ -106,7 +102,7 @@ SWITCHED = ("motion_body_kappa", "head_body_kappa", "steer_gain",)
 @compiled
 def add_frame(
     problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
-    turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
+    turns: Any, sums_before: Sums, sums: Sums, transition: Any,
 ) -> Any:
     """Add the terms of frame k of a track; returns their cost.
 
@@ -127,125 +123,110 @@ def add_frame(
         head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
         gate = (frame.motion_information > 0.0) & negate(frame.steer_gain > 0.0)
         if any_of(gate):
-            found = motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
+                masked(sums_before.gradient, gate), masked(sums.gradient, gate), masked(sums_before.hessian,
+                gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
         gate = frame.body_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos, body_sin, at_body,
-                frame.body_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
-                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos,
+                body_sin, at_body, frame.body_turn_kappa, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.head_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos, head_sin, at_head,
-                frame.head_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
-                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos,
+                head_sin, at_head, frame.head_turn_kappa, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.steer_gain > 0.0
         if any_of(gate):
-            found = intentional_motion_kernels.add_steered_motion(before, state, head_cos_before,
+            cost += choose(gate, motion_kernels.add_steered_motion(before, state, head_cos_before,
                 head_sin_before, frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place,
-                frame.steer_cross, frame.steer_spread, exact, masked(gradient_before, gate), masked(gradient,
-                gate), masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+                frame.steer_cross, frame.steer_spread, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_persistence(body_cos_before, body_sin_before, body_cos, body_sin,
-                at_body, frame.group_hold, frame.group_drift, shared.group_body_hold, exact,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_persistence(body_cos_before, body_sin_before,
+                body_cos, body_sin, at_body, frame.group_hold, frame.group_drift, shared.group_body_hold,
+                exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
+                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_persistence(head_cos_before, head_sin_before, head_cos, head_sin,
-                at_head, frame.group_hold, frame.group_drift, shared.group_head_hold, exact,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_persistence(head_cos_before, head_sin_before,
+                head_cos, head_sin, at_head, frame.group_hold, frame.group_drift, shared.group_head_hold,
+                exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
+                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
     if own:
         gate = frame.velocity_information > 0.0
         if any_of(gate):
-            found = motion_kernels.add_first_velocity(state, frame.velocity_information, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, motion_kernels.add_first_velocity(state, frame.velocity_information,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = (frame.position_information > 0.0) & negate(frame.pixel_information > 0.0)
         if any_of(gate):
-            found = position_kernels.add_position(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.x, frame.y, frame.position_information, shared.robust, shared.robust_threshold, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, position_kernels.add_position(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.x, frame.y, frame.position_information, shared.robust,
+                shared.robust_threshold, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.pixel_information > 0.0
         if any_of(gate):
-            found = position_kernels.add_pixel(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.u, frame.v, frame.pixel_information, shared.to_image, shared.robust,
-                shared.robust_threshold, exact, masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, position_kernels.add_pixel(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.u, frame.v, frame.pixel_information, shared.to_image,
+                shared.robust, shared.robust_threshold, exact, masked(sums.gradient, gate),
+                masked(sums.hessian, gate)), 0.0)
         gate = frame.body_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(body_cos, body_sin, at_body, frame.observed_body_cos,
-                frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(gradient, gate),
-                masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_angle(body_cos, body_sin, at_body, frame.observed_body_cos,
+                frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(sums.gradient,
+                gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_class_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_classes(body_cos, body_sin, at_body, problem.body_heights[place],
-                problem.body_directions, frame.body_class_kappa, frame.body_doubt, exact, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_classes(body_cos, body_sin, at_body,
+                problem.body_heights[place], problem.body_directions, frame.body_class_kappa,
+                frame.body_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(head_cos, head_sin, at_head, frame.observed_head_cos,
-                frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(gradient, gate),
-                masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_angle(head_cos, head_sin, at_head, frame.observed_head_cos,
+                frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(sums.gradient,
+                gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_class_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_classes(head_cos, head_sin, at_head, problem.head_heights[place],
-                problem.head_directions, frame.head_class_kappa, frame.head_doubt, exact, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_classes(head_cos, head_sin, at_head,
+                problem.head_heights[place], problem.head_directions, frame.head_class_kappa,
+                frame.head_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.motion_body_kappa > 0.0
         if any_of(gate):
-            found = body_follows_motion_kernels.add_body_follows_motion(state, body_cos, body_sin,
+            cost += choose(gate, couplings_kernels.add_body_follows_motion(state, body_cos, body_sin,
                 frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin, shared.speed_threshold,
-                exact, masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+                exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_body_kappa > 0.0
         if any_of(gate):
-            found = head_follows_body_kernels.add_head_follows_body(body_cos, body_sin, head_cos, head_sin,
-                frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, couplings_kernels.add_head_follows_body(body_cos, body_sin, head_cos,
+                head_sin, frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.place_weight > 0.0
         if any_of(gate):
-            found = place_kernels.add_place(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.place_weight, shared.place_x, shared.place_y, shared.place_radius, shared.place_sign,
-                exact, masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, place_kernels.add_place(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.place_weight, shared.place_x, shared.place_y,
+                shared.place_radius, shared.place_sign, exact, masked(sums.gradient, gate),
+                masked(sums.hessian, gate)), 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(at_body, body_cos, body_sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_faces_group(at_body, body_cos, body_sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_body_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(at_head, head_cos, head_sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_faces_group(at_head, head_cos, head_sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_head_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(body_cos, body_sin, at_body, start, frame.body_anchor, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_anchor(body_cos, body_sin, at_body, start,
+                frame.body_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(head_cos, head_sin, at_head, start, frame.head_anchor, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, pose_kernels.add_anchor(head_cos, head_sin, at_head, start,
+                frame.head_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
     return cost
 
 
@@ -261,13 +242,13 @@ def cut(frame: Any) -> None:
 
 @compiled
 def set_quarter_turns(
-    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
-    body: Any, head: Any,
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, sums: Sums, body: Any,
+    head: Any,
 ) -> None:
     """Costs of frame k with body or head at the directions ``turns``, and at their quarter turns.
 
     ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
-    filled in. ``gradient`` and ``hessian`` are memory.
+    filled in. ``sums`` is memory.
     """
     place = problem.offsets[track] + k
     frame, shared = problem.records[place], problem.shared[0]
@@ -293,23 +274,21 @@ def set_quarter_turns(
             problem.head_directions, frame.head_class_kappa, frame.head_doubt, masked(head, gate))
     gate = frame.motion_body_kappa > 0.0
     if any_of(gate):
-        body_follows_motion_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa,
-            shared.speed_threshold, body_cos, body_sin, masked(body, gate))
+        couplings_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa, shared.speed_threshold,
+            body_cos, body_sin, masked(body, gate))
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = body_cos, body_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(at_body, cos, sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            body[q] += choose(gate, found, 0.0)
+            body[q] += choose(gate, conversation_kernels.add_faces_group(at_body, cos, sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_body_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
             cos, sin = -sin, cos
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = head_cos, head_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(at_head, cos, sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            head[q] += choose(gate, found, 0.0)
+            head[q] += choose(gate, conversation_kernels.add_faces_group(at_head, cos, sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_head_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
             cos, sin = -sin, cos

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.result import Failure, OfflineEngine, Solution, SolverOptions
+from graphtrack.inference.engines import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.kernels.compilation import processors

@@ -10,9 +10,8 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.model import Model
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.intentional_motion import IntentionalMotion
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.terms.motion import IntentionalMotion
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.simulation import WALKING_PACE
 from graphtrack.simulation.motion import (

@@ -5,7 +5,7 @@ Also rendered and classified poses of motion capture.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import TYPE_CHECKING
@@ -203,23 +203,8 @@ LEVELS = ("down", "level", "up")
 """Tilt classes, in the order of `PoseClasses`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Outputs of classifiers for images of known poses, in the image frame.
-
-    Attributes
-    ----------
-    body, answered_body : (n,) classes of 45°, true and likeliest
-    pan, answered_pan : (n,) classes of the head's pan
-    tilt, answered_tilt : (n,) its tilt classes, `LEVELS`
-    """
-
-    body: NDArray[np.int64]
-    answered_body: NDArray[np.int64]
-    pan: NDArray[np.int64]
-    answered_pan: NDArray[np.int64]
-    tilt: NDArray[np.int64]
-    answered_tilt: NDArray[np.int64]
+Answers = Mapping[str, tuple[NDArray[np.int64], NDArray[np.int64]]]
+"""Classes (n,) of images of known poses, in the image frame, true and likeliest: of body, pan and tilt."""
 
 
 def captured_people(settings: Settings) -> dict[str, TrackSet]:
@@ -269,15 +254,11 @@ def classified(
     n_pan, bodies = head.classes.n_pan, body.classes
     true = head.classes.index(at_head, heads.tilt)
     levels = of_head.reshape(len(track), -1, n_pan)
-    answers = Answers(
-        bodies.index(at_body),
-        of_body.argmax(axis=1),
-        true % n_pan,
-        pans.argmax(axis=1),
-        true // n_pan,
-        np.logaddexp.reduce(levels, axis=2).argmax(axis=1),
-    )
-    return observed, answers
+    return observed, {
+        "body": (bodies.index(at_body), of_body.argmax(axis=1)),
+        "pan": (true % n_pan, pans.argmax(axis=1)),
+        "tilt": (true // n_pan, np.logaddexp.reduce(levels, axis=2).argmax(axis=1)),
+    }
 
 
 def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: float) -> FloatArray:
@@ -307,32 +288,27 @@ def known_poses(
     return found, answers
 
 
-def confusions(answers: list[Answers], head: PoseClasses) -> tuple[Table, Table, Table]:
-    """Tabulate confusions of body, pan and tilt, in per cent of the true class."""
-
-    def joined(name: str) -> NDArray[np.int64]:
-        return np.concatenate([getattr(one, name) for one in answers])
+def confusions(answers: list[Answers], head: PoseClasses) -> Iterator[Table]:
+    """Yield confusions of body, pan and tilt, in per cent of the true class."""
 
     def degrees(count: int) -> list[str]:
         return [f"{360 * k // count}°" for k in range(count)]
 
-    return (
-        _confusion("body, by `body_pose`", degrees(BODY_CLASSES), joined("body"), joined("answered_body")),
-        _confusion("the head's pan", degrees(head.n_pan), joined("pan"), joined("answered_pan")),
-        _confusion("the head's tilt", list(LEVELS), joined("tilt"), joined("answered_tilt")),
-    )
-
-
-def _confusion(of: str, names: list[str], true: NDArray[np.int64], predicted: NDArray[np.int64]) -> Table:
-    records: list[dict[str, Cell]] = []
-    for k, name in enumerate(names):
-        answered = np.bincount(predicted[true == k], minlength=len(names))
-        pictures = int(answered.sum())
-        row: dict[str, Cell] = {"true": name, "pictures": pictures}
-        for other, count in zip(names, answered.tolist(), strict=True):
-            row[other] = 100.0 * count / pictures if pictures else None
-        records.append(row)
-    return Table.of(f"Confusion in per cent of the true class: {of}", records)
+    for angle, title, names in (
+        ("body", "body, by `body_pose`", degrees(BODY_CLASSES)),
+        ("pan", "the head's pan", degrees(head.n_pan)),
+        ("tilt", "the head's tilt", list(LEVELS)),
+    ):
+        true, predicted = (
+            np.concatenate(each) for each in zip(*(one[angle] for one in answers), strict=True)
+        )
+        records: list[dict[str, Cell]] = []
+        for k, name in enumerate(names):
+            answered = np.bincount(predicted[true == k], minlength=len(names))
+            pictures = int(answered.sum())
+            shares = [100.0 * count / pictures if pictures else None for count in answered.tolist()]
+            records.append({"true": name, "pictures": pictures, **dict(zip(names, shares, strict=True))})
+        yield Table.of(f"Confusion in per cent of the true class: {title}", records)
 
 
 HEADS = ("deep_belief", "templates")

@@ -18,7 +18,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track
-from graphtrack.inference.state import marginal_prior, variable_keys
+from graphtrack.inference.state import MarginalPrior, variable_keys
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
@@ -232,17 +232,18 @@ def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
 
 def test_a_marginal_prior_owns_its_numbers() -> None:
     """GTSAM's linear term is a view of the factor, invalid after the factor is freed."""
-    step = next(iter(chain(walk(3, seed=1))))
+    step, model = next(iter(chain(walk(3, seed=1)))), Model("position")
     values, linear = gtsam.Values(), np.array([1.0, -2.0])
     values.insert(step.position_key, np.array([3.0, 4.0]))
+    values.insert(step.velocity_key, np.zeros(2))
     factor = gtsam.HessianFactor(step.position_key, 5.0 * np.eye(2), linear, 0.5)
-    prior = marginal_prior(factor, values)
+    prior = MarginalPrior.of(factor, step, values, model)
     assert not np.shares_memory(prior.linear, factor.linearTerm())
-    np.testing.assert_array_equal(prior.linear, linear)
+    np.testing.assert_array_equal(prior.linear, [*linear, 0.0, 0.0, 0.0, 0.0])
     # ½·dᵀ·Λ·d − ηᵀ·d + ½·c, at d = (0.2, 0.1).
-    away = gtsam.Values()
-    away.insert(step.position_key, np.array([3.2, 4.1]))
-    assert prior.factor().error(away) == pytest.approx(0.5 * 5.0 * 0.05 - 0.0 + 0.5 * 0.5)
+    values.update(step.position_key, np.array([3.2, 4.1]))
+    expected = 0.5 * 5.0 * 0.05 - 0.0 + 0.5 * 0.5
+    assert prior.factor(step, model).error(values) == pytest.approx(expected)
 
 
 # Failures.

@@ -15,7 +15,7 @@ from walks import walk
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother
-from graphtrack.inference.chain.window_arrays import SLOTS, pool_of
+from graphtrack.inference.chain.window import SLOTS, pool_of
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
 from graphtrack.saved import from_text, to_text

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.inference.result import with_extreme
+from graphtrack.inference.engines import with_extreme
 
 N = 20
 POSITION = np.column_stack([np.arange(N) * 0.1, np.zeros(N)])

@@ -20,7 +20,7 @@ from graphtrack.geometry.angles import difference, direction, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.initialisation import initial_states, pack
-from graphtrack.inference.chain.window_arrays import FrameRows
+from graphtrack.inference.chain.window import FrameRows
 from graphtrack.kernels import HEAD, Field, Kernel, compiled
 from graphtrack.kernels.layout import N
 from graphtrack.learning.fit import fit

@@ -25,7 +25,7 @@ from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import note_turns
 from graphtrack.inference.state import values_of
-from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, Sums
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,
@@ -42,15 +42,13 @@ from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import PlaceParameters, SocialParameters
-from graphtrack.model.terms.anchor import Anchor
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.faces_group import FacesGroup
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.holds_still import OrientationPersistence
-from graphtrack.model.terms.intentional_motion import IntentionalMotion
-from graphtrack.model.terms.motion import Motion
+from graphtrack.model.term import filled
+from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.terms.motion import IntentionalMotion, Motion
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.pose import (
+    Anchor,
     BodyLikelihood,
     HeadLikelihood,
     highest_log_density,
@@ -430,18 +428,18 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
     searched = [kernel for kernel in term.kernels if kernel.orientation]
     for states, track in every_situation(case, 10):
         alone, rows = packed_alone(term, track, CAMERA), rows_of(states)
-        packed = PackedTracks.of([track], CAMERA, [term], OF_PRESETS.types)
+        packed = filled(PackedTracks.of([track], CAMERA, OF_PRESETS.types), [term])
         problem, n = problem_of(packed), len(track)
         local = rows.copy()
         local[:, :2] -= packed.origin[0]
         found = {name: np.zeros((n, bins)) for name in ("body", "head")}
         nodes = np.arange(n)
         add_grid_costs(problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"])
-        memory = (np.zeros(6), np.zeros((6, 6)))
+        memory = Sums(np.zeros(6), np.zeros((6, 6)))
         for k in range(n):
             quarters = {"body": np.empty(4), "head": np.empty(4)}
             turns = unit(local[k, BODY:]).ravel()
-            program.set_quarter_turns(problem, 0, k, local[k], turns, False, *memory, *quarters.values())
+            program.set_quarter_turns(problem, 0, k, local[k], turns, False, memory, *quarters.values())
             for name, place in (("body", BODY), ("head", HEAD)):
                 if not any(kernel.orientation == name for kernel in searched):
                     assert not found[name].any() and not quarters[name].any()

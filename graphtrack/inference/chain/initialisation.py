@@ -34,7 +34,8 @@ from graphtrack.kernels.layout import (
 from graphtrack.model import Model, States
 from graphtrack.model.generator import program_of
 from graphtrack.model.observation import require_position, vectors_of
-from graphtrack.model.packing import PackedTracks, RecordTypes
+from graphtrack.model.packing import PackedTracks
+from graphtrack.model.term import filled, types_of
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
 
@@ -299,14 +300,14 @@ CREEPING = 0.1
 
 def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
     """Tracks end to end, with the records that the model's compiled terms fill in."""
-    return PackedTracks.of(tracks, camera, model.compiled_terms, program_of(model).types)
+    return filled(PackedTracks.of(tracks, camera, program_of(model).types), model.compiled_terms)
 
 
 def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
     """The same; for a linear model, with a fourth of the memory."""
     terms = model.terms  # without the anchors of first orientations
     if camera is None and not (model.has_body or model.has_head):
-        packed = PackedTracks.of(tracks, camera, terms, RecordTypes.of(terms))
+        packed = filled(PackedTracks.of(tracks, camera, types_of(terms)), terms)
         if model.is_linear(packed):
             return packed
     return pack(tracks, model, camera)

@@ -13,23 +13,22 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import AT_END, AT_START
 from graphtrack.inference.chain.batch import PASSES
-from graphtrack.inference.chain.covariance import calibrate, calibration_of
+from graphtrack.inference.chain.covariance import calibrate_tracks, calibration_of
 from graphtrack.inference.chain.initialisation import initial_states
-from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.result import (
+from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     estimated_tracks,
     not_finite,
-    seconds_to_ends,
     with_extreme,
 )
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.state import Window, states_of, values_of, variable_keys, variables
 from graphtrack.inference.warm import has_own_kernels, make_solver_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain
-from graphtrack.model.terms.anchor import ANCHOR_KAPPA
+from graphtrack.model.terms.pose import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
@@ -58,7 +57,7 @@ def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
 def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list[gtsam.NonlinearFactor]:
     """Factors on a window's first step: of its prior, or of the angles of a very first step."""
     if window.prior is not None:
-        return [window.prior.factor()]
+        return [window.prior.factor(window.steps[0], model)]
     if not window.steps or window.anchor is None or window.steps[0].dt is not None:
         return []
     step, (body, head) = window.steps[0], window.anchor
@@ -128,7 +127,7 @@ def smooth_graph(
     steps = chain(track, camera)
     view = _view(track, model, camera, steps)
     first = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
-    window = Window(tuple(steps), {}, None, (float(initial.body[0]), float(initial.head[0])))
+    window = Window(tuple(steps), first, None, (float(initial.body[0]), float(initial.head[0])))
     # With coupling modes the factors read the couplings from the view; else these are constant.
     graph = window_graph(window, model, None if view is None else view.couplings)
     values = values_of(steps, first, model)
@@ -159,13 +158,14 @@ def smooth_graph(
     states = states_of(values, steps, model)
     if view is not None and model.has_modes:
         view.widen(states, covariance)
-    calibrate(covariance, states, seconds_to_ends(track.t), calibration_of(model.parameters))
+    offsets, t = np.array([0, len(track)]), track.t - track.t[0]
+    calibrate_tracks(covariance, states, offsets, t, calibration_of(model.parameters))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     modes = np.full((len(track), 3), np.nan) if view is None else view.modes
-    (estimate,) = estimated_tracks([track], np.array([0, len(track)]), states, covariance, modes)
+    (estimate,) = estimated_tracks([track], offsets, states, covariance, modes)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
 
 

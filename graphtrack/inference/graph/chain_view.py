@@ -13,10 +13,9 @@ from graphtrack.inference.chain.batch import never_observed
 from graphtrack.inference.chain.covariance import spread_track
 from graphtrack.inference.chain.initialisation import observed_angles, pack, problem_of
 from graphtrack.inference.chain.newton import Workspace, workspace
-from graphtrack.inference.chain.window import gait_of_model
-from graphtrack.inference.chain.window_arrays import FrameRows
-from graphtrack.inference.state import MarginalPrior, on_state
-from graphtrack.kernels.layout import N, Problem
+from graphtrack.inference.chain.window import FrameRows, gait_of_model
+from graphtrack.inference.state import MarginalPrior
+from graphtrack.kernels.layout import Chain, N, Problem
 from graphtrack.model import Model, Step
 from graphtrack.model.coupling_modes import (
     add_glance_variance,
@@ -49,7 +48,7 @@ class _View:
 
     def _start(self, problem: Problem, n: int) -> None:
         """Take a problem of n frames with unknown modes."""
-        self._problem = problem
+        self._problem, self._chain = problem, Chain(problem, 0, n, float(n))
         self.modes, self._spread, self._held = np.full((n, 3), np.nan), np.zeros((n, 2)), np.zeros((n, 4))
         self._filtered = np.empty((2, 0, ROW))
 
@@ -59,15 +58,14 @@ class _View:
             return None
         here = self._here(states)
         memory = workspace(len(here))
-        found = find_other_basin(self._problem, 0, here, near, memory)
+        found = find_other_basin(self._chain, here, near, memory)
         return self._there(memory) if found else self.unwound(states)
 
     def unwound(self, states: FloatArray) -> FloatArray | None:
         """States (n, 6) with slow turns of more than 180° reversed; None without any."""
         here = self._here(states)
         memory = workspace(len(here))
-        memory.length[0] = len(here)
-        return self._there(memory) if unwind(self._problem, 0, len(here), here, 0.0, memory) else None
+        return self._there(memory) if unwind(self._chain, here, 0.0, memory) else None
 
     def _there(self, memory: Workspace) -> FloatArray:
         """The alternative states in the memory, in the world's frame."""
@@ -82,7 +80,7 @@ class _View:
         memory = mode_memory(n)
         memory.before[:] = self.before
         _, classified = classified_in(self._problem, 0)
-        renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
+        renew_couplings(self._chain, here, gait, classified, True, memory)
         report_modes(n, 0, memory.held, self.modes)
         filtered = np.stack([memory.filtered_body, memory.filtered_head])
         self._spread, self._held = memory.spread, memory.held
@@ -93,7 +91,7 @@ class _View:
         """Add the uncertainty of the modes to covariances (n, 6, 6) at states (n, 6), in place."""
         memory = workspace(len(states))
         here = self._here(states)
-        spread_track(self._problem, len(here), here, self._spread, memory, covariance)
+        spread_track(self._chain, here, self._spread, memory, covariance)
         add_glance_variance(len(here), self._held, gait_of_model(self._model), covariance)
 
     def _note(self) -> None:
@@ -140,32 +138,19 @@ class WindowView(_View):
 
     def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
         """Replace the steps, with states (n, 6), and the data of the first."""
-        n, known = len(steps), {step.index: row for row, step in enumerate(self._steps)}
-        old = self._problem if known else None
-        gone = known.get(steps[0].index, len(known))
+        n, known = len(steps), [step.index for step in self._steps]
+        gone = known.index(steps[0].index) if steps[0].index in known else len(known)
         if 0 < gone <= self._filtered.shape[1]:
             self.before = self._filtered[:, gone - 1].copy()
-        about = np.zeros((N + 2, N))
-        if prior is not None:
-            about[:] = np.vstack(on_state(prior, steps[0], self._model))
-            about[N + 1, :2] -= states[0, :2]
-        self._frames.make(n, states[0, :2].copy(), np.array([0, n]), about)
-        problem = self._frames.problem
-        if old is not None:
-            problem.shared[:] = old.shared
+        origin = states[0, :2].copy()
+        self._frames.make(n, origin, np.zeros((N + 2, N)) if prior is None else prior.rows(origin))
         for row, step in enumerate(steps):
-            there = known.get(step.index)
-            # The links of a first row were cut.
-            if there is None or row > there == 0 or not _is_same(self._steps[there], step):
-                self._frames.put(row, step)
-                continue
-            for name in ("records", "body_heights", "head_heights"):
-                getattr(problem, name)[row] = getattr(old, name)[there]
+            self._frames.put(row, step)
         for name in self._program.links:
             # They are part of the prior, or link to steps outside the window.
             self._frames.rows[0, self._frames.place[name]] = 0.0
         self._steps = list(steps)
-        self._start(problem, n)
+        self._start(self._frames.problem, n)
 
     def _note(self) -> None:
         rows = couplings_of(self._problem.records[: len(self._steps)])
@@ -173,12 +158,3 @@ class WindowView(_View):
         for step, row in zip(self._steps[1:], rows[1:], strict=True):
             self.couplings[step.index] = row
         self.couplings.setdefault(self._steps[0].index, rows[0])
-
-
-def _is_same(known: Step, step: Step) -> bool:
-    """Return True if a step was packed; the first of a window has lost its link to the previous one."""
-    return (
-        known.index == step.index
-        and known.observation is step.observation
-        and (known.dt == step.dt or step.dt is None)
-    )

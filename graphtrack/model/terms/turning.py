@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.layout import Field, Kernel
+from graphtrack.kernels.layout import Field, Kernel, names_of
 from graphtrack.model.factors import von_mises_between
 from graphtrack.model.observation import States, Step
 from graphtrack.model.packing import PackedTracks
@@ -47,10 +47,8 @@ def add_turn(
 
 
 def _turning(name: Variable) -> Kernel:
-    names = {"place": name.upper(), "turn_kappa": f"{name}_turn_kappa"}
-    for part in ("cos", "sin"):
-        names |= {part: f"{name}_{part}", f"{part}_before": f"{name}_{part}_before"}
     gate = f"{name}_turn_kappa"
+    names = names_of(name, turn_kappa=gate)
     return Kernel(add_turn, gate=gate, variables=(name,), before=(name,), names=names)
 
 
