@@ -280,7 +280,7 @@ _NUMBER_AT_THE_END = re.compile(r"(\d{1,15})$", re.ASCII)
 def read_coco(source: Source, options: ReadOptions) -> Rows:
     """Read boxes and project the middles of their lower edges to the ground; see `read_boxes`."""
     if options.fps is None:
-        raise InputError("no frame rate", "frames a second (--fps)", path=source.path)
+        raise source.fail("no frame rate", "frames a second (--fps)")
     rows = placed_boxes(read_coco_boxes(source, options), options).with_times(options.fps)
     return with_scores(rows).without("box", "confidence")
 
@@ -328,13 +328,11 @@ def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
     try:
         data = orjson.loads(source.text)
     except orjson.JSONDecodeError as error:
-        raise InputError(f"no JSON ({error.msg})", _ENTRY, path=source.path, line=error.lineno) from error
+        raise source.fail(f"no JSON ({error.msg})", _ENTRY, line=error.lineno) from error
     document: Mapping[str, Any] = data if isinstance(data, dict) else {}
     entries = document.get("annotations") if document else data
     if not isinstance(entries, list) or not entries:
-        raise InputError(
-            "no list of boxes", "a list with entries, or annotations in a dataset", path=source.path
-        )
+        raise source.fail("no list of boxes", "a list with entries, or annotations in a dataset")
     for k, one in enumerate(entries):
         if not isinstance(one, dict) or "image_id" not in one:
             raise _fail(source, k, f"entry {k + 1} without image_id", _ENTRY)
@@ -342,7 +340,7 @@ def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
 
 
 def _fail(source: Source, k: int, found: str, expected: str, column: str | None = None) -> InputError:
-    return InputError(found, expected, path=source.path, line=_line_of(source, k), column=column)
+    return source.fail(found, expected, line=_line_of(source, k), column=column)
 
 
 def _line_of(source: Source, k: int) -> int:
