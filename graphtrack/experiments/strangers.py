@@ -43,8 +43,8 @@ STOPPING = (0.0, 0.5)
 SEEDS, PARTIES = 6, 4
 POSITION_STD, HEAD_KAPPA = 0.1, 4.0
 """Metres and concentration of the noise."""
-LEARNED_UNTIL = 1000.0
-"""Seconds of SALSA's rows from which the weights of groups were learned."""
+SPLIT = 1000.0
+"""Seconds at which SALSA's rows are split; the values of the parameters were compared on the rows before."""
 RECORDINGS: Mapping[str, tuple[str, ...]] = {
     "ucy/zara01": ("ucy", "zara01", "annotation.vsp"),
     "eth/seq_hotel": ("eth", "seq_hotel", "obsmat.txt"),
@@ -216,8 +216,8 @@ def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Tr
         warnings.simplefilter("ignore", InputWarning)
         known_groups = read_groups(labels)
         for name, begin, end in (
-            ("SALSA to 1000 s", -np.inf, LEARNED_UNTIL),
-            ("SALSA from 1000 s", LEARNED_UNTIL, np.inf),
+            ("SALSA to 1000 s", -np.inf, SPLIT),
+            ("SALSA from 1000 s", SPLIT, np.inf),
         ):
             people = recorded.map(
                 lambda track, b=begin, e=end: track[(track.t >= b) & (track.t < e)]  # type: ignore[misc]

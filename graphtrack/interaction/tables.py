@@ -174,7 +174,7 @@ def save_parameters(parameters: GroupParameters | AttentionParameters, path: str
 
 
 def load_parameters(path: str | Path) -> GroupParameters:
-    """Read parameters of groups (TOML); missing keys have the learned defaults.
+    """Read parameters of groups (TOML); missing keys have the defaults.
 
     Raise InputError with the file and the key.
     """

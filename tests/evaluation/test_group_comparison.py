@@ -11,7 +11,7 @@ import pytest
 from command import run
 
 import graphtrack as gt
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.groups import FunctionMethod, average_linkage, compare_groups, registry
 from graphtrack.geometry.angles import direction, unit
 from graphtrack.interaction.people import people_of
@@ -96,3 +96,18 @@ def test_wrong_methods_and_options_are_refused(scene: Party, labelled: Path, tmp
     for wrong in (("--groups", labelled, "--fill"), ("--parameters", labelled)):
         done = run("compare", tmp_path / "party.csv", *wrong, program="graphtrack")
         assert done.returncode == 2 and str(wrong[-1] if len(wrong) > 2 else wrong[0]) in done.stderr
+
+
+@pytest.mark.parametrize("hidden", [(), ("body",), ("head",), ("body", "head")], ids="-".join)
+def test_groups_of_a_real_party_are_found_better_than_by_average_linkage(
+    data_dir: Path, hidden: tuple[str, ...]
+) -> None:
+    tracks = gt.read(data_dir / "salsa" / "features.txt").map(
+        lambda track: replace(track[(track.t > 1000.0) & (track.t < 1934.0)], **dict.fromkeys(hidden))
+    )
+    with pytest.warns(InputWarning):
+        labels = read_groups(data_dir / "salsa" / "groups.txt")
+    found = compare_groups(tracks, labels).scores
+    ours, linked = found["groups"].f1, found["average-linkage"].f1
+    assert ours[0] > linked[0] - 0.005 and ours[1] > linked[1] + 0.02
+    assert min(ours[0] - 0.7, ours[1] - 0.4) > 0.0
