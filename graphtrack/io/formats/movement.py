@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, place_pixels
-from graphtrack.io.format import CLASSIC, HDF5, Format, steady_rate
+from graphtrack.io.format import CLASSIC, HDF5, Format, rate_of, steady_rate
 from graphtrack.io.options import Reading, ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.packages import package
@@ -168,7 +168,7 @@ def frames_and_times(
     """
     n = dataset.sizes[TIME]
     values = dataset[TIME].to_numpy() if TIME in dataset.coords else np.arange(n)
-    rate = options.fps if options.fps is not None else _rate(dataset)
+    rate = options.fps if options.fps is not None else rate_of(dataset.attrs.get("fps"))
     description = dataset.attrs.get("time_unit")
     time: TimeScale | None = None
     notes: list[str] = []
@@ -201,15 +201,6 @@ def frames_and_times(
     if options.fps is not None:
         notes.append("the frame rate was not used: the file has times")
     return frame, t, time, notes
-
-
-def _rate(dataset: Any) -> float | None:
-    given = dataset.attrs.get("fps")
-    try:
-        rate = float(given)
-    except (TypeError, ValueError):
-        return None
-    return rate if np.isfinite(rate) and 0.0 < rate <= 1e6 else None
 
 
 def _integers(values: NDArray[Any], path: Path) -> NDArray[np.int64]:
