@@ -487,6 +487,7 @@ def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
         cells,
         columns={name: values[kept] for name, values in columns.items()},
         line_of=lambda row: line_of(int(kept[row]) % n),
+        floats=lambda name: None,
     )
     return rows, replace(layout, columns={**layout.columns, "track_id": IDENTITY})
 
