@@ -15,7 +15,7 @@ from graphtrack.io.formats.caviar import CAVIAR
 from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
 from graphtrack.io.formats.kitti import KITTI
 from graphtrack.io.formats.mocap import MOCAP
-from graphtrack.io.formats.mot import COCO, MOT
+from graphtrack.io.formats.mot import COCO, MOT, MOT_2D
 from graphtrack.io.formats.movement import MOVEMENT
 from graphtrack.io.formats.native import CSV, PARQUET
 from graphtrack.io.formats.ndjson import NDJSON
@@ -89,6 +89,7 @@ FORMATS = (
     SALSA,
     TOWNCENTRE,
     PEDPY,
+    MOT_2D,
     MOT,
     ETH,
 )
