@@ -552,6 +552,7 @@ def rows_of_cells(
             format=cells.format,
             fps=fps,
             line_of=cells.line_of,
+            fail=cells.fail,
             ignored=ignored,
             notes=tuple(notes),
         )

@@ -21,9 +21,9 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
 from graphtrack.packages import package
-from graphtrack.tracks.cells import METRES, Cells, Columns, frame_of, labels, numbers
-from graphtrack.tracks.schema import is_column, unknown
-from graphtrack.tracks.table import Rows, from_columns
+from graphtrack.tracks.cells import METRES, Cells, Columns, Layout, frame_of, numbers, rows_of_cells
+from graphtrack.tracks.schema import is_column
+from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet, to_columns
 from graphtrack.tracks.validation import LARGEST_ID, check_frame_rate
 
@@ -178,28 +178,17 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     missing = next((name for name in _OWN if name not in place), None)
     if missing is not None:
         raise source.fail(f"a table trajectory_data without {missing}", "JuPedSim's")
+    if rate is None and "t" not in place:
+        raise source.fail("no fps in the table metadata", "frames a second (--fps)")
     read = Columns(list(place), lambda name: np.array([row[place[name]] for row in rows], dtype=object))
     cells = Cells(source.path, "jupedsim", read, lambda row: row + 1)
-    table = {
-        name: labels(cells, name) if name == "label" else numbers(cells, name)
-        for name in place
-        if name in _OWN or name in _FACING or is_column(name)
-    }
-    columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
-    if rate is None and "t" not in columns:
-        raise source.fail("no fps in the table metadata", "frames a second (--fps)")
+    columns = {name: read[name] for name in place if name not in _FACING}
     # In files written by this module those columns hold what is known of the body.
-    if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
-        columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
-    ignored = unknown([name for name in place if name not in (*_OWN, *_FACING)])
-    return from_columns(
-        columns,
-        path=source.path,
-        format="jupedsim",
-        fps=None if "t" in columns else rate,
-        line_of=cells.line_of,
-        ignored=ignored,
-    )
+    if all(name in place for name in _FACING) and not any(is_column(name) for name in {*columns} - {*_OWN}):
+        columns["body_deg"] = _degrees(*(numbers(cells, name) for name in _FACING))
+    layout = Layout({native: name for name, native in _OWN.items()})
+    fps = None if "t" in place else rate
+    return replace(rows_of_cells(replace(cells, columns=columns), layout, fps=fps, strict=True), as_read=None)
 
 
 def _check_tables(tables: set[str], path: Path) -> None:
