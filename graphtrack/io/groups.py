@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.atomic import atomic_path
 from graphtrack.io.formats.native import open_table
 from graphtrack.io.source import Source
 from graphtrack.tracks.cells import integers
@@ -237,11 +235,3 @@ def _read_table(path: Path) -> GroupLabels:
                 members.setdefault(group, set()).add(person)
         steps.append(GroupStep(frame, tuple(frozenset(one) for one in members.values()), line_of[frame]))
     return GroupLabels("frame", tuple(steps), path)
-
-
-def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
-    """Write columns as CSV atomically; NaN and "" are empty cells."""
-    from graphtrack.io.formats.native import write_csv_columns as write
-
-    with atomic_path(path) as temporary:
-        write(columns, temporary)

@@ -478,15 +478,16 @@ def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
     for key, pattern in wild.items():
         columns[pattern] = np.concatenate([cells.columns[found[key][person]] for person in people])
     columns[IDENTITY] = np.repeat(np.array(people, dtype=object), n)
-    filled_cells = np.zeros(n * len(people), dtype=bool)
+    filled = np.zeros(n * len(people), dtype=bool)
     for pattern in wild.values():
-        filled_cells |= ~np.array([is_empty(cell) for cell in columns[pattern].tolist()], dtype=bool)
-    kept = np.flatnonzero(filled_cells)
+        filled |= ~np.array([is_empty(cell) for cell in columns[pattern].tolist()], dtype=bool)
+    kept = np.flatnonzero(filled)
     line_of = cells.line_of
     rows = replace(
         cells,
         columns={name: values[kept] for name, values in columns.items()},
         line_of=lambda row: line_of(int(kept[row]) % n),
+        floats=lambda name: None,
     )
     return rows, replace(layout, columns={**layout.columns, "track_id": IDENTITY})
 
@@ -551,6 +552,7 @@ def rows_of_cells(
             format=cells.format,
             fps=fps,
             line_of=cells.line_of,
+            fail=cells.fail,
             ignored=ignored,
             notes=tuple(notes),
         )
@@ -682,9 +684,9 @@ def with_frames(
     if np.isnan(t).any():
         raise cells.fail("an empty cell", "a time in every row", int(np.argmax(np.isnan(t))), named["t"])
     known, place = np.unique(t, return_inverse=True)
-    frames, filled_cells = numbered_times(known)
+    frames, how = numbered_times(known)
     columns["frame"] = frames[place].astype(float)
-    notes.append(f"no frames: {filled_cells}")
+    notes.append(f"no frames: {how}")
     if "track_id" in columns:
         _check_once(columns, cells, named)
 
@@ -696,8 +698,8 @@ def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mappin
     twice = (np.diff(track_id[order]) == 0) & (np.diff(frame[order]) == 0) & (track_id[order][1:] != -1)
     if twice.any():
         row = int(order[np.flatnonzero(twice) + 1].min())
-        filled_cells, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
-        raise cells.fail(f"{filled_cells} again at {when}", "each once at a time", row, named["t"])
+        who, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
+        raise cells.fail(f"{who} again at {when}", "each once at a time", row, named["t"])
 
 
 _AMISS = 0.25  # of a frame: how far a time may be from that of its frame
