@@ -421,6 +421,18 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
     return tuple(np.exp(found.x).tolist())
 
 
+def fitted_model(
+    start: Model, names: Sequence[str], cost: Callable[[Model], float], evaluations: int
+) -> Model:
+    """The model with those values of some parameters, ``group.key``, that make the cost small."""
+
+    def model(*values: float) -> Model:
+        return start.with_parameters(start.parameters.with_values(dict(zip(names, values, strict=True))))
+
+    begin = [start.parameters.value(name) for name in names]
+    return model(*fit(lambda *values: cost(model(*values)), begin, evaluations=evaluations))
+
+
 def with_density(parameters: Parameters, acceleration_density: float) -> Parameters:
     """The parameters with another q in m²/s³."""
     return parameters.with_values({"motion.acceleration_density": acceleration_density})
