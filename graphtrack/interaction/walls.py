@@ -1,4 +1,4 @@
-"""People and walls: estimates that stay within a walkable area, offline and online."""
+"""People and walls offline: estimates that stay within a walkable area."""
 
 from __future__ import annotations
 
@@ -10,19 +10,13 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import Failure, Solution
-from graphtrack.model import Model
-from graphtrack.model.terms.walls import StaysInside, barrier_depth, with_walls, without_walls
-from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.model.terms.walls import barrier_depth, with_walls, without_walls
+from graphtrack.tracks.track import TrackSet
 
 ROUNDS = 4
 """Most rounds in which walls are selected at the previous estimates."""
 
 Solve = Callable[[TrackSet], list[Solution | Failure]]
-
-
-def model_with_walls(model: Model) -> Model:
-    """Return a model with the term that keeps people within the input `WALL_INPUT`."""
-    return Model(model.preset, model.parameters, (*model.own_terms, StaysInside), model.scene)
 
 
 def solve_inside(
@@ -37,7 +31,7 @@ def solve_inside(
     ----------
     tracks : observations
     solve : solver without walls
-    solve_with_walls : solver whose model is `model_with_walls`
+    solve_with_walls : solver whose model has the term `StaysInside`
     area : the walkable area
     """
     found = solve(tracks)
@@ -62,13 +56,6 @@ def solve_inside(
             if isinstance(one := found[k], Solution) and not _is_inside(one.track.position, area).all()
         ]
     return found
-
-
-def with_observed_walls(track: Track, area: WalkableArea) -> Track:
-    """Return a track with the walls near its observed positions, or the last one before a frame."""
-    known = np.isfinite(track.position).all(axis=1)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(track)), 0))
-    return with_walls(track, track.position[last], area)
 
 
 def _is_inside(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.bool_]:

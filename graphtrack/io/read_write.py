@@ -270,7 +270,7 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
         _check_taken(chosen, options, source.path)
         if chosen.read is None:
             expected = "a table, such as GeoParquet; geopandas.read_file makes one of a GeoPackage"
-            raise InputError("a format that is only written", expected, path=source.path)
+            raise source.fail("a format that is only written", expected)
         return chosen.read(source, options)
 
 
@@ -306,7 +306,7 @@ def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
 def _cells(source: Source, chosen: Format, options: ReadOptions) -> Cells:
     layout = options.layout()
     if layout is not None and layout.by_number and chosen is not CSV:
-        raise InputError("numbers for columns", "their names", path=source.path)
+        raise source.fail("numbers for columns", "their names")
     assert chosen.cells is not None
     return chosen.cells(source, options)
 

@@ -163,6 +163,10 @@ class Model:
         """The same terms and scene with other parameters."""
         return Model(self.preset, parameters, self.own_terms, self.scene)
 
+    def with_terms(self, *kinds: type[Term]) -> Model:
+        """The same model with further terms."""
+        return Model(self.preset, self.parameters, (*self.own_terms, *kinds), self.scene)
+
     def with_scene(self, scene: GivenScene) -> Model:
         """The same terms and parameters, with the known parameters of another scene."""
         return Model(self.preset, self.parameters, self.own_terms, scene)

@@ -146,6 +146,14 @@ class Cells:
         line = None if row is None else self.line_of(row)
         return InputError(found, expected, path=self.path, line=line, column=column)
 
+    def refuse(self, wrong: NDArray[np.bool_], name: str, expected: str) -> None:
+        """Raise InputError for the first cell of a column that is wrong (n,), if there is one."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            cell = self.columns[name][row]
+            found = "an empty cell" if is_empty(cell) else repr(str(cell).strip()[:_LONGEST])
+            raise self.fail(found, expected, row, name)
+
 
 def check_unique(names: Sequence[str], path: Path | None, line: int | None = None) -> None:
     """Raise InputError for a name of two columns."""
@@ -272,6 +280,16 @@ def numbers(cells: Cells, name: str) -> FloatArray:
         row = int(np.argmax(np.isinf(found)))
         raise cells.fail(str(found[row]), "a finite number or an empty cell", row, name)
     return found
+
+
+def integers(cells: Cells, name: str, missing: int | None = None) -> NDArray[np.int64]:
+    """Return a column as (n,) whole numbers; ``missing`` where it is empty, if that is allowed."""
+    found = numbers(cells, name)
+    if missing is not None:
+        found = np.where(np.isnan(found), missing, found)
+    with np.errstate(invalid="ignore"):
+        cells.refuse(~(np.abs(found) <= LARGEST_ID) | (found != np.rint(found)), name, "a whole number")
+    return found.astype(np.int64)
 
 
 def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:

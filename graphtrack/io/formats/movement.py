@@ -627,11 +627,10 @@ def _by_movement(source: Source, software: str) -> Any:
     try:
         movement = import_module("movement.io")
     except ImportError as error:
-        raise InputError(
+        raise source.fail(
             f"a file of {software}, and no package movement",
             "pip install 'graphtrack[poses]', or a file that it made where it is installed: "
             f"movement.io.load_dataset(FILE, source_software='{software}').to_netcdf('tracks.nc')",
-            path=source.path,
         ) from error
     with TemporaryDirectory() as folder:
         file = Path(folder) / ("poses.h5" if source.data.startswith(HDF5) else "poses.csv")
@@ -641,7 +640,7 @@ def _by_movement(source: Source, software: str) -> Any:
         except Exception as error:  # movement and pandas raise many kinds for invalid files
             description = " ".join(str(error).replace(str(file), "it").split()) or type(error).__name__
             found = f"a file of {software} that movement cannot read ({description[:200]})"
-            raise InputError(found, "a whole one", path=source.path) from error
+            raise source.fail(found, "a whole one") from error
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
@@ -673,7 +672,7 @@ def _loaded(xr: Any, source: Source, engine: str) -> Any:
     except Exception as error:  # HDF5 raises many kinds for invalid files
         description = " ".join(str(error).split()) or type(error).__name__
         found = f"a netCDF file that cannot be read ({description[:200]})"
-        raise InputError(found, "a whole one, of movement's dataset.to_netcdf", path=source.path) from error
+        raise source.fail(found, "a whole one, of movement's dataset.to_netcdf") from error
 
 
 def write(tracks: TrackSet, path: Path) -> None:

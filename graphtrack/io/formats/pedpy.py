@@ -108,7 +108,7 @@ def _read_text(source: Source, options: ReadOptions) -> Rows:
         found = next((match for line in header if (match := _RATE.search(line)) is not None), None)
         if found is None or float(found[1]) <= 0.0:
             expected = "frames a second (--fps), or a line such as # framerate: 25"
-            raise InputError("no frame rate", expected, path=source.path)
+            raise source.fail("no frame rate", expected)
         rate = float(found[1])
         notes.append(f"frame rate {found[1]} Hz from the file's header")
     unit = _unit(header, options, source.path)
@@ -163,9 +163,7 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     """Read positions, the agents' orientation as body, and further native columns."""
     data = source.data
     if data[18:19] == bytes([_WITH_A_LOG]):
-        raise InputError(
-            "a database whose changes may lie next to it", "one that its writer has closed", path=source.path
-        )
+        raise source.fail("a database whose changes may lie next to it", "one that its writer has closed")
     try:
         with closing(sqlite3.connect(":memory:")) as connection:
             connection.deserialize(data)
@@ -176,17 +174,15 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
             cells = answer.fetchall()
             rate = options.fps if options.fps is not None else _rate(connection, tables)
     except sqlite3.Error as error:
-        raise InputError(
-            f"a database that cannot be read ({error})", "a whole one", path=source.path
-        ) from error
+        raise source.fail(f"a database that cannot be read ({error})", "a whole one") from error
     missing = next((name for name in _OWN if name not in names), None)
     if missing is not None:
-        raise InputError(f"a table trajectory_data without {missing}", "JuPedSim's", path=source.path)
+        raise source.fail(f"a table trajectory_data without {missing}", "JuPedSim's")
     table = {name: _numbers([row[k] for row in cells], name, source.path) for k, name in enumerate(names)
              if name in _OWN or name in _FACING or is_column(name)}  # fmt: skip
     columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
     if rate is None and "t" not in columns:
-        raise InputError("no fps in the table metadata", "frames a second (--fps)", path=source.path)
+        raise source.fail("no fps in the table metadata", "frames a second (--fps)")
     # In files written by this module those columns hold what is known of the body.
     if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
         columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
