@@ -178,9 +178,9 @@ class Experiment:
     ) -> Reproduction:
         """Do the experiment; report the number of steps to ``expect``, and steps done to ``progress``."""
         found = list(self.parts(replace(settings, expect=expect, progress=progress)))
-        tables, panels, notes = (
-            tuple(one for one in found if isinstance(one, kind)) for kind in (Table, Panel, str)
-        )
+        tables = tuple(one for one in found if isinstance(one, Table))
+        panels = [one for one in found if isinstance(one, Panel)]
+        notes = tuple(one for one in found if isinstance(one, str))
         drawn = [one for one in found if not isinstance(one, Table | Panel | str)]
         figure = drawn[0] if drawn else page(panels, self.columns) if panels else None
         return Reproduction(self.name, tables, figure, notes)
