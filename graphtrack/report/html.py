@@ -141,8 +141,9 @@ def _kinds(table: DataTable) -> list[Markup]:
 
 def _image(picture: Picture) -> dict[str, Any]:
     """Return a picture for an ``img``: its type, width in pixels if known, and content in base64."""
+    width: int | None = None
     if isinstance(picture.content, bytes):
-        content, media, width = picture.content, "image/jpeg", None
+        content, media = picture.content, "image/jpeg"
     else:
         buffer = BytesIO()
         picture.content.savefig(buffer, format="png", dpi=160)
