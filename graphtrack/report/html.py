@@ -141,11 +141,13 @@ def _kinds(table: DataTable) -> list[Markup]:
 
 def _image(picture: Picture) -> dict[str, Any]:
     """Return a picture for an ``img``: its type, width in pixels if known, and content in base64."""
-    content, media, width = picture.content, "image/jpeg", None
-    if not isinstance(content, bytes):
+    width: int | None = None
+    if isinstance(picture.content, bytes):
+        content, media = picture.content, "image/jpeg"
+    else:
         buffer = BytesIO()
-        content.savefig(buffer, format="png", dpi=160)
-        content, media, width = buffer.getvalue(), "image/png", round(96 * content.get_figwidth())
+        picture.content.savefig(buffer, format="png", dpi=160)
+        content, media, width = buffer.getvalue(), "image/png", round(96 * picture.content.get_figwidth())
     return {"media": media, "width": width, "encoded": base64.b64encode(content).decode("ascii")}
 
 

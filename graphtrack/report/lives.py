@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -335,7 +335,7 @@ def _gaps_table(lives: Sequence[Life]) -> list[DataTable]:
     if not rows:
         return []
 
-    def doubt(row: dict[str, Any]) -> tuple[bool, float, float]:
+    def doubt(row: Mapping[str, Any]) -> tuple[bool, float, float]:
         """Order uncertain joins first, unknown probabilities last."""
         sure = row["joined, how sure"]
         unknown = sure is None or np.isnan(sure)
