@@ -162,22 +162,18 @@ def _write(
     failures: list[Failure] = []
     unconverged: list[tuple[int, int]] = []
     printed = dict.fromkeys((*dataset.notes, *notes))
-    with ShardWriter(path, possible_columns(dataset, work.model), dataset.names) as writer:
-        try:
-            for shard in shards:
-                writer.add(shard.columns)
-                n_tracks += shard.n_tracks
-                n_sorted += shard.n_sorted
-                speeds += shard.speeds
-                failures += shard.failures
-                unconverged += shard.unconverged
-                printed |= dict.fromkeys(shard.notes)
-                if progress is not None:
-                    progress(shard.n_rows)
-        except InputError as error:
-            if error.path != str(dataset.path) or error.line is None:
-                raise
-            raise dataset.fail(error.found, error.expected, error.line - 1, error.column) from error
+    columns = possible_columns(dataset, work.model)
+    with ShardWriter(path, columns, dataset.names) as writer, dataset.located():
+        for shard in shards:
+            writer.add(shard.columns)
+            n_tracks += shard.n_tracks
+            n_sorted += shard.n_sorted
+            speeds += shard.speeds
+            failures += shard.failures
+            unconverged += shard.unconverged
+            printed |= dict.fromkeys(shard.notes)
+            if progress is not None:
+                progress(shard.n_rows)
     if not n_tracks:
         wanted = " or ".join(work.select)
         raise InputError(f"no track that matches {wanted}", "a label or id that is there", path=dataset.path)
