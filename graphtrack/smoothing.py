@@ -38,12 +38,16 @@ from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, as_track
 from graphtrack.inference.warm import make_all_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
-from graphtrack.interaction.walls import model_with_walls, solve_inside, with_observed_walls
+from graphtrack.interaction.walls import (
+    model_with_walls,
+    solve_inside,
+    with_observed_walls,
+    without_walls,
+)
 from graphtrack.io.options import FileReading, ReadingBase
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.conversation import GROUP
-from graphtrack.model.terms.walls import without_walls
 from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, unpack_tree
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
 from graphtrack.tracks.scene import GivenScene

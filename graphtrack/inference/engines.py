@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +15,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.batch import is_chain
 from graphtrack.model import Model, Observation
+from graphtrack.model.observation import observations
 from graphtrack.tracks.display import counted, html_pairs
 from graphtrack.tracks.track import Track
 from graphtrack.tracks.validation import check_count, is_number
@@ -200,42 +201,28 @@ def not_finite(track: Track, model: Model) -> str:
 
 def with_extreme(reason: str, track: Track, model: Model) -> str:
     """Failure reason of a track, with its most extreme input, if there is one."""
-    channels = {name: getattr(track, name) for name in _USUAL}
-    return _joined(reason, _extremes(track.t, track.frame, track.position, channels, model))
+    return with_extreme_of(reason, list(observations(track)), model)
 
 
-def with_extreme_of(reason: str, observations: Sequence[Observation], model: Model) -> str:
-    """`with_extreme` of the observations of a window and the newest."""
-    t = np.array([one.t for one in observations], dtype=float)
-    frame = np.array([one.frame for one in observations])
-    position = np.array(
-        [(math.nan, math.nan) if one.position is None else one.position for one in observations]
-    )
-    channels = {
-        name: np.array([getattr(one, name) for one in observations], dtype=float)  # None becomes NaN
-        for name in _USUAL
-    }
-    return _joined(reason, _extremes(t, frame, position, channels, model))
+def with_extreme_of(reason: str, observed: Sequence[Observation], model: Model) -> str:
+    """The same of some observations, such as those of a window."""
+    return _joined(reason, _extremes(observed, model))
 
 
-def _extremes(
-    t: FloatArray,
-    frame: NDArray[np.int64],
-    position: FloatArray,
-    channels: Mapping[str, FloatArray | None],
-    model: Model,
-) -> Iterator[tuple[float, str]]:
+def _extremes(observed: Sequence[Observation], model: Model) -> Iterator[tuple[float, str]]:
     """Yield the factor by which each extreme input exceeds its usual range, and its name."""
-    dt = np.diff(t)
+    t = np.array([one.t for one in observed], dtype=float)
+    frame, dt = np.array([one.frame for one in observed]), np.diff(t)
     if dt.size and 0.0 < dt.min() < _SHORTEST:
         k = int(dt.argmin())
         words = f"{dt[k]:.3g} s between the frames {frame[k]} and {frame[k + 1]}"
         yield _SHORTEST / dt[k], f"{words}, expected at least {_SHORTEST:g} s"
-    far = np.abs(position).max(axis=1)
-    yield from _outside(far, frame, (0.0, _FARTHEST), "a coordinate of {} m")
-    for name, values in channels.items():
-        if values is not None:
-            yield from _outside(values, frame, _USUAL[name], f"{name} = {{}}")
+    none = math.nan, math.nan
+    position = np.array([none if one.position is None else one.position for one in observed])
+    yield from _outside(np.abs(position).max(axis=1), frame, (0.0, _FARTHEST), "a coordinate of {} m")
+    for name, usual in _USUAL.items():
+        values = np.array([getattr(one, name) for one in observed], dtype=float)  # None becomes NaN
+        yield from _outside(values, frame, usual, f"{name} = {{}}")
     std, (low, high) = model.parameters.likelihood.position_std, _USUAL["position_std"]
     if not low <= std <= high:
         words = f"position_std = {std:.3g} of the model, expected {low:g} to {high:g}"

@@ -16,7 +16,7 @@ from graphtrack.inference.engines import OfflineEngine
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
 from graphtrack.model import Model, Step
-from graphtrack.model.observation import observations, seconds_between
+from graphtrack.model.observation import chain, observations, seconds_between
 
 if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine
@@ -124,7 +124,8 @@ def _solve(model: Model, *, in_lanes: bool = False) -> None:
 
 def _search(model: Model) -> None:
     initial_states(TRACK, Model("position"))
-    view, states = ChainView(TRACK, model, None), np.zeros((len(TRACK), 6))
+    view, states = ChainView(model), np.zeros((len(TRACK), 6))
+    view.follow(chain(TRACK), states, None, whole=True)
     view.other(states, 0.0)
     if model.has_modes:
         view.renew(states)

@@ -67,8 +67,8 @@ def place_in_row(field: str, record: np.dtype) -> int:
 class Problem(NamedTuple):
     """Some tracks end to end, as the kernels read them: N frames, m tracks."""
 
-    records: np.ndarray  # (N,) of the program's FRAME
-    shared: np.ndarray  # (1,) of its SHARED
+    records: np.ndarray  # (N,) of the program's type; a gate is 0 where its kernel is not called
+    shared: np.ndarray  # (1,) fields shared by all frames
     body_heights: FloatArray  # (N, classes + 1), or no rows without class likelihoods
     head_heights: FloatArray
     body_directions: FloatArray  # (classes, 2) cosines and sines of the centres

@@ -169,16 +169,11 @@ def require_position(track: Track) -> None:
         raise SolveError(track.track_id, NO_POSITION)
 
 
-def observed_vectors(track: Track, name: str) -> FloatArray:
-    """Vectors (n, 2) along the observed directions of body or head; NaN where unobserved."""
-    angle = getattr(track, name)
-    directions = None if angle is None else unit(angle)
-    return vectors_of(directions, getattr(track, f"{name}_likelihood"), len(track))
-
-
 def observed_angle(track: Track, name: str) -> FloatArray:
     """Observed angle (n,) of body or head in radians; NaN where unobserved."""
-    vectors = observed_vectors(track, name)
+    angle = getattr(track, name)
+    directions = None if angle is None else unit(angle)
+    vectors = vectors_of(directions, getattr(track, f"{name}_likelihood"), len(track))
     return np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
 
 

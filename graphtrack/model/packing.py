@@ -10,9 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
+
+CLASS_DIRECTIONS = unit(class_centres(BODY_CLASSES)), unit(class_centres(HEAD_CLASSES))
+"""Cosines and sines (classes, 2) of the centres of the classes of body and head."""
 
 
 @dataclass(eq=False)
@@ -60,13 +63,11 @@ class PackedTracks:
     def channel(self, name: str) -> FloatArray | None:
         """One channel (N, …) of all tracks, NaN for tracks without it; None if no track has it."""
         values = [getattr(track, name) for track in self.tracks]
-        if len(values) == 1 or all(value is not None for value in values):
-            return values[0] if len(values) == 1 else np.concatenate(values)
-        shape = next((value.shape[1:] for value in values if value is not None), None)
-        if shape is None:
-            return None
+        known = next((value for value in values if value is not None), None)
+        if known is None or len(values) == 1:
+            return known
         parts = [
-            np.full((len(track), *shape), np.nan) if value is None else value
+            np.full((len(track), *known.shape[1:]), np.nan) if value is None else value
             for track, value in zip(self.tracks, values, strict=True)
         ]
         return np.concatenate(parts)

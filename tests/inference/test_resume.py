@@ -231,7 +231,7 @@ def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
     for person in (0, 2):
         assert_same(alone[person].update(seen[person]), found[person])
     after = joined[1].state()
-    assert all(after[name] == before[name] for name in ("steps", "prior", "next_index", "last"))
+    assert all(after[name] == before[name] for name in ("steps", "window", "next_index", "last"))
     assert joined[1].update(Observation(0.5, 5, (0.5, 1.0))).status == "new"
 
 

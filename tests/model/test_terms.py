@@ -37,7 +37,7 @@ from graphtrack.model import (
     presets,
     program,
 )
-from graphtrack.model.generator import OF_PRESETS, Program
+from graphtrack.model.generator import OF_PRESETS
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
 from graphtrack.model.packing import PackedTracks
@@ -483,7 +483,7 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    source = Program(every_term(), "the presets' terms").source
+    source = OF_PRESETS.source
     assert Path(program.__file__).read_text(encoding="utf-8") == source
 
 

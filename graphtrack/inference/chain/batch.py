@@ -20,6 +20,7 @@ from graphtrack.inference.chain.covariance import (
     admit_rivals,
     calibrate_tracks,
     find_covariances,
+    hide,
 )
 from graphtrack.inference.chain.initialisation import (
     ObservedAngles,
@@ -589,9 +590,6 @@ def finish(
             state[Y] += origin[track, Y]
             for place, has in ((BODY, has_body), (HEAD, has_head)):
                 if not has:
-                    state[place] = math.nan
-                    for i in range(N):
-                        covariance[place, i] = math.nan
-                        covariance[i, place] = math.nan
+                    hide(place, state, covariance)
             if failed:
                 covariance[:] = math.nan

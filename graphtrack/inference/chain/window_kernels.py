@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, find_other_basin, unwind
-from graphtrack.inference.chain.covariance import Calibration, add_lags, calibrate_frame, spread_newest
+from graphtrack.inference.chain.covariance import Calibration, add_lags, add_spread, calibrate_frame, hide
 from graphtrack.inference.chain.newton import (
     COST,
     EXACT,
@@ -54,6 +54,7 @@ from graphtrack.model.coupling_modes import (
     report_modes,
 )
 from graphtrack.model.generator import FrameProgram, add_frame, cut
+from graphtrack.model.packing import CLASS_DIRECTIONS
 from graphtrack.model.terms.gait import ROW, Gait
 from graphtrack.model.terms.motion import steer
 from graphtrack.model.terms.position import CAUCHY
@@ -90,8 +91,7 @@ class Windows(NamedTuple):
             np.zeros((slots, 1), program.types.shared),
             np.zeros((*frames, BODY_CLASSES + 1)),
             np.zeros((*frames, HEAD_CLASSES + 1)),
-            unit(class_centres(BODY_CLASSES)),
-            unit(class_centres(HEAD_CLASSES)),
+            *CLASS_DIRECTIONS,
             np.zeros((slots, 1, 2)),
             np.zeros((slots, 2), np.int64),
             np.zeros((slots, N + 2, N)),
@@ -430,13 +430,12 @@ class Advanced(NamedTuple):
 
 
 @inner
-def predict_state(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
-    """Initial values of a new frame: constant velocity, angles constant, or as in ``guess`` (2,)."""
+def predict_state(states: FloatArray, row: int, dt: float) -> None:
+    """Initial values of a new frame: constant velocity and angles."""
     before, state = states[row - 1], states[row]
     state[X], state[Y] = before[X] + dt * before[VX], before[Y] + dt * before[VY]
-    state[VX], state[VY] = before[VX], before[VY]
-    state[BODY] = before[BODY] if math.isnan(guess[0]) else guess[0]
-    state[HEAD] = before[HEAD] if math.isnan(guess[1]) else guess[1]
+    for i in range(VX, N):
+        state[i] = before[i]
 
 
 @compiled
@@ -465,36 +464,26 @@ def report(
     calibrate_frame(reported, lags, rules.calibration)
 
 
-@inner
-def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
-    """Set variables outside the model to NaN."""
-    state[place] = math.nan
-    for i in range(N):
-        covariance[i, place] = covariance[place, i] = math.nan
-
-
 @allocating
-def advance(
-    windows: Windows, tasks: np.ndarray, guesses: FloatArray, rules: Rules, gait: Any, advanced: Advanced
-) -> None:
+def advance(windows: Windows, tasks: np.ndarray, rules: Rules, gait: Any, advanced: Advanced) -> None:
     """Add one observation, or a change, to each of some windows of a block.
 
     Parameters
     ----------
     tasks : (P,) of `TASK`; the new frames' records stand in the rows after their windows' last
-    guesses : (P, 2) as in `predict_state`
     rules : of all windows
     gait : parameters of the coupling modes; None without
     advanced : filled in
     """
     size = windows.states.shape[1]
-    memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
+    memory, before, covariances = workspace(size), np.empty((size, N)), np.empty((1, N, N))
+    covariance = covariances[0]
     # Coupling modes change the couplings of all frames: no factorisation is kept.
     keeps, lags, modes = as_variable(gait is None), np.empty(5), mode_memory(0 if gait is None else size)
     for p in range(len(tasks)):
         task, slot = tasks[p], tasks[p].slot
         problem = problem_in(windows, slot)
-        kept = add_newest(problem, windows.states[slot], task.adds, guesses[p], before)
+        kept = add_newest(problem, windows.states[slot], task.adds, before)
         begin, end = problem.offsets[0], problem.offsets[1]
         states, own = windows.states[slot, begin:end], memory_in(windows, slot, begin, memory)
         chain = chain_of(problem)
@@ -509,7 +498,7 @@ def advance(
                 assign(states[:kept], before[:kept])
                 continue
             if gait is not None:
-                spread_newest(chain, states, modes.spread, own, covariance)
+                add_spread(chain, states, modes.spread, own, chain.n - 1, covariances)
                 covariance[HEAD, HEAD] += glance_variance(modes.held[end - begin - 1, GLANCE], gait)
             report(problem, states[chain.n - 1], rules, covariance, lags, p, advanced)
             for k in range(task.leave):
@@ -524,13 +513,13 @@ def advance(
 
 
 @merged
-def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
+def add_newest(problem: Problem, states: FloatArray, adds: int, before: FloatArray) -> int:
     """Save the states in ``before`` and add the frame after the newest; returns the previous number."""
     begin, end = problem.offsets[0], problem.offsets[1]
     assign(before[: end - begin], states[begin:end])
     if adds != NOTHING:
         if adds == PREDICTED:
-            predict_state(states, end, problem.records[end].dt, guess)
+            predict_state(states, end, problem.records[end].dt)
         problem.offsets[1] = end + 1
     return int(end - begin)
 
