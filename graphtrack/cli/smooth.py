@@ -55,7 +55,7 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
 def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     """Smooth a data set, and print the outcome; exit with status 2 if a track failed."""
     from graphtrack.inference.chain.batch import is_large
-    from graphtrack.inference.warm import make_solver_ready
+    from graphtrack.inference.engines import make_solver_ready
     from graphtrack.scale import open_dataset, smooth_dataset
 
     dataset = open_dataset(path)
@@ -120,8 +120,7 @@ def smooth(
     from graphtrack.diagnostics import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
-    from graphtrack.inference.engines import Failure, Solution, engine_of
-    from graphtrack.inference.warm import make_solver_ready
+    from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at

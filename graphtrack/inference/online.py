@@ -20,7 +20,13 @@ from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
-from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine, with_extreme_of
+from graphtrack.inference.engines import (
+    OnlineEngine,
+    check_lag,
+    make_online_ready,
+    online_engine,
+    with_extreme_of,
+)
 from graphtrack.inference.graph.coupling_modes import CouplingModeSmoother
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
@@ -36,7 +42,6 @@ from graphtrack.inference.state import (
     predicted,
     unpack_state,
 )
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS, seconds_between
 from graphtrack.saved import DAMAGES, damaged

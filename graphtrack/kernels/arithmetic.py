@@ -8,15 +8,12 @@ angle (`cos_sin`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import choose, of_lanes, unary
 
@@ -33,12 +30,6 @@ def log_i0e(x: Any) -> Any:
     series = 0.00916281 + y * (-0.02057706 + y * (0.02635537 + y * (-0.01647633 + y * 0.00392377)))
     series = 0.39894228 + y * (0.01328592 + y * (0.00225319 + y * (-0.00157565 + y * series)))
     return choose(low, near, math.log(series) - 0.5 * math.log(z))
-
-
-def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
-    """A function of numbers (n,), evaluated once where all are equal."""
-    alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
-    return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)
 
 
 LOG2E = 1.4426950408889634

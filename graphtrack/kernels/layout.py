@@ -53,17 +53,6 @@ def record_type(fields: Iterable[Field]) -> np.dtype:
     return np.dtype([(f.name, float, f.shape) for f in dict.fromkeys(fields)])
 
 
-def number_rows(records: np.ndarray) -> np.ndarray:
-    """The same records (n,) as rows (n, numbers) of floats, in the same memory."""
-    return records.view(float).reshape(len(records), -1)
-
-
-def place_in_row(field: str, record: np.dtype) -> int:
-    """Return the place of a number in such a row."""
-    assert record.fields is not None
-    return int(record.fields[field][1]) // 8
-
-
 class Problem(NamedTuple):
     """Some tracks end to end, as the kernels read them: N frames, m tracks."""
 

@@ -130,7 +130,7 @@ class Model:
         self.preset = preset
         self.parameters = default_parameters(preset) if parameters is None else parameters
         self.own_terms = tuple(terms)
-        self.scene = known_values(scene)
+        self.scene = {} if scene is None else known_values(scene)
         self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self.own_terms))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used

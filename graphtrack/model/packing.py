@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -139,3 +139,20 @@ class RecordTypes(NamedTuple):
 
     frame: np.dtype
     shared: np.dtype
+
+
+def number_rows(records: np.ndarray) -> np.ndarray:
+    """The same records (n,) as rows (n, numbers) of floats, in the same memory."""
+    return records.view(float).reshape(len(records), -1)
+
+
+def place_in_row(field: str, record: np.dtype) -> int:
+    """Return the place of a number in such a row."""
+    assert record.fields is not None
+    return int(record.fields[field][1]) // 8
+
+
+def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
+    """A function of numbers (n,), evaluated once where all are equal."""
+    alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
+    return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)

@@ -20,9 +20,8 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import times_ahead
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.engines import OnlineEngine, online_engine
+from graphtrack.inference.engines import OnlineEngine, make_online_ready, online_engine
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.interaction import attention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded

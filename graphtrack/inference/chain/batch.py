@@ -59,7 +59,7 @@ from graphtrack.kernels.lanes import (
     negate,
     only_lane,
 )
-from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, Chain, N, Problem, X, Y, number_rows
+from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, Chain, N, Problem, X, Y
 from graphtrack.model import Model
 from graphtrack.model.coupling_modes import (
     ModeMemory,
@@ -70,7 +70,7 @@ from graphtrack.model.coupling_modes import (
     report_modes,
 )
 from graphtrack.model.generator import OF_PRESETS, program_of
-from graphtrack.model.packing import PackedTracks
+from graphtrack.model.packing import PackedTracks, number_rows
 from graphtrack.model.terms.gait import gait_of
 from graphtrack.tracks.track import Track
 
@@ -307,22 +307,24 @@ def solve_group(
 # -- one track after the other -------------------------------------------------------------------------------
 
 
-@compiled
+@inner_allocating
+def modes_of(gait: Any, n: int) -> Any:
+    """Memory for the coupling modes of up to n frames; None without modes."""
+    if gait is None:
+        return None
+    return mode_memory(n)
+
+
+@allocating
 def solve_tracks(
-    problem: Problem,
-    options: Options,
-    gait: Any,
-    guessed: BoolArray,
-    tracks: NDArray[np.int64],
-    workspace: Workspace,
-    modes: Any,
-    result: Result,
+    problem: Problem, longest: int, options: Options, gait: Any, guessed: BoolArray, result: Result
 ) -> None:
-    """Solve all tracks from the states in the result, in place; the other arrays are memory."""
+    """Solve all tracks, of up to ``longest`` frames, from the states in the result, in place."""
+    tracks, memory, modes = np.empty(1, np.int64), workspace(longest), modes_of(gait, longest)
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         tracks[0], chain = track, Chain(problem, track, b - a, float(b - a))
-        group = Group(chain, problem, tracks, result.states[a:b], result.covariance[a:b], workspace, modes)
+        group = Group(chain, problem, tracks, result.states[a:b], result.covariance[a:b], memory, modes)
         body, head = classified_in(problem, track)
         searched = options.search and (body or head)
         solve_group(group, options, gait, guessed, head, searched, result)
@@ -532,7 +534,6 @@ def solve_terms(
     guessed: BoolArray = NONE_GUESSED,
     *,
     in_lanes: bool = False,
-    memory: Workspace | None = None,
 ) -> None:
     """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states."""
     lengths = np.diff(problem.offsets)
@@ -545,10 +546,7 @@ def solve_terms(
         arrays = lane_arrays(longest, numbers.shape[1], gait is not None)
         solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
     else:
-        memory = workspace(longest) if memory is None else memory
-        modes = None if gait is None else mode_memory(longest)
-        numbers = np.zeros(1, np.int64)
-        solve_tracks(problem, options, gait, guessed, numbers, memory, modes, result)
+        solve_tracks(problem, longest, options, gait, guessed, result)
 
 
 def never_observed(packed: PackedTracks, angles_observed: ObservedAngles) -> BoolArray:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, vectors_of
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import SLOW
 from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE, Result
@@ -28,13 +28,11 @@ from graphtrack.kernels.layout import (
     Problem,
     X,
     Y,
-    number_rows,
-    place_in_row,
 )
 from graphtrack.model import Model, States
 from graphtrack.model.generator import program_of
-from graphtrack.model.observation import require_position, vectors_of
-from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks
+from graphtrack.model.observation import require_position
+from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import filled, types_of
 from graphtrack.tracks.track import Track
 

@@ -32,11 +32,11 @@ from graphtrack.inference.state import (
     Window,
     leaving,
 )
-from graphtrack.kernels.layout import N, Problem, number_rows, place_in_row
+from graphtrack.kernels.layout import N, Problem
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import FrameProgram, program_of
-from graphtrack.model.packing import PackedTracks
+from graphtrack.model.packing import PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import FramePacker
 from graphtrack.model.terms.gait import Gait, gait_of
 

@@ -19,12 +19,13 @@ from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     estimated_tracks,
+    has_own_kernels,
+    make_solver_ready,
     not_finite,
     with_extreme,
 )
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.state import Window, states_of, values_of, variable_keys, variables
-from graphtrack.inference.warm import has_own_kernels, make_solver_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain

@@ -11,7 +11,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END
-from graphtrack.inference.engines import SolverOptions
+from graphtrack.inference.engines import SolverOptions, make_online_ready
 from graphtrack.inference.graph.batch import keys_of, optimize, window_graph
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.graph.fixed_lag import FixedLag
@@ -26,7 +26,6 @@ from graphtrack.inference.state import (
     states_of,
     values_of,
 )
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam

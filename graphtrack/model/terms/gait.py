@@ -18,10 +18,9 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.arithmetic import of_alike
 from graphtrack.kernels.layout import Field
 from graphtrack.model.observation import States, Step
-from graphtrack.model.packing import PackedTracks
+from graphtrack.model.packing import PackedTracks, of_alike
 from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.packages import gtsam, special

@@ -21,13 +21,13 @@ from graphtrack.geometry.angles import (
     mixture_log_density,
 )
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.arithmetic import exp, log, log_i0e, of_alike
+from graphtrack.kernels.arithmetic import exp, log, log_i0e
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose
 from graphtrack.kernels.layout import Field, Kernel, names_of
 from graphtrack.model.factors import von_mises_prior
 from graphtrack.model.observation import Observation, States, Step
-from graphtrack.model.packing import PackedTracks
+from graphtrack.model.packing import PackedTracks, of_alike
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.packages import gtsam, special
