@@ -17,7 +17,7 @@ from scipy import optimize
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, von_mises_log_density
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.batch import Options, solve_packed, solve_terms
+from graphtrack.inference.chain.batch import PASSES, Options, solve_packed, solve_terms
 from graphtrack.inference.chain.initialisation import empty_result, pack, problem_of
 from graphtrack.inference.chain.newton import NOT_FINITE, Result, Workspace, factorise, workspace
 from graphtrack.inference.engines import make_solver_ready
@@ -307,7 +307,7 @@ class Solver:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        solve_terms(model, problem, Options(MAX_ITERATIONS, TOLERANCE, search=False), result)
+        solve_terms(model, problem, Options(MAX_ITERATIONS, TOLERANCE, PASSES, search=False), result)
         return Solved(packed, problem, result, workspace(self._longest), model.parameters.motion)
 
 

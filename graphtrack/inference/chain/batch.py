@@ -87,6 +87,7 @@ class Options(NamedTuple):
 
     max_iterations: int  # most steps of each descent
     tolerance: float  # of the cost, of the last descent; see `ON_THE_WAY`
+    passes: int  # alternations of coupling modes and states
     search: bool  # True for basin search
 
 
@@ -284,7 +285,7 @@ def solve_group(
     if gait is not None:
         # The first descent has no couplings; then modes and states alternate.
         put_back(group, guessed, workspace.before)
-        for left in range(PASSES - 1, -1, -1):
+        for left in range(options.passes - 1, -1, -1):
             last = left == 0
             tolerance = options.tolerance if last else on_the_way
             renew_couplings(chain, states, gait, classified, last, group.modes)
@@ -517,7 +518,7 @@ def solve_packed(
         problem, angles_observed = problem_of(packed), observed_angles(packed, model)
         initialise(linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
         guessed = never_observed(packed, angles_observed) if model.has_modes else NONE_GUESSED
-        options = Options(max_iterations, tolerance, basin_search)
+        options = Options(max_iterations, tolerance, PASSES, basin_search)
         solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     if calibration is not None:
