@@ -40,7 +40,7 @@ def rows(heading, text):
     return [
         [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip("|"))]
         for line in section.splitlines()
-        if line.startswith("| ") and not line.startswith("|---")
+        if line.startswith("|") and not line.startswith("|---")
     ][1:]
 
 

@@ -51,7 +51,7 @@ def score_forecasts(
         try:
             found[name] = judge_forecasts(read_forecasts(table), reading.tracks([true]))
         except InputError as error:
-            raise InputError(error.found, error.expected, path=error.path or table) from error
+            raise error.at(error.path or table) from error
     print_table("Forecasts compared", [row for name, one in found.items() for row in _rows(name, one)])
     if len(found) > 1:
         print_table("Errors over those of constant velocity, mean of the recordings", [_mean_ratio(found)])

@@ -130,7 +130,7 @@ def read_homography(path: str | Path) -> FloatArray:
     try:
         return check_homography(numbers.values.reshape(3, 3))
     except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+        raise error.at(path) from error
 
 
 def read_calibration(path: str | Path) -> GroundCamera:
@@ -167,7 +167,7 @@ def read_calibration(path: str | Path) -> GroundCamera:
             lens="fisheye" if fisheye else "pinhole",
         )
     except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+        raise error.at(path) from error
 
 
 def write_calibration(
@@ -232,7 +232,7 @@ def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ..
     try:
         camera, fit = GroundCamera.from_point_pairs(numbers[rows, :2], numbers[rows, 2:] * metres)
     except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+        raise error.at(path) from error
     exact = " (four pairs always fit exactly)" if fit.n_pairs == 4 else ""
     return camera, (
         f"homography from {fit.n_pairs} point pairs: reprojection error {fit.rms_error:.3g} m RMS, "

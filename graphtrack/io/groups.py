@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
-from graphtrack.io.cells import cells_of_csv, numbers
+from graphtrack.io.formats.native import read_csv
 from graphtrack.io.source import Source
-from graphtrack.io.text import parse_number
+from graphtrack.tracks.cells import numbers
 from graphtrack.tracks.table import check_integers
-from graphtrack.tracks.validation import LARGEST_ID, LARGEST_SECONDS
+from graphtrack.tracks.validation import LARGEST_ID, LARGEST_SECONDS, parse_number
 
 IntArray = NDArray[np.int64]
 
@@ -226,7 +226,7 @@ def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
 
 
 def _read_table(source: Source) -> GroupLabels:
-    cells = cells_of_csv(source, header=True)
+    cells = read_csv(source, known=_NEEDED)
     columns = []
     for name in _NEEDED:
         values = numbers(cells, name)

@@ -193,7 +193,7 @@ class Model:
         """All factors of a step; ``couplings`` are those that the modes set."""
         for term in self.terms:
             if term.is_compiled:
-                vars(term).setdefault("packer", self._packer)
+                vars(term).setdefault("packer", self.packer)
         if couplings is None or not self.has_modes:
             return [factor for term in self.terms for factor in term.factors(step)]
         found: list[gtsam.NonlinearFactor] = []
@@ -203,8 +203,8 @@ class Model:
         return found
 
     @cached_property
-    def _packer(self) -> FramePacker:
-        """The packer of frames for all terms at once."""
+    def packer(self) -> FramePacker:
+        """The packer of frames for all compiled terms at once; an engine may set one with more fields."""
         known = [term for term in self.terms if term.is_compiled]
         return FramePacker(known, types_of(known))
 

@@ -21,7 +21,7 @@ from typing import Any
 
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.model import Model
-from graphtrack.streaming.saved_state import Answering
+from graphtrack.streaming.protocol import Answering
 from graphtrack.streaming.session import Answers, Listener, track_stream
 
 DONE, ASIDE = b"#", b"!"
@@ -125,7 +125,7 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
     except GraphtrackError as error:
         if isinstance(error, InputError) and state is not None and error.path == str(state):
             place = f"state of stream {state.stem}"  # do not reveal the path to clients
-            error = InputError(error.found, error.expected, path=place, line=error.line)
+            error = error.at(place)
         with suppress(OSError):  # the client may have left
             aside({"error": str(error)})
         sys.exit(1)

@@ -18,7 +18,7 @@ from typing import IO, Any
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import times_ahead
+from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import OnlineEngine, make_online_ready, online_engine
 from graphtrack.inference.online import OnlineSmoother
@@ -27,21 +27,21 @@ from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
+from graphtrack.saved import unpack_tree
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
     BEHAVIOUR,
-    FORECASTS,
+    FRAMES,
     Asked,
+    EndedFrames,
     Frame,
-    FrameBehaviour,
-    FrameForecasts,
     SceneBehaviour,
     Scenes,
     StreamBounds,
     TrackAnswers,
 )
-from graphtrack.streaming.protocol import LONGEST_LINE, Lines, Refuse, StreamNames, with_first_row
-from graphtrack.streaming.saved_state import Answering, Saving, StateFile, saved_settings, settings_of
+from graphtrack.streaming.protocol import LONGEST_LINE, Answering, Lines, Refuse, StreamNames, with_first_row
+from graphtrack.streaming.saved_state import Saving, StateFile, saved_settings, settings_of
 
 _PIECE = 1 << 16
 """Bytes that are read at once."""
@@ -96,18 +96,30 @@ class Answers:
             partial(OnlineSmoother, self.model, **self._options),
             self.fps,
             note,
-            None if self.horizon is None else FrameForecasts(times_ahead(*self.horizon)),
-            None if self.asked is None else FrameBehaviour(SceneBehaviour(self.asked)),
+            self._frames(None, None if self.horizon is None else Forecaster()),
             self.bounds,
             Conversations(self.model) if self.model.has_groups else None,
         )
 
+    def _frames(self, saved: Any, forecaster: Forecaster | None) -> EndedFrames | None:
+        """Return groups, attention and forecasts of frames, from a state if there is one; None: none."""
+        if self.asked is None and self.horizon is None:
+            return None
+        behaviour = None
+        if self.asked is not None:
+            new = SceneBehaviour(self.asked)
+            behaviour = new if saved is None else SceneBehaviour.restore(saved[BEHAVIOUR], self.asked)
+        ahead = np.empty(0) if self.horizon is None else times_ahead(*self.horizon)
+        frames = EndedFrames(behaviour, forecaster, ahead)
+        if saved is not None:
+            frames.restore(saved)
+        return frames
+
     def restored_person(self, key: Any, saved: Any) -> Any:
         """Restore a member of `people` from its state."""
-        if self.horizon is not None and key == FORECASTS:
-            return FrameForecasts.from_state(times_ahead(*self.horizon), saved)
-        if self.asked is not None and key == BEHAVIOUR:
-            return FrameBehaviour.restore(saved, self.asked)
+        if (self.asked is not None or self.horizon is not None) and key == FRAMES:
+            state = None if self.horizon is None else unpack_tree(saved["forecaster"])
+            return self._frames(saved, None if state is None else Forecaster.from_state(state))
         if self.model.has_groups and key == CONVERSATIONS:
             return Conversations.from_state(saved, self.model)
         if type(key) is not int:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning, TrackIndexError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray, direction, unit, vectors_of
+from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
 from graphtrack.tracks.schema import COLUMNS, INPUT_NAME, Column, input_columns, is_input_name, numeric
 from graphtrack.tracks.schema import in_order as columns_in_order
@@ -29,7 +30,6 @@ from graphtrack.tracks.table import (
     Rows,
     check_identities,
     restored,
-    rows_of_table,
     sorted_rows,
 )
 from graphtrack.tracks.validation import (
@@ -456,8 +456,8 @@ class TrackSet:
 
         Parameters
         ----------
-        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds since 1970, UTC, with a
-            note in the summary.
+        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds from the midnight (UTC)
+            before the first.
         fps : frames a second, for a table without ``t``
 
         Raises
@@ -465,8 +465,7 @@ class TrackSet:
         InputError
             With the row (from 1) and column of an invalid value.
         """
-        rows = rows_of_table(table, fps)
-        return cls.from_identified_rows(rows)
+        return cls.from_identified_rows(rows_of_table(table, fps))
 
     @classmethod
     def from_identified_rows(cls, rows: Rows) -> TrackSet:

@@ -178,6 +178,23 @@ def is_text(value: object) -> bool:
     return True
 
 
+def parse_number(text: str) -> float | None:
+    """Parse a finite decimal number, or return None; unlike ``float`` no ``nan``, ``inf`` or ``1_000``."""
+    if "_" in text or not text.isascii():
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def expected_number(text: str) -> str:
+    """Return a description of the expected number where `parse_number` finds none."""
+    decimal_comma = parse_number(text.replace(",", ".")) is not None
+    return "a finite number with a decimal point" if decimal_comma else "a finite number"
+
+
 def check_frame_rate(fps: float | None) -> None:
     """Raise InputError unless frames a second are a number above 0, or None."""
     check_positive("fps", fps, 1e6)

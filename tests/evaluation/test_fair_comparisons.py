@@ -11,10 +11,10 @@ from graphtrack.experiments.chen_joint import (
     FITTED,
     PAIRS,
     SHARED,
+    Scores,
     errors_of,
-    fits,
     fitted_models,
-    pair_table,
+    pair_rows,
     parameter_table,
     shared_values,
     with_shared,
@@ -55,7 +55,6 @@ def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> N
     seen: list[int] = []
     found = fitted_models(tracks, methods, 14, seen.append)
     assert set(found) == {(preset, method) for preset in FITTED for method in methods}
-    assert fits(methods) == 2 * len(FITTED)
     for preset in FITTED:
         assert found[preset, f"graph{ISAM2}"] is found[preset, "graph"]
         before = np.mean([errors_of(smoothed(track, Model(preset)), track) for track in tracks])
@@ -79,7 +78,7 @@ def test_differences_between_methods_are_of_the_same_people() -> None:
         for angle in ANGLES
     }
     fitted = {("joint", name, angle): hard - worth[name] for name in names for angle in ANGLES}
-    for row in pair_table({"people": default}, {"people": fitted}, rng).records():
+    for row in pair_rows([Scores("people", 30, default)], {"people": fitted}, rng):
         first, second = str(row["difference"]).split(" − ")
         expected = worth[first] - worth[second]
         assert row["default (°)"] == pytest.approx(expected, abs=0.15)

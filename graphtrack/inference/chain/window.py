@@ -109,7 +109,7 @@ class FrameRows:
     rows: FloatArray
 
     def __init__(self, model: Model) -> None:
-        self._program, self._packer = program_of(model), _packer_of(model)
+        self._program, self._packer = program_of(model), packer_of(model)
         record = self._program.types.frame
         self.place = {name: place_in_row(name, record) for name in record.names or ()}
 
@@ -143,7 +143,7 @@ class FrameRows:
 
 
 @lru_cache(16)
-def _packer_of(model: Model) -> FramePacker:
+def packer_of(model: Model) -> FramePacker:
     """One object for all people tracked with a model, so that packed frames are shared."""
     return FramePacker(model.compiled_terms, program_of(model).types)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END
+from graphtrack.inference.chain.window import packer_of
 from graphtrack.inference.engines import SolverOptions, make_online_ready
 from graphtrack.inference.graph.batch import keys_of, optimize, window_graph
 from graphtrack.inference.graph.chain_view import ChainView
@@ -31,7 +32,7 @@ from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
 
 _LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
-_RECOUPLED = 0.01  # Relative change of a coupling from which a step's factors are re-evaluated
+_RECOUPLED = 0.05  # Relative change of a coupling from which a step's factors are re-evaluated
 _REST = 0.5  # Seconds without basin search after a descent without improvement
 _SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # For the descent in another basin
 
@@ -63,8 +64,10 @@ class CouplingModeSmoother:
         lag: float,
         couplings: dict[int, Sequence[float]] | None = None,
     ) -> None:
-        self.graph, self._model, self._couplings = graph, model, couplings
+        self.graph, self._couplings = graph, couplings
         self._model = model.compiled
+        # A frame is packed once for factors and kernels.
+        model.packer = packer_of(self._model)
         self._lag = _LAG if lag == math.inf else lag
         self._outliers = model.parameters.likelihood.outlier_probability > 0.0
         self._view: ChainView | None

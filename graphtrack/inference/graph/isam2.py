@@ -78,7 +78,7 @@ class Isam2:
     ) -> None:
         self._model, self._lag, self._couplings = model, lag, couplings
         self._threshold, self._max_iterations = relinearize_threshold, max_iterations
-        self._tolerance = max(relinearize_threshold, step_tolerance)
+        self._tolerance = max(2.0 * relinearize_threshold, step_tolerance)
         self._classified = False
         self.steps: list[Step]
         self._anchor: Angles | None

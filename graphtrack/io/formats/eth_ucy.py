@@ -283,7 +283,7 @@ def _trajnet_line(path: Path, number: int, line: str) -> tuple[str, dict[str, An
     try:
         pairs = parse_line(line)
     except InputError as error:
-        raise InputError(error.found, _TRAJNET_LINE, path=path, line=number, column=error.column) from error
+        raise error.at(path, number) from error
     if len(pairs) == 1 and pairs[0][0] in _KINDS and isinstance(pairs[0][1], tuple):
         return pairs[0][0], dict(pairs[0][1])
     raise InputError(repr(line.strip()[:60]), _TRAJNET_LINE, path=path, line=number)

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, place_pixels
-from graphtrack.io.cells import numbered_names
-from graphtrack.io.foreign_tables import numbered_times
 from graphtrack.io.format import CLASSIC, HDF5, Format, steady_rate
-from graphtrack.io.options import METRES, Layout, Reading, ReadOptions
+from graphtrack.io.options import Reading, ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.packages import package
+from graphtrack.tracks.cells import METRES, Layout, numbered_names, numbered_times
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import is_input_name, repeated
 from graphtrack.tracks.table import AsRead, Rows

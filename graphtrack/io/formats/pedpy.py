@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.format import Format, rate_to_write, times_are_exact
-from graphtrack.io.options import METRES, ReadOptions
+from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
 from graphtrack.packages import package
+from graphtrack.tracks.cells import METRES, frame_of
 from graphtrack.tracks.schema import is_column, unknown
-from graphtrack.tracks.table import Rows, frame_of, from_columns, rows_of_table
+from graphtrack.tracks.table import Rows, from_columns
 from graphtrack.tracks.track import TrackSet, to_columns
 from graphtrack.tracks.validation import LARGEST_ID, check_frame_rate
 
@@ -48,8 +49,8 @@ def from_pedpy(trajectory: Any) -> TrackSet:
         raise InputError(f"a {type(trajectory).__name__}", "a pedpy.TrajectoryData: data and frame_rate")
     check_frame_rate(float(rate))
     table = frame_of(data).drop(columns=_POINT, errors="ignore").rename(columns={_IDENTITY: "track_id"})
-    rows = rows_of_table(table, None if "t" in table.columns else float(rate))
-    return TrackSet.from_identified_rows(replace(rows, format="pedpy"))
+    tracks = TrackSet.from_table(table, fps=None if "t" in table.columns else float(rate))
+    return replace(tracks, summary=replace(tracks.summary, format="pedpy"))
 
 
 def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.TrajectoryData:

@@ -448,9 +448,7 @@ def reading_errors(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.path is not None:
-            raise
-        raise InputError(error.found, error.expected, path=path, line=error.line) from error
+        raise error.at(error.path or path) from error
     except PermissionError as error:
         raise InputError("a file without permission to read", "a readable file", path=path) from error
     except Exception as error:  # from rosbags, mcap, zstd, lz4, SQLite, YAML or parsers

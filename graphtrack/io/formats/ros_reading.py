@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.cells import Cells
-from graphtrack.io.foreign_tables import rows_of_cells
 from graphtrack.io.format import Format
 from graphtrack.io.formats.ros_bag import (
     DETECTIONS,
@@ -39,8 +37,9 @@ from graphtrack.io.formats.ros_bag import (
     yaw_of,
 )
 from graphtrack.io.formats.ros_writing import write_mcap
-from graphtrack.io.options import Layout, ReadOptions
+from graphtrack.io.options import ReadOptions
 from graphtrack.packages import transform
+from graphtrack.tracks.cells import Cells, Layout, rows_of_cells
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale
 
@@ -484,11 +483,7 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
             ground = _ground(bag, kind, topics, options.fixed_frame)
             columns = _columns(bag, kind, topics, ground, options.classes)
         except InputError as error:
-            if error.path is not None:
-                raise
-            raise InputError(
-                error.found, error.expected, path=path, line=error.line, column=error.column
-            ) from error
+            raise error.at(error.path or path) from error
         notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class selects")
@@ -593,7 +588,7 @@ def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | N
     void = {name for name, values in joined.items() if values.dtype.kind == "f" and np.isnan(values).all()}
     classified = {name: values for name, values in joined.items() if name not in void}
     layout = replace(_LAYOUT, columns={k: v for k, v in _LAYOUT.columns.items() if v in classified})
-    cells = Cells(path, "bag", classified, lambda row: int(number[row]), {})
+    cells = Cells(path, "bag", classified, lambda row: int(number[row]))
     rows = rows_of_cells(cells, layout, reference=reference)
     reading_errors = rows.as_read
     assert reading_errors is not None and reading_errors.time is not None

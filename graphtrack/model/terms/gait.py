@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -135,13 +136,20 @@ def angle_information(kappa: FloatArray) -> FloatArray:
 
 def class_information(heights: FloatArray) -> FloatArray:
     """Fisher information (n,) of class likelihoods (n, classes + 1), the last the outliers'; NaN is 0."""
-    n_classes = heights.shape[1] - 1
-    kappa, apart = class_kappa(n_classes), _GRID[:, None] - class_centres(n_classes)
-    shapes = np.exp(kappa * (np.cos(apart) - 1.0))
-    density = np.nan_to_num(heights[:, :-1]) @ shapes.T + np.nan_to_num(heights[:, -1:], nan=1.0)
-    slope = np.nan_to_num(heights[:, :-1]) @ (-kappa * np.sin(apart) * shapes).T
+    shapes, slopes = _class_shapes(heights.shape[1] - 1)
+    scores = np.nan_to_num(heights[:, :-1])
+    density = scores @ shapes + np.nan_to_num(heights[:, -1:], nan=1.0)
+    slope = scores @ slopes
     # The mean of (L'/L)² under L itself.
     return np.asarray((slope**2 / density).sum(axis=1) / density.sum(axis=1))
+
+
+@cache
+def _class_shapes(n_classes: int) -> tuple[FloatArray, FloatArray]:
+    """Densities of each class on the grid, relative to their peak, and their slopes: (classes, grid)."""
+    kappa, apart = class_kappa(n_classes), _GRID - class_centres(n_classes)[:, None]
+    shapes = np.exp(kappa * (np.cos(apart) - 1.0))
+    return shapes, -kappa * np.sin(apart) * shapes
 
 
 class GaitOffsets(Term):

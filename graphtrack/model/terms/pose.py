@@ -77,10 +77,12 @@ def add_classes(
     scale = 1.0 / density
     slope = kappa * turn * scale
     gradient[place] += slope
-    if exact:
-        hessian[place, place] += kappa * scale * (along - kappa * square) + slope * slope
-    else:
-        hessian[place, place] += kappa * scale * math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin)
+    curvature = kappa * scale * (along - kappa * square) + slope * slope
+    if not exact:
+        # The resultant bounds the curvature; with half of it or more a step never raises the cost.
+        half = 0.5 * kappa * scale * math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin)
+        curvature = choose(curvature > half, curvature, half)
+    hessian[place, place] += curvature
     return 2.0 * kappa - math.log(density)
 
 
