@@ -325,14 +325,11 @@ def chain_of(problem: Problem) -> Chain:
 @compiled
 def predict_newest(chain: Chain, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start."""
-    last, transition, every = chain.n - 1, memory.scratch[3], as_variable(True)
-    sums_before, sums = (
-        Sums(memory.scratch[0, 0], memory.scratch[1]),
-        Sums(memory.scratch[0, 1], memory.scratch[2]),
-    )
-    memory.scratch[:] = 0.0
+    last, every, scratch, turns = chain.n - 1, as_variable(True), memory.scratch, memory.trigonometry
+    sums_before, sums = Sums(scratch[0, 0], scratch[1]), Sums(scratch[0, 1], scratch[2])
+    transition = scratch[3]
+    scratch[:] = 0.0
     assign(sums_before.hessian, memory.message[last - 1, :N])
-    turns = memory.trigonometry
     note_turns(last - 1, states, turns)
     problem, track, start = chain.problem, chain.track, states[0]
     add_frame(problem, track, last, start, states, every, every, every, turns, sums_before, sums, transition)
