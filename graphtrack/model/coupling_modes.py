@@ -130,7 +130,7 @@ class Base(NamedTuple):
 def add_angle_evidence(
     row: FloatArray, modes: Modes, base: Any, cos: Any, sin: Any, kappa: Any, uniform: Any
 ) -> None:
-    """Add the log likelihood (BASE,) of an observed angle at each offset; see `pose.add_angle`."""
+    """Add the log likelihood (BASE,) of an observed angle at each offset; see `orientation.add_angle`."""
     known = base.weight * kappa > 0.0
     if not any_of(known):
         return
@@ -152,7 +152,7 @@ def add_angle_evidence(
 def add_class_evidence(
     row: FloatArray, modes: Modes, base: Any, heights: FloatArray, directions: FloatArray, kappa: Any
 ) -> None:
-    """The same for class likelihoods; ``heights`` and ``directions`` as in `pose.add_classes`."""
+    """The same for class likelihoods; ``heights`` and ``directions`` as in `orientation.add_classes`."""
     if not any_of(base.weight * kappa > 0.0):
         return
     n_classes = len(heights) - 1

@@ -29,10 +29,15 @@ from graphtrack.model.terms.conversation import FacesGroup, OrientationPersisten
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.gait import GaitOffsets
 from graphtrack.model.terms.motion import IntentionalMotion, Motion
+from graphtrack.model.terms.orientation import (
+    Anchor,
+    BodyDynamics,
+    BodyLikelihood,
+    HeadDynamics,
+    HeadLikelihood,
+)
 from graphtrack.model.terms.place import PlacePrior
-from graphtrack.model.terms.pose import Anchor, BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.packages import gtsam
 from graphtrack.tracks.display import html_table, listed, shortened
 from graphtrack.tracks.scene import GivenScene, known_values

@@ -12,10 +12,9 @@ from typing import Any
 import graphtrack.model.terms.conversation as conversation_kernels
 import graphtrack.model.terms.couplings as couplings_kernels
 import graphtrack.model.terms.motion as motion_kernels
+import graphtrack.model.terms.orientation as orientation_kernels
 import graphtrack.model.terms.place as place_kernels
-import graphtrack.model.terms.pose as pose_kernels
 import graphtrack.model.terms.position as position_kernels
-import graphtrack.model.terms.turning as turning_kernels
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.kernels.layout import BODY, HEAD, Problem, Sums
@@ -50,13 +49,13 @@ def add_frame(
                 gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
         gate = frame.body_turn_kappa > 0.0
         if any_of(gate):
-            cost += choose(gate, turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos,
+            cost += choose(gate, orientation_kernels.add_turn(body_cos_before, body_sin_before, body_cos,
                 body_sin, at_body, frame.body_turn_kappa, exact, masked(sums_before.gradient, gate),
                 masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
                 masked(transition, gate)), 0.0)
         gate = frame.head_turn_kappa > 0.0
         if any_of(gate):
-            cost += choose(gate, turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos,
+            cost += choose(gate, orientation_kernels.add_turn(head_cos_before, head_sin_before, head_cos,
                 head_sin, at_head, frame.head_turn_kappa, exact, masked(sums_before.gradient, gate),
                 masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
                 masked(transition, gate)), 0.0)
@@ -97,22 +96,22 @@ def add_frame(
                 masked(sums.hessian, gate)), 0.0)
         gate = frame.body_kappa > 0.0
         if any_of(gate):
-            cost += choose(gate, pose_kernels.add_angle(body_cos, body_sin, at_body, frame.observed_body_cos,
-                frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(sums.gradient,
-                gate), masked(sums.hessian, gate)), 0.0)
+            cost += choose(gate, orientation_kernels.add_angle(body_cos, body_sin, at_body,
+                frame.observed_body_cos, frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_class_kappa > 0.0
         if any_of(gate):
-            cost += choose(gate, pose_kernels.add_classes(body_cos, body_sin, at_body,
+            cost += choose(gate, orientation_kernels.add_classes(body_cos, body_sin, at_body,
                 problem.body_heights[place], problem.body_directions, frame.body_class_kappa,
                 frame.body_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_kappa > 0.0
         if any_of(gate):
-            cost += choose(gate, pose_kernels.add_angle(head_cos, head_sin, at_head, frame.observed_head_cos,
-                frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(sums.gradient,
-                gate), masked(sums.hessian, gate)), 0.0)
+            cost += choose(gate, orientation_kernels.add_angle(head_cos, head_sin, at_head,
+                frame.observed_head_cos, frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_class_kappa > 0.0
         if any_of(gate):
-            cost += choose(gate, pose_kernels.add_classes(head_cos, head_sin, at_head,
+            cost += choose(gate, orientation_kernels.add_classes(head_cos, head_sin, at_head,
                 problem.head_heights[place], problem.head_directions, frame.head_class_kappa,
                 frame.head_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.motion_body_kappa > 0.0
@@ -143,11 +142,11 @@ def add_frame(
                 shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_anchor > 0.0
         if any_of(gate):
-            cost += choose(gate, pose_kernels.add_anchor(body_cos, body_sin, at_body, start,
+            cost += choose(gate, orientation_kernels.add_anchor(body_cos, body_sin, at_body, start,
                 frame.body_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_anchor > 0.0
         if any_of(gate):
-            cost += choose(gate, pose_kernels.add_anchor(head_cos, head_sin, at_head, start,
+            cost += choose(gate, orientation_kernels.add_anchor(head_cos, head_sin, at_head, start,
                 frame.head_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
     return cost
 
@@ -180,19 +179,19 @@ def set_quarter_turns(
         body[q] = head[q] = 0.0 * body_cos
     gate = frame.body_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(frame.observed_body_cos, frame.observed_body_sin,
+        orientation_kernels.add_angle_quarter_turns(frame.observed_body_cos, frame.observed_body_sin,
             frame.body_kappa, frame.body_uniform, body_cos, body_sin, masked(body, gate))
     gate = frame.body_class_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
+        orientation_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
             problem.body_directions, frame.body_class_kappa, frame.body_doubt, masked(body, gate))
     gate = frame.head_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(frame.observed_head_cos, frame.observed_head_sin,
+        orientation_kernels.add_angle_quarter_turns(frame.observed_head_cos, frame.observed_head_sin,
             frame.head_kappa, frame.head_uniform, head_cos, head_sin, masked(head, gate))
     gate = frame.head_class_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],
+        orientation_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],
             problem.head_directions, frame.head_class_kappa, frame.head_doubt, masked(head, gate))
     gate = frame.motion_body_kappa > 0.0
     if any_of(gate):

@@ -46,16 +46,17 @@ from graphtrack.model.term import filled
 from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion, Motion
-from graphtrack.model.terms.place import PlacePrior
-from graphtrack.model.terms.pose import (
+from graphtrack.model.terms.orientation import (
     Anchor,
+    BodyDynamics,
     BodyLikelihood,
+    HeadDynamics,
     HeadLikelihood,
     highest_log_density,
     mixture_log_density,
 )
+from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.tracks.track import Track
 
 PI = float(np.pi)

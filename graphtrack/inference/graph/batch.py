@@ -29,7 +29,7 @@ from graphtrack.inference.state import Window, states_of, values_of, variable_ke
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain
-from graphtrack.model.terms.pose import ANCHOR_KAPPA
+from graphtrack.model.terms.orientation import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
