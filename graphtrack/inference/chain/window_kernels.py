@@ -334,7 +334,8 @@ def predict_newest(chain: Chain, states: FloatArray, memory: Workspace) -> None:
     problem, track, start = chain.problem, chain.track, states[0]
     add_frame(problem, track, last, start, states, every, every, every, turns, sums_before, sums, transition)
     memory.solution[:last] = 0.0
-    definite = eliminate(last - 1, sums_before, transition, sums, memory)
+    inverse, link, solution = memory.inverse[last - 1], memory.link[last - 1], memory.solution[last - 1]
+    definite = eliminate(sums_before, transition, sums, inverse, link, solution)
     if not definite or not invert_cholesky(sums.hessian, memory.inverse[last]):
         return
     whiten(memory.inverse[last], sums.gradient, memory.solution[last])
@@ -386,9 +387,10 @@ def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Works
         # An orientation outside the model, or without a link to the next frame.
         if sums_after.hessian[place, place] == 0.0:
             sums_after.hessian[place, place] = 1e-12
-    if not eliminate(0, sums, transition, sums_after, workspace):
+    inverse, link, solution = workspace.inverse[0], workspace.link[0], workspace.solution[0]
+    if not eliminate(sums, transition, sums_after, inverse, link, solution):
         return False
-    return invert_cholesky(sums_after.hessian, workspace.inverse[0])
+    return invert_cholesky(sums_after.hessian, inverse)
 
 
 TASK = np.dtype(
