@@ -26,6 +26,8 @@ $(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/installed-test: $(VENV)/installed
 	$(PIP) --editable '.[test]'
+	# For comparisons. Both ask for opencv-python, which would overwrite opencv-python-headless; all else is there.
+	$(PIP) --no-deps trackers trackeval
 	@touch $@
 
 demo: $(VENV)/installed

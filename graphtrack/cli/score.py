@@ -213,7 +213,7 @@ def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: Tr
     cards = [Card(HEADINGS[name], f"{getattr(figures, name):.3f}") for name in ("hota", "idf1", "mota")]
     cards.append(Card(HEADINGS["switches"].capitalize(), str(figures.switches)))
     tables = tuple(
-        DataTable.from_records(title, [figures.shown(names)])
+        DataTable.of(title, [figures.shown(names)])
         for title, names in ((f"Tracks and identities, {found.threshold}", SHARES), ("Counted", COUNTS))
     )
     page = tracking_report(

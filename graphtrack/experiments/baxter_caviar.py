@@ -49,30 +49,21 @@ RELABELLED = float(np.radians(2.0))
 less in the world as a person walks through the wide-angle view."""
 
 
-@dataclass(frozen=True)
-class Person:
-    """A person's stretch of labelled heads; the labelled positions are also the truth."""
-
-    sequence: str
-    track: Track
-
-    @property
-    def name(self) -> str:
-        """Sequence and number."""
-        return f"{self.sequence} {self.track.track_id}"
+People = Mapping[str, Track]
+"""Sequence and number of a person → stretch of labelled heads; labelled positions are also the truth."""
 
 
-def people(settings: Settings) -> list[Person]:
+def people(settings: Settings) -> dict[str, Track]:
     """Everybody with enough labelled heads in the CAVIAR sequences that are there."""
     folder = None if settings.data is None else settings.data / "caviar"
     if folder is None or not folder.is_dir():
-        return []
-    return [
-        Person(path.stem, stretch)
+        return {}
+    return {
+        f"{path.stem} {track.track_id}": stretch
         for path in sorted(folder.rglob("*.xml"))
         for track in quietly(path)
         if (stretch := labelled_stretch(track)) is not None
-    ]
+    }
 
 
 def labelled_stretch(track: Track) -> Track | None:
@@ -311,12 +302,12 @@ Outcomes = Mapping[tuple[float, str], FloatArray]
 """(rate, method) → (seeds, people, 2): sum of squared errors in m², CLL."""
 
 
-def chosen(settings: Settings) -> list[Person]:
+def chosen(settings: Settings) -> dict[str, Track]:
     """The people; few frames of few of them with ``quick``."""
     found = people(settings)
     if not settings.quick:
         return found
-    return [replace(one, track=one.track[:QUICK_FRAMES]) for one in found[-QUICK_PEOPLE:]]
+    return {name: found[name][:QUICK_FRAMES] for name in list(found)[-QUICK_PEOPLE:]}
 
 
 def seeds_at(rate: float, settings: Settings) -> int:
@@ -324,28 +315,28 @@ def seeds_at(rate: float, settings: Settings) -> int:
     return 1 if rate == 1.0 else settings.few(10, 2)
 
 
-def fit_folds(everyone: Sequence[Person], settings: Settings) -> list[Fitted]:
+def fit_folds(everyone: People, settings: Settings) -> list[Fitted]:
     """For each person the fit on the other half of the people, at a detection rate of 80 %."""
     folds = []
     for fold in range(FOLDS):
         training = [
-            detected(one.track, 0.8, settings.rng(9, k))
-            for k, one in enumerate(everyone)
+            detected(track, 0.8, settings.rng(9, k))
+            for k, track in enumerate(everyone.values())
             if k % FOLDS != fold
         ]
         folds.append(fit_filters(training, settings.progress, quick=settings.quick))
     return [folds[k % FOLDS] for k in range(len(everyone))]
 
 
-def judge(everyone: Sequence[Person], fitted: Sequence[Fitted], settings: Settings) -> Outcomes:
+def judge(everyone: People, fitted: Sequence[Fitted], settings: Settings) -> Outcomes:
     """Every method on every person, at every rate and seed."""
     found: dict[tuple[float, str], FloatArray] = {}
     for r, rate in enumerate(RATES):
         seeds = seeds_at(rate, settings)
         for seed in range(seeds):
-            for k, (one, own) in enumerate(zip(everyone, fitted, strict=True)):
-                track = detected(one.track, rate, settings.rng(1, r, seed, k))
-                for method, outcome in outcomes(track, own).items():
+            for k, (track, own) in enumerate(zip(everyone.values(), fitted, strict=True)):
+                observed = detected(track, rate, settings.rng(1, r, seed, k))
+                for method, outcome in outcomes(observed, own).items():
                     empty = np.full((seeds, len(everyone), 2), np.nan)
                     found.setdefault((rate, method), empty)[seed, k] = outcome
                 settings.progress(1)
@@ -384,12 +375,12 @@ def _parts(settings: Settings) -> Parts:
     fitted = fit_folds(everyone, settings)
     found = judge(everyone, fitted, settings)
     changed = control_gains(
-        [one.track for one in everyone], settings.few(10, 2), lambda c, time: settings.rng(2, c, time)
+        list(everyone.values()), settings.few(10, 2), lambda c, time: settings.rng(2, c, time)
     )
     settings.progress(1)
     yield Table.of(
         "People with labelled heads; ε = direction of travel − head, as in baxter-statistics",
-        map(_person, everyone),
+        (_person(name, track) for name, track in everyone.items()),
     )
     detail = Table.of(
         "Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ",
@@ -439,13 +430,12 @@ def _parts(settings: Settings) -> Parts:
     )
 
 
-def _person(one: Person) -> Row:
-    track = one.track
+def _person(name: str, track: Track) -> Row:
     mean, std = deviation(track)
     steps = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
     speed = np.linalg.norm(travel_velocity(track), axis=1)
     return {
-        "person": one.name,
+        "person": name,
         "frames": len(track),
         "heads": int(np.isfinite(np.asarray(track.head)).sum()),
         "speed (m/s)": float(np.nanmedian(speed)),
@@ -456,8 +446,8 @@ def _person(one: Person) -> Row:
     }
 
 
-def _detail(found: Outcomes, everyone: Sequence[Person]) -> Iterator[Row]:
-    frames = sum(len(one.track) - 1 for one in everyone)
+def _detail(found: Outcomes, everyone: People) -> Iterator[Row]:
+    frames = sum(len(track) - 1 for track in everyone.values())
     for rate, method in product(RATES, ("kf", *METHODS)):
         error, likelihood = (spread(ratios) for ratios in gains(found, rate, method))
         fair, _ = gains(found, rate, method, over="kf fitted")

@@ -372,8 +372,13 @@ def trajectories(found: Sequence[WindowErrors]) -> Table:
     }
 
     def row(number: str, paper: float, ours: str, turn: float, of: Callable[[FloatArray], Any]) -> Row:
-        head = {"paper: trajectory": number, "paper: reduction (%)": paper, "ours": ours}
-        return head | {"turn (°)": np.degrees(turn)} | {name: float(of(found)) for name, found in own.items()}
+        return {
+            "paper: trajectory": number,
+            "paper: reduction (%)": paper,
+            "ours": ours,
+            "turn (°)": float(np.degrees(turn)),
+            **{name: float(of(reductions)) for name, reductions in own.items()},
+        }
 
     rows = [
         row(str(number), paper, labels[k], turns[k], itemgetter(k))

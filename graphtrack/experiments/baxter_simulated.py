@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -64,13 +64,9 @@ class Gain:
 
 def steered(corpus: Corpus, parameters: Parameters, rate: float) -> FilteredStates:
     """The intentional tracker in continuous time on all tracks; the Kalman filter with a rate of 0."""
+    t = np.arange(corpus.head.shape[1], dtype=np.float64) * corpus.parameters.step_seconds
     variance = np.full(corpus.head.shape, corpus.parameters.observation_std**2)
-    return steer(corpus.position, corpus.head, _seconds(corpus), variance, parameters, rate)
-
-
-def _seconds(corpus: Corpus) -> FloatArray:
-    """Times (n,) of the corpus's steps."""
-    return np.arange(corpus.truth.shape[1], dtype=np.float64) * corpus.parameters.step_seconds
+    return steer(corpus.position, corpus.head, t, variance, parameters, rate)
 
 
 def fit_methods(settings: Settings) -> Fitted:
@@ -81,29 +77,23 @@ def fit_methods(settings: Settings) -> Fitted:
         )
         for b in range(len(NUMERALS))
     ]
-
-    position = np.concatenate([corpus.position for corpus in training])
-    head = np.concatenate([corpus.head for corpus in training])
-    variance, t = np.full(head.shape, training[0].parameters.observation_std ** 2), _seconds(training[0])
+    position, head = (
+        np.concatenate([getattr(one, name) for one in training]) for name in ("position", "head")
+    )
+    everyone = replace(training[0], position=position, head=head)
 
     def cost(density: float, rate: float) -> float:
-        found = steer(position, head, t, variance, with_density(Parameters(), density), rate)
+        found = steered(everyone, with_density(Parameters(), density), rate)
         return -float(np.nanmean(found.log_likelihood))
 
     kalman = with_density(Parameters(), *fit(lambda q: cost(q, 0.0), [0.1], evaluations=25))
     density, rate = fit(cost, [0.1, 1.0], evaluations=40)
     people = [p for corpus in training for p in corpus.tracks(settings.few(4))]
-    starts = {"graph joint": (density, 3.0), "graph joint-intentional": (density, 3.0, rate)}
-    graphs = {
-        method: fitted_graph(
-            model_of(GRAPHS[method]),
-            people,
-            start,
-            FIT_UNITS[method] // settings.few(1, 2),
-            settings.progress,
-        )
-        for method, start in starts.items()
-    }
+    graphs = {}
+    for method, more in (("graph joint", ()), ("graph joint-intentional", (rate,))):
+        units = FIT_UNITS[method] // settings.few(1, 2)
+        make, start = model_of(GRAPHS[method]), (density, 3.0, *more)
+        graphs[method] = fitted_graph(make, people, start, units, settings.progress)
     return Fitted(kalman, with_density(Parameters(), density), rate, graphs)
 
 
@@ -114,8 +104,6 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
     likelihood that of the cumulative log-likelihoods of the innovations; above 1 the method is better.
     """
     reference = intentional_filter(corpus.position, None)
-    error = squared_error(reference.predicted_mean[..., :2], corpus.truth)
-    likelihood = np.nansum(reference.log_likelihood, axis=1)
     count = np.isfinite(reference.log_likelihood).sum(axis=1)
     runs = {
         method: intentional_filter(corpus.position, corpus.head, parameters)
@@ -123,28 +111,34 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
     }
     runs["kf fitted"] = steered(corpus, fitted.kalman, 0.0)
     runs["intentional"] = steered(corpus, fitted.intentional, fitted.rate)
-    found = [
-        Gain(
-            corpus.behaviour,
-            rate,
-            method,
-            error / squared_error(run.predicted_mean[..., :2], corpus.truth),
-            likelihood / np.nansum(run.log_likelihood, axis=1),
-            np.nansum(run.log_likelihood, axis=1) / count,
-        )
-        for method, run in runs.items()
-    ]
-    by_graph: dict[str, list[tuple[FloatArray, float]]] = {}
+
+    def outcome(run: FilteredStates) -> tuple[FloatArray, FloatArray]:
+        """Sums of squared errors and of log-likelihoods, one number a track."""
+        error = squared_error(run.predicted_mean[..., :2], corpus.truth)
+        return error, np.nansum(run.log_likelihood, axis=1)
+
+    outcomes = {method: outcome(run) for method, run in runs.items()}
+    by_graph: dict[str, list[tuple[float, float]]] = {}
     for track in corpus.tracks(people):
         for method, predicted, logs in graph_predictions(track, fitted.graphs):
-            own = squared_error(predicted, track.true_position), float(np.nansum(logs))
+            own = float(squared_error(predicted, track.true_position)), float(np.nansum(logs))
             by_graph.setdefault(method, []).append(own)
             progress(1)
     for method, of_tracks in by_graph.items():
         errors, sums = np.array(of_tracks).T
-        ratios = error[:people] / errors, likelihood[:people] / sums
-        found.append(Gain(corpus.behaviour, rate, method, *ratios, sums / count[:people]))
-    return found
+        outcomes[method] = errors, sums
+    error, likelihood = outcome(reference)
+    return [
+        Gain(
+            corpus.behaviour,
+            rate,
+            method,
+            error[: len(errors)] / errors,
+            likelihood[: len(errors)] / sums,
+            sums / count[: len(errors)],
+        )
+        for method, (errors, sums) in outcomes.items()
+    ]
 
 
 def _parts(settings: Settings) -> Parts:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import circmean
 
-from graphtrack.errors import InputError, InputWarning
 from graphtrack.experiments.harness import (
     CAVIAR,
     GAITS,
@@ -21,7 +20,7 @@ from graphtrack.experiments.harness import (
     Settings,
     Table,
 )
-from graphtrack.geometry.angles import FloatArray, circular_mean, difference, direction
+from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import MOVING_SPEED
@@ -122,7 +121,7 @@ def _mean_and_spread(angles: FloatArray) -> tuple[float, float]:
     known = angles[np.isfinite(angles)]
     if not len(known):
         return float("nan"), float("nan")
-    mean = circular_mean(known)
+    mean = float(circmean(known, high=np.pi, low=-np.pi))
     return mean, float(np.sqrt(np.mean(difference(known, mean) ** 2)))
 
 
@@ -148,32 +147,18 @@ def future_share(tracks: Iterable[Track]) -> float:
 
 
 def deviation_statistics(
-    tracks: Iterable[Track],
-    name: str,
-    *,
-    window: int = WINDOW_FRAMES,
-) -> DeviationStatistics:
-    """Mean, spread and histogram of the deviations of many people.
-
-    Warns
-    -----
-    InputWarning
-        If the head column is a function of the future path, as the gaze in UCY is.
-
-    Raises
-    ------
-    InputError
-        If no person moves with a known head.
-    """
+    tracks: Iterable[Track], name: str, *, window: int = WINDOW_FRAMES
+) -> DeviationStatistics | None:
+    """Mean, spread and histogram of the deviations of many people; None if nobody moves with a known head."""
     tracks = list(tracks)
     deviations = [head_deviation(track, window=window) for track in tracks]
     deviations = [found[np.isfinite(found)] for found in deviations]
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):
-        raise InputError(f"no person in {name} who moves with a known head", "tracks with positions and head")
+        return None
     mean, std = _mean_and_spread(pooled)
     counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
-    found = DeviationStatistics(
+    return DeviationStatistics(
         name=name,
         people=sum(bool(len(own)) for own in deviations),
         frames=len(pooled),
@@ -182,14 +167,6 @@ def deviation_statistics(
         density=counts / (counts.sum() * np.diff(HISTOGRAM_EDGES)),
         future=future_share(tracks),
     )
-    if found.leaks_the_future:
-        warnings.warn(
-            f"{name}: {found.future:.0%} of the heads are exactly the direction to a later position; "
-            "they were computed from the path and reveal its future to a tracker",
-            InputWarning,
-            stacklevel=2,
-        )
-    return found
 
 
 def _sources(settings: Settings) -> Iterator[tuple[str, TrackSet, int]]:
@@ -218,13 +195,16 @@ def _parts(settings: Settings) -> Parts:
     sources, found = list(_sources(settings)), []
     settings.expect(len(sources))
     for name, tracks, window in sources:
-        try:
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always", InputWarning)
-                found.append(deviation_statistics(tracks, name, window=window))
-            yield from (str(warning.message) for warning in caught)
-        except InputError as error:
-            yield f"{name} is left out: found {error.found}"
+        one = deviation_statistics(tracks, name, window=window)
+        if one is None:
+            yield f"{name} is left out: found no person in {name} who moves with a known head"
+        else:
+            found.append(one)
+            if one.leaks_the_future:
+                yield (
+                    f"{name}: {one.future:.0%} of the heads are exactly the direction to a later position; "
+                    "they were computed from the path and reveal its future to a tracker"
+                )
         if window != WINDOW_FRAMES:
             yield f"SALSA has a frame every 3 s: its velocity is averaged over {window} frames."
         settings.progress(1)

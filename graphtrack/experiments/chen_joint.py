@@ -33,7 +33,7 @@ from graphtrack.experiments.harness import (
     Table,
     draw_panel,
     evenly,
-    fit,
+    fitted_model,
     interval_cells,
     page,
     paired,
@@ -218,34 +218,17 @@ SHARED: Mapping[str, str] = {
 }
 """Parameters that all methods have: name in tables → name."""
 
-FITTED = {"joint-body": tuple(SHARED)[:-1], "joint": tuple(SHARED)}
+FITTED = {"joint-body": tuple(SHARED.values())[:-1], "joint": tuple(SHARED.values())}
 """Preset → the parameters that are fitted: the paper's separate filtering has no κ₂."""
 
 PAIRS = (("graph", "particle"), (f"graph{ISAM2}", "particle"), ("smoother", "ffbs"))
 """Methods that are compared on the same people, the first less the second."""
 
-
 Models = Mapping[tuple[str, str], Model]
 """(preset, method) → the model with the parameters fitted for that method."""
 
 
-def shared_values(model: Model) -> dict[str, float]:
-    """The values of `SHARED` in a model."""
-    return {name: model.parameters.value(one) for name, one in SHARED.items()}
-
-
-def with_shared(model: Model, values: Mapping[str, float]) -> Model:
-    """The model with other values of some of `SHARED`."""
-    changed = {SHARED[name]: value for name, value in values.items()}
-    return model.with_parameters(model.parameters.with_values(changed))
-
-
-def fitted_models(
-    tracks: TrackSet,
-    methods: Methods,
-    evaluations: int,
-    progress: Progress,
-) -> dict[tuple[str, str], Model]:
+def fitted_models(tracks: TrackSet, methods: Methods, evaluations: int, progress: Progress) -> Models:
     """Models of `FITTED`'s presets with which each method has the smallest mean error of body and head.
 
     iSAM2 solves the graph that the compiled chain solves, and has its parameters.
@@ -253,46 +236,38 @@ def fitted_models(
     Parameters
     ----------
     tracks : people who are not reported
-    methods : group and estimator by name
+    methods : group and estimator by name, a graph before its iSAM2
     evaluations : of each method and preset on all of them, at most
     """
-    found = {}
-    for preset, names in FITTED.items():
-        start = Model(preset)
-        for method, (_, estimator) in methods.items():
-            if method.endswith(ISAM2):
-                continue
 
-            def error(
-                *values: float,
-                estimator: Estimator = estimator,
-                start: Model = start,
-                names: tuple[str, ...] = names,
-            ) -> float:
-                model = with_shared(start, dict(zip(names, values, strict=True)))
-                errors = [errors_of(estimator(track, model), track) for track in tracks]
-                progress(len(tracks))
-                return float(np.mean(errors))
+    def fitted(preset: str, estimator: Estimator) -> Model:
+        def error(model: Model) -> float:
+            errors = [errors_of(estimator(track, model), track) for track in tracks]
+            progress(len(tracks))
+            return float(np.mean(errors))
 
-            before = shared_values(start)
-            best = fit(error, [before[name] for name in names], evaluations=evaluations)
-            found[preset, method] = with_shared(start, dict(zip(names, best, strict=True)))
-        for method in methods:
-            if method.endswith(ISAM2):
-                found[preset, method] = found[preset, method.removesuffix(ISAM2)]
+        return fitted_model(Model(preset), FITTED[preset], error, evaluations)
+
+    found: dict[tuple[str, str], Model] = {}
+    for preset, (method, (_, estimator)) in product(FITTED, methods.items()):
+        own = method.removesuffix(ISAM2)
+        found[preset, method] = fitted(preset, estimator) if own == method else found[preset, own]
     return found
 
 
 def parameter_table(models: Models) -> Table:
     """The parameters fitted for each method, with the package's own in the first row."""
-    default: Row = {"preset": "joint", "method": "default", **shared_values(Model("joint"))}
-    fitted: list[Row] = [
-        {"preset": preset, "method": method, **dict.fromkeys(SHARED), **values}
-        for (preset, method), model in models.items()
-        if not method.endswith(ISAM2)
-        for values in [{name: shared_values(model)[name] for name in FITTED[preset]}]
-    ]
-    return Table.of("Parameters fitted for each method, on other people", [default, *fitted])
+
+    def row(preset: str, method: str, model: Model) -> Row:
+        known = {
+            label: model.parameters.value(name) if name in FITTED[preset] else None
+            for label, name in SHARED.items()
+        }
+        return {"preset": preset, "method": method, **known}
+
+    rows = [row(*key, model) for key, model in models.items() if not key[1].endswith(ISAM2)]
+    title = "Parameters fitted for each method, on other people"
+    return Table.of(title, [row("joint", "default", Model("joint")), *rows])
 
 
 def fitted_rows(

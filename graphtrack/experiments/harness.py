@@ -178,9 +178,9 @@ class Experiment:
     ) -> Reproduction:
         """Do the experiment; report the number of steps to ``expect``, and steps done to ``progress``."""
         found = list(self.parts(replace(settings, expect=expect, progress=progress)))
-        tables, panels, notes = (
-            tuple(one for one in found if isinstance(one, kind)) for kind in (Table, Panel, str)
-        )
+        tables = tuple(one for one in found if isinstance(one, Table))
+        panels = [one for one in found if isinstance(one, Panel)]
+        notes = tuple(one for one in found if isinstance(one, str))
         drawn = [one for one in found if not isinstance(one, Table | Panel | str)]
         figure = drawn[0] if drawn else page(panels, self.columns) if panels else None
         return Reproduction(self.name, tables, figure, notes)
@@ -419,6 +419,18 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
     options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.05, "fatol": 1e-6}
     found = minimize(cost, origin, method="Nelder-Mead", options=options)
     return tuple(np.exp(found.x).tolist())
+
+
+def fitted_model(
+    start: Model, names: Sequence[str], cost: Callable[[Model], float], evaluations: int
+) -> Model:
+    """The model with those values of some parameters, ``group.key``, that make the cost small."""
+
+    def model(*values: float) -> Model:
+        return start.with_parameters(start.parameters.with_values(dict(zip(names, values, strict=True))))
+
+    begin = [start.parameters.value(name) for name in names]
+    return model(*fit(lambda *values: cost(model(*values)), begin, evaluations=evaluations))
 
 
 def with_density(parameters: Parameters, acceleration_density: float) -> Parameters:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, product
 from operator import itemgetter
 from typing import Any
@@ -51,37 +51,20 @@ ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """Clips at one rate with one noise, and their true velocities (n, 2), those of the full rate."""
+def judged(
+    tracks: TrackSet, velocities: Sequence[FloatArray], preset: str, estimator: str
+) -> list[dict[str, TrackCalibration]]:
+    """The calibration of each track; of `joint` without those whose couplings it has wrong by design.
 
-    rate: float
-    position_std: float
-    tracks: TrackSet
-    velocities: tuple[FloatArray, ...]
-
-
-def settings_of(clips: TrackSet, rng: np.random.Generator) -> list[Setting]:
-    """All rates with all noises: the same clips, each time with a noise of its own."""
-    found = []
-    for rate, every in EVERY.items():
-        for std in POSITION_STDS:
-            noisy = add_noise(clips, position_std=std, body_kappa=BODY_KAPPA, head_kappa=HEAD_KAPPA, rng=rng)
-            kept = [track for track in noisy if len(track) > (LEAST_FRAMES - 1) * every]
-            velocities = tuple(true_velocity(track)[::every] for track in kept)
-            found.append(
-                Setting(rate, std, clips.with_tracks(thinned(track, every) for track in kept), velocities)
-            )
-    return found
-
-
-def judged(setting: Setting, preset: str, estimator: str) -> list[dict[str, TrackCalibration]]:
-    """The calibration of each track; of `joint` without those whose couplings it has wrong by design."""
-    askance = {track.track_id for track in setting.tracks.select(*ASKANCE)} if preset == "joint" else set()
-    estimates = ESTIMATORS[estimator](setting.tracks, preset)
+    Parameters
+    ----------
+    velocities : true velocities (n, 2) of each track
+    """
+    askance = {track.track_id for track in tracks.select(*ASKANCE)} if preset == "joint" else set()
+    estimates = ESTIMATORS[estimator](tracks, preset)
     return [
         track_calibration(estimate, truth, velocity=velocity)
-        for estimate, truth, velocity in zip(estimates, setting.tracks, setting.velocities, strict=True)
+        for estimate, truth, velocity in zip(estimates, tracks, velocities, strict=True)
         if truth.track_id not in askance
     ]
 
@@ -96,10 +79,17 @@ def _parts(settings: Settings) -> Parts:
     clips = evenly(recording.with_tracks(held), settings.few(CLIPS, FEW))
     settings.expect(len(EVERY) * len(POSITION_STDS) * len(PRESETS) * len(ESTIMATORS))
     rows: list[dict[str, Any]] = []
-    for setting in settings_of(clips, settings.rng(0)):
+    # The same clips at all rates with all noises, each time with a noise of its own.
+    rng = settings.rng(0)
+    for (rate, every), std in product(EVERY.items(), POSITION_STDS):
+        noisy = add_noise(clips, position_std=std, body_kappa=BODY_KAPPA, head_kappa=HEAD_KAPPA, rng=rng)
+        kept = [track for track in noisy if len(track) > (LEAST_FRAMES - 1) * every]
+        observed = clips.with_tracks(thinned(track, every) for track in kept)
+        velocities = [true_velocity(track)[::every] for track in kept]
         for preset, estimator in product(PRESETS, ESTIMATORS):
-            heading = {"": estimator, "model": preset, "σ (m)": setting.position_std, "Hz": setting.rate}
-            rows += [heading | row for row in calibration_rows(judged(setting, preset, estimator))]
+            heading = {"": estimator, "model": preset, "σ (m)": std, "Hz": rate}
+            found = judged(observed, velocities, preset, estimator)
+            rows += [heading | row for row in calibration_rows(found)]
             settings.progress(1)
     yield Table.of("NEES a degree of freedom, and how often intervals hold the truth", _grid(rows))
     yield Table.of("Paper / ours: what a covariance promises, and all cells of the grid", _summary(rows))

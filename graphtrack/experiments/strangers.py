@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from graphtrack.errors import InputWarning
+from graphtrack.evaluation.groups import average_linkage
 from graphtrack.experiments.harness import (
     SALSA,
     Cell,
@@ -23,6 +24,7 @@ from graphtrack.experiments.harness import (
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.interaction.groups import Groups, groups
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
+from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import score_groups
 from graphtrack.io.groups import UNLABELLED, read_groups
 from graphtrack.model import Model
@@ -41,8 +43,8 @@ STOPPING = (0.0, 0.5)
 SEEDS, PARTIES = 6, 4
 POSITION_STD, HEAD_KAPPA = 0.1, 4.0
 """Metres and concentration of the noise."""
-LEARNED_UNTIL = 1000.0
-"""Seconds of SALSA's rows from which the weights of groups were learned."""
+SPLIT = 1000.0
+"""Seconds at which SALSA's rows are split; the values of the parameters were compared on the rows before."""
 RECORDINGS: Mapping[str, tuple[str, ...]] = {
     "ucy/zara01": ("ucy", "zara01", "annotation.vsp"),
     "eth/seq_hotel": ("eth", "seq_hotel", "obsmat.txt"),
@@ -160,25 +162,40 @@ def _false_groups(scenes: Iterator[Scene], progress: Progress) -> list[dict[str,
 
 
 def _kept(settings: Settings) -> Iterator[dict[str, Cell]]:
-    """F1 of true groups, without and with the odds."""
+    """F1 of true groups, without and with the odds, and of average linkage, which is the same online."""
     for name, scenes in _labelled(settings):
         for way, online in WAYS.items():
             row: dict[str, Cell] = {"people": name, "way": way}
             for label, parameters in PARAMETERS.items():
-                scores = []
-                for people, truth in scenes:
-                    found = groups(people, parameters, online=online)
-                    rows = zip(found.frame.tolist(), found.track_id.tolist(), strict=True)
-                    labels = np.array([truth.get(one, UNLABELLED) for one in rows], np.int64)
-                    scores.append(score_groups(found.frame, found.track_id, found.group, labels).f1)
-                for share, value in zip(("2/3", "all"), np.mean(scores, axis=0).tolist(), strict=True):
-                    row[f"F1 {share}, {label}"] = value
-            yield row
+                found = [groups(people, parameters, online=online) for people, _ in scenes]
+                row |= _f1(label, [one.group for one in found], found, scenes)
+            linked = [average_linkage(people_of(people)) for people, _ in scenes]
+            yield row | _f1("average linkage", linked, found, scenes)
         settings.progress(1)
 
 
 Truth = Mapping[tuple[int, int], int]
 """Frame and person → group."""
+
+
+def _f1(
+    name: str,
+    labels: Sequence[np.ndarray],
+    rows: Sequence[Groups],
+    scenes: Sequence[tuple[TrackSet, Truth]],
+) -> dict[str, Cell]:
+    """F1 of labels of the people and frames of ``rows``, means over the scenes."""
+    scores = [
+        score_groups(row.frame, row.track_id, label, _labels(row, truth)).f1
+        for label, row, (_, truth) in zip(labels, rows, scenes, strict=True)
+    ]
+    shares = zip(("2/3", "all"), np.mean(scores, axis=0).tolist(), strict=True)
+    return {f"F1 {share}, {name}": value for share, value in shares}
+
+
+def _labels(found: Groups, truth: Truth) -> np.ndarray:
+    rows = zip(found.frame.tolist(), found.track_id.tolist(), strict=True)
+    return np.array([truth.get(row, UNLABELLED) for row in rows], dtype=np.int64)
 
 
 def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Truth]]]]:
@@ -199,8 +216,8 @@ def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Tr
         warnings.simplefilter("ignore", InputWarning)
         known_groups = read_groups(labels)
         for name, begin, end in (
-            ("SALSA to 1000 s", -np.inf, LEARNED_UNTIL),
-            ("SALSA from 1000 s", LEARNED_UNTIL, np.inf),
+            ("SALSA to 1000 s", -np.inf, SPLIT),
+            ("SALSA from 1000 s", SPLIT, np.inf),
         ):
             people = recorded.map(
                 lambda track, b=begin, e=end: track[(track.t >= b) & (track.t < e)]  # type: ignore[misc]

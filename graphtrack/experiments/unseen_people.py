@@ -7,7 +7,7 @@ the simpler presets, and judged on other people of the source that was left out.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -71,21 +71,6 @@ DEGREES = np.pi / 180.0
 
 People = Mapping[str, TrackSet]
 """Setting → observed tracks with their truth."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """People of one kind.
-
-    Attributes
-    ----------
-    name : in tables
-    people : from settings and a stream (0: to fit on, 1: to judge on) to observed tracks by setting; none
-        where the data are not there
-    """
-
-    name: str
-    people: Callable[[Settings, int], People]
 
 
 SETTINGS: Mapping[str, Mapping[str, float | bool | None]] = {
@@ -158,12 +143,14 @@ def crossing(settings: Settings, stream: int) -> People:
     }
 
 
-SOURCES = (
-    *(Source(name, partial(simulated, own, k)) for k, (name, own) in enumerate(HABITS.items())),
-    Source("simulated, crossing", crossing),
-    Source("motion capture", motion_capture),
-    Source("party", party),
-)
+SOURCES: Mapping[str, Callable[[Settings, int], People]] = {
+    **{name: partial(simulated, own, k) for k, (name, own) in enumerate(HABITS.items())},
+    "simulated, crossing": crossing,
+    "motion capture": motion_capture,
+    "party": party,
+}
+"""Source → function of settings and a stream (0: to fit on, 1: to judge on) that returns observed tracks by
+setting; none where the data are not there."""
 
 
 def errors_of(people: TrackSet, estimates: Sequence[Track]) -> FloatArray:
@@ -236,17 +223,17 @@ def _coverage(people: TrackSet, estimates: Sequence[Track], angle: Angle) -> flo
 
 
 def _parts(settings: Settings) -> Parts:
-    to_fit = {source.name: source.people(settings, 0) for source in SOURCES}
-    there, rounds = [source for source in SOURCES if to_fit[source.name]], settings.few(3)
-    settings.expect(len(there) * (rounds * (len(FITTED) + 1) + 1))
+    found = {name: people(settings, 0) for name, people in SOURCES.items()}
+    to_fit, rounds = {name: people for name, people in found.items() if people}, settings.few(3)
+    settings.expect(len(to_fit) * (rounds * (len(FITTED) + 1) + 1))
     rows: list[dict[str, Cell]] = []
     constants: list[dict[str, float]] = []
-    for source in there:
-        training = [to_fit[other.name] for other in there if other is not source]
+    for source in to_fit:
+        training = [people for other, people in to_fit.items() if other != source]
         fitted = fit(training, rounds, settings.progress)
         models: dict[str, Model | str] = {name: name for name in PRESETS}
         models["full, fitted without it"] = fitted
-        rows += _rows(source.name, source.people(settings, 1), models)
+        rows += _rows(source, SOURCES[source](settings, 1), models)
         constants.append({key: fitted.parameters.value(key) for key in FITTED})
         settings.progress(1)
     yield Table.of("Errors and coverage", rows)

@@ -47,17 +47,6 @@ def unit(angle: ArrayLike) -> FloatArray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def circular_mean(angle: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Direction of the (weighted) resultant of the finite angles; NaN where there is none."""
-    angle = np.asarray(angle, dtype=float).ravel()
-    weights = np.ones_like(angle) if weights is None else np.asarray(weights, dtype=float).ravel()
-    use = np.isfinite(angle) & np.isfinite(weights)
-    if not use.any():
-        return float("nan")
-    resultant = weights[use] @ unit(angle[use])
-    return float(direction(resultant))
-
-
 def mean_absolute_error(estimate: ArrayLike, truth: ArrayLike) -> float:
     """Mean angular error |wrap(estimate − truth)|, radians, over the finite pairs; NaN if there is none."""
     error = np.abs(difference(estimate, truth))

@@ -18,6 +18,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.engines import (
@@ -44,6 +45,7 @@ from graphtrack.inference.state import (
 )
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS, seconds_between
+from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged
 from graphtrack.tracks.display import html_pairs
 
@@ -102,6 +104,9 @@ class OnlineSmoother:
         "isam2"
     lag : seconds of history that are re-estimated; None: all of it, with isam2
     camera : camera of the scene, for observations in pixels
+    walkable : area in which the person walks, in metres: a file of GeoJSON or well-known text, or a polygon
+        of Shapely or PedPy. The walls of a frame are those near its observed position or, without one, near
+        the last estimate; they are part of `state`, the area is not
     relinearize_threshold : isam2: change of a variable beyond which the factors of its step are linearised
         again (metres, m/s, radians)
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
@@ -123,6 +128,7 @@ class OnlineSmoother:
         engine: OnlineEngine = "auto",
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
+        walkable: AreaLike | None = None,
         relinearize_threshold: float = 0.05,
         step_tolerance: float = 0.05,
         max_iterations: int = 20,
@@ -133,7 +139,9 @@ class OnlineSmoother:
             raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
         if max_iterations < 1:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
-        self.model = Model.named(model)
+        self._walkable = None if walkable is None else WalkableArea.of(walkable)
+        chosen = Model.named(model)
+        self.model = chosen if walkable is None else chosen.with_terms(StaysInside)
         self.engine = online_engine(self.model, engine)
         check_lag(lag, self.engine)
         self.lag = math.inf if lag is None else float(lag)
@@ -194,6 +202,7 @@ class OnlineSmoother:
         smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
     ) -> list[Estimate]:
         """Make each smoother's `update` in few calls into compiled code; observations as from `usable`."""
+        observations = _with_walls(smoothers, observations)
         estimates: list[Estimate | None] = [None] * len(smoothers)
         indices: list[int] = []
         windows: list[ChainWindow] = []
@@ -232,7 +241,8 @@ class OnlineSmoother:
         times = (step.observation.t for step in window.steps)
         known = dict(zip(times, window.states, strict=True))
         states = list(window.states[: len(steps)])
-        for observation in map(self.usable, observations):
+        usable = list(map(self.usable, observations))
+        for observation in _with_walls([self] * len(usable), usable):
             previous = steps[-1].alone()
             dt = seconds_between(previous, observation)
             steps.append(Step(self._next_index, observation, previous, dt, False, self.camera))
@@ -392,3 +402,29 @@ class OnlineSmoother:
         if self._last is None:
             return replace(self._waiting(observation), status=status)
         return replace(self._last, status=status)
+
+
+def _with_walls(
+    smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
+) -> Sequence[Observation]:
+    """Return each smoother's observation with the walls near it, found for all at once."""
+    if all(one._walkable is None for one in smoothers):
+        return observations
+    found = list(observations)
+    rows_of: dict[WalkableArea, list[int]] = {}
+    for row, (smoother, one) in enumerate(zip(smoothers, observations, strict=True)):
+        if smoother._walkable is not None and WALL_INPUT not in one.inputs:
+            rows_of.setdefault(smoother._walkable, []).append(row)
+    for area, rows in rows_of.items():
+        position = np.array([_place(smoothers[row], observations[row]) for row in rows], dtype=float)
+        for row, one in zip(rows, with_walls_at([found[row] for row in rows], position, area), strict=True):
+            found[row] = one
+    return found
+
+
+def _place(smoother: OnlineSmoother, observation: Observation) -> Sequence[float]:
+    """Return the observed position or, without one, that of the last estimate; NaN before the first."""
+    if observation.position is not None:
+        return observation.position
+    last = smoother.last
+    return (math.nan, math.nan) if last is None else last.position.tolist()

@@ -187,12 +187,12 @@ class Conversations:
     def group(self, track_id: int) -> Group | None:
         """Return the group input of a person in this frame; None if they are new, or were absent for long."""
         known = self._known.get(track_id)
-        long = FORGOTTEN * DEFAULT.place_seconds
+        long = FORGOTTEN * DEFAULT.persistence_seconds
         return None if known is None or self._t - known.t > long else known.group
 
     def _take(self, people: People) -> None:
         t = float(people.t[0])
-        kept = FORGOTTEN * DEFAULT.look_seconds
+        kept = FORGOTTEN * DEFAULT.memory_seconds
         self._known = {one: known for one, known in self._known.items() if t - known.t <= kept}
         found = neighbours(people, self._evidence.take(people))
         ids = people.ids[people.person].tolist()

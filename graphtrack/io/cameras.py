@@ -278,6 +278,23 @@ def placed_boxes(rows: Rows, options: ReadOptions) -> Rows:
     return on_ground(rows, camera, notes)
 
 
+def boxes_on_ground(position: FloatArray, camera: GroundCamera) -> FloatArray:
+    """Return boxes (n, 4) left, top, width and height in pixels of people at positions (n, 2) in metres.
+
+    The middle of the lower edge is the position; a person is `PERSON_HEIGHT` tall and 0.41 times as wide,
+    upwards as many pixels as for the same length sideways on the ground. NaN behind the camera.
+    """
+    foot = camera.ground_to_image(position)
+    bearing = camera.ray_bearing(position) + np.pi / 2.0
+    aside = 0.5 * PERSON_HEIGHT * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    ends = camera.ground_to_image(position + aside), camera.ground_to_image(position - aside)
+    height = np.linalg.norm(ends[0] - ends[1], axis=1)
+    width = 0.41 * height
+    drawable = np.isfinite(foot).all(axis=1) & (height > 1e-3) & (np.abs(foot).max(axis=1) + height < 1e6)
+    box = np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
+    return np.where(drawable[:, None], box, np.nan)
+
+
 def with_scores(rows: Rows) -> Rows:
     """Add the channel ``score`` (n,) to detections, from their confidences; rows with identities stay as is.
 

@@ -99,6 +99,15 @@ def steady_rate(tracks: TrackSet) -> float | None:
     return rounded if np.abs(amiss).max() < _AMISS else None
 
 
+def rate_of(declared: Any) -> float | None:
+    """Return the frame rate that a file declares; None if it is no rate."""
+    try:
+        rate = float(declared)
+    except (TypeError, ValueError):
+        return None
+    return rate if 0.0 < rate <= 1e6 else None
+
+
 def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | None = None) -> float:
     """Return the frame rate of tracks for a format without times; for a single frame the one ``given``."""
     check_frame_rate(given)

@@ -164,7 +164,8 @@ def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -
         raise error.at(hint=hint_for(error, native=strict)) from error
     if found is not options:
         notes += unit_notes(found, rows.channels["t"])
-    return place_pixels(rows.with_notes(*notes), found)
+    rows = rows.with_notes(*notes)
+    return place_pixels(rows, found) if "pixel" in rows.channels else rows
 
 
 def read_with(
@@ -199,7 +200,7 @@ def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path],
     write = format_for_writing(path).write_columns
     if write is None:
         names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)
-        found = f"detections without identities for {path.name}"
+        found = f"a table that is not of tracks for {path.name}"
         raise InputError(found, f"a name that ends with one of {names}", path=path)
     return write
 
@@ -231,10 +232,6 @@ def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
     if options.layout() is not None:
         raise InputError("columns or units with boxes", "boxes as their format has them", path=path)
     return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
-
-
-def _chosen(source: Source, format: str | None) -> Format:
-    return detect(source) if format is None else format_named(format)
 
 
 def _opened(path: str | Path, options: ReadOptions) -> Source:
@@ -270,7 +267,7 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
         _check_taken(chosen, options, source.path)
         if chosen.read is None:
             expected = "a table, such as GeoParquet; geopandas.read_file makes one of a GeoPackage"
-            raise InputError("a format that is only written", expected, path=source.path)
+            raise source.fail("a format that is only written", expected)
         return chosen.read(source, options)
 
 
@@ -306,7 +303,7 @@ def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
 def _cells(source: Source, chosen: Format, options: ReadOptions) -> Cells:
     layout = options.layout()
     if layout is not None and layout.by_number and chosen is not CSV:
-        raise InputError("numbers for columns", "their names", path=source.path)
+        raise source.fail("numbers for columns", "their names")
     assert chosen.cells is not None
     return chosen.cells(source, options)
 

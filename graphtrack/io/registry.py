@@ -15,7 +15,7 @@ from graphtrack.io.formats.caviar import CAVIAR
 from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
 from graphtrack.io.formats.kitti import KITTI
 from graphtrack.io.formats.mocap import MOCAP
-from graphtrack.io.formats.mot import COCO, MOT
+from graphtrack.io.formats.mot import COCO, MOT, MOT_2D
 from graphtrack.io.formats.movement import MOVEMENT
 from graphtrack.io.formats.native import CSV, PARQUET
 from graphtrack.io.formats.ndjson import NDJSON
@@ -89,6 +89,7 @@ FORMATS = (
     SALSA,
     TOWNCENTRE,
     PEDPY,
+    MOT_2D,
     MOT,
     ETH,
 )
@@ -121,14 +122,14 @@ def detect(source: Source) -> Format:
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
     if source.head.lstrip().startswith((b"[{", b"[\n", b"[ ", b"[\r")):
-        raise InputError("a JSON list", "one JSON object a line, each a row (.ndjson)", path=source.path)
+        raise source.fail("a JSON list", "one JSON object a line, each a row (.ndjson)")
     is_text = b"\0" not in source.head or source.wide is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error
     known = ", ".join(f.name for f in FORMATS if f.is_read)
     first = next((line for line in source.lines if line.strip()), "") if is_text else ""
     hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
-    raise InputError("content of no known format", f"one of {known}{hint}", path=source.path)
+    raise source.fail("content of no known format", f"one of {known}{hint}")
 
 
 def format_for_writing(path: Path) -> Format:

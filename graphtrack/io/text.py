@@ -62,16 +62,15 @@ def other_delimiter(source: Source, names: Collection[str] = NAMES) -> InputErro
     if declared and len(set(_cells(first, ",")) & set(NAMES)) >= 2:
         found = f"the line {declared[0]!r}"
         expected = "the header in the first line; --delimiter , reads it"
-        return InputError(found, expected, path=source.path, line=1)
+        return source.fail(found, expected, line=1)
     return None
 
 
 def _error(source: Source, line: int, mark: str, name: str, *, decimal: bool) -> InputError:
     options = f"--delimiter {_TYPED[mark]}" + (" --decimal ," if decimal else "")
-    return InputError(
+    return source.fail(
         f"{name} between the cells" + (" and decimal commas" if decimal else ""),
         f"commas between the cells{' and decimal points' if decimal else ''}; {options} reads it",
-        path=source.path,
         line=line,
     )
 
@@ -157,7 +156,7 @@ def _decoded(source: Source, encoding: str) -> Source:
         place = getattr(error, "start", 0)
         line = source.data.count(b"\n", 0, place) + 1
         found = f"bytes that are not {encoding}"
-        raise InputError(found, "another encoding", path=source.path, line=line) from error
+        raise source.fail(found, "another encoding", line=line) from error
     return replace(source, data=text.removeprefix("\ufeff").encode(errors="replace"))
 
 
@@ -219,10 +218,9 @@ class Numbers:
 
     def fail(self, row: int, column: int, expected: str) -> InputError:
         """Return the error for one cell."""
-        return InputError(
+        return self.source.fail(
             f"{self.values[row, column]:.16g}",
             expected,
-            path=self.source.path,
             line=self.line_of(row),
             column=_column_name(self.names, column),
         )
@@ -290,13 +288,11 @@ def read_numbers(
             if delimiter == "," and (error := other_delimiter(source)) is not None:
                 raise error
             wanted = (len(rows[0]),) if rows else widths
-            raise InputError(
-                f"{len(cells)} columns", " or ".join(map(str, wanted)), path=source.path, line=number
-            )
+            raise source.fail(f"{len(cells)} columns", " or ".join(map(str, wanted)), line=number)
         rows.append(cells)
         line_numbers.append(number)
     if not rows:
-        raise InputError("no rows", "at least one row", path=source.path)
+        raise source.fail("no rows", "at least one row")
     texts = {column: [cells[column] for cells in rows] for column in text}
     for cells in rows:
         for column in text:
@@ -324,7 +320,7 @@ def _cell(source: Source, text: str, line: int, column: str | int) -> float:
     value = parse_number(text)
     if value is None:
         found = repr(text.strip()[:40]) if text.strip() else "an empty cell"
-        raise InputError(found, expected_number(text), path=source.path, line=line, column=column)
+        raise source.fail(found, expected_number(text), line=line, column=column)
     return value
 
 

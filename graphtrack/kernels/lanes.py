@@ -264,16 +264,21 @@ def _viewed(array: Any, to: Any, *strides: Any) -> Any:
     return to(array, *strides), emit
 
 
+_SIZES: dict[type, dict[str, int]] = {}
+
+
+def sized(kind: Any, size: int, **others: int) -> None:
+    """State the sizes of the arrays of a named tuple after their first axis; ``others``: by name."""
+    _SIZES[kind] = dict.fromkeys(kind._fields, size) | others
+
+
 @intrinsic
 def lane_memory(_context: Any, memory: Any) -> Any:
-    """A named tuple of arrays, those of floats as arrays of lanes; or None.
-
-    Its class has their ``SIZES`` after the first axis by name, and the ``SIZE`` of all others.
-    """
+    """A named tuple of arrays, those of floats as arrays of lanes by `sized`; or None."""
     if isinstance(memory, types.NoneType):
         return memory(memory), lambda context, builder, sig, args: args[0]
     made = memory.instance_class
-    sizes = [made.SIZES.get(name, made.SIZE) for name in memory.fields]
+    sizes = [_SIZES[made][name] for name in memory.fields]
     kinds = [
         LaneArrayType((size,) * (array.ndim - 2)) if array.dtype == types.float64 else array
         for array, size in zip(memory.types, sizes, strict=True)

@@ -1,7 +1,7 @@
 """Coupling modes given the states: the mode of each coupling, and the resulting coupling.
 
-The hidden Markov chains of `graphtrack.model.terms.gait`, by the forward–backward recursion; the couplings of
-next descent are the expectation over modes and offsets. One source for a single track and for lanes.
+The hidden Markov chains of `graphtrack.model.terms.couplings`, by the forward–backward recursion; the
+couplings of the next descent are the expectation over modes and offsets. One source for a track and for lanes.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.arithmetic import cos_sin, direction_of, exp, floor_of, log
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
-from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
+from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane, sized
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, Problem
-from graphtrack.model.terms.couplings import squared_excess
-from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
+from graphtrack.model.terms.couplings import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes, squared_excess
 from graphtrack.model.terms.motion import steer
 
 BODY_MODE, HEAD_MODE = 0, 1  # Places of the two couplings in arrays of both
@@ -45,7 +44,8 @@ class ModeMemory(NamedTuple):
     held: FloatArray  # (n, 4) offset from motion to body, cosine and sine; probabilities: aligned, a glance
     spread: FloatArray  # (n, 2) standard deviation of the pull of each coupling
 
-    SIZE, SIZES = ROW, {"ahead": 3, "held": 4, "spread": 2}
+
+sized(ModeMemory, ROW, ahead=3, held=4, spread=2)
 
 
 @allocating

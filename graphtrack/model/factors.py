@@ -152,7 +152,7 @@ COUPLED = (
     "steer_cross",
     "steer_spread",
 )
-"""The fields of a frame that the coupling modes set; see `gait.GaitOffsets`."""
+"""The fields of a frame that the coupling modes set; see `couplings.GaitOffsets`."""
 
 Couplings = Mapping[int, Sequence[float]]  # Index of a step → values of its `COUPLED` fields
 

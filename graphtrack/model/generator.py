@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     from graphtrack.model.term import Term
 
 
-_FUNCTIONS: dict[tuple[str, ...], Any] = {}  # Names of the fields of a record → the functions of its program
-
-
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
     """A function of compiled code that is selected by the type of records, which ``records_of`` finds."""
 

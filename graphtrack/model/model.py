@@ -26,8 +26,7 @@ from graphtrack.model.parameters import (
 )
 from graphtrack.model.term import FramePacker, Term, types_of
 from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
-from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.terms.gait import GaitOffsets
+from graphtrack.model.terms.couplings import BodyFollowsMotion, GaitOffsets, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion, Motion
 from graphtrack.model.terms.orientation import (
     Anchor,
@@ -167,6 +166,10 @@ class Model:
     def with_parameters(self, parameters: Parameters) -> Model:
         """The same terms and scene with other parameters."""
         return Model(self.preset, parameters, self.own_terms, self.scene)
+
+    def with_terms(self, *kinds: type[Term]) -> Model:
+        """The same model with further terms."""
+        return Model(self.preset, self.parameters, (*self.own_terms, *kinds), self.scene)
 
     def with_scene(self, scene: GivenScene) -> Model:
         """The same terms and parameters, with the known parameters of another scene."""

@@ -18,8 +18,9 @@ from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.formats.native import ROW_GROUP, arrow_errors
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.text import parse_number
-from graphtrack.tracks.cells import Cells, cells_of_arrow, labels, numbers
+from graphtrack.tracks.cells import Cells, Layout, cells_of_arrow, labels, numbers, rows_of_cells
 from graphtrack.tracks.schema import INTEGERS, in_order, is_column, unknown
+from graphtrack.tracks.table import Rows
 
 BLOCK = 65_536
 """Rows read at a time."""
@@ -190,6 +191,25 @@ def open_dataset(path: str | Path) -> Dataset:
     ]
     ignored = tuple(name for name in further if name not in own)
     return Dataset(path, tuple(files), in_order(known | {*names}), ignored, names, notes)
+
+
+def rows_of_block(
+    path: Path, columns: Sequence[str], block: FloatArray, fps: float | None, texts: Mapping[int, str]
+) -> Rows:
+    """Return a matrix of `Dataset.blocks` as rows, checked cell by cell.
+
+    Parameters
+    ----------
+    path : of the data set, for messages
+    columns : names of its columns other than the last
+    fps : frames a second, for rows without times
+    texts : number in the column ``label`` → label
+    """
+    cells = {name: block[:, place] for place, name in enumerate(columns)}
+    if "label" in cells:
+        cells["label"] = np.array([texts[code] for code in cells["label"]], dtype=object)
+    table = Cells(path, "parquet", cells, lambda row: int(block[row, -1]) + 1)
+    return rows_of_cells(table, Layout(), fps=fps, strict=True)
 
 
 def _well_known(names: list[str], path: Path) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -77,7 +77,8 @@ class Layout:
     crs: str | None = None
 
     def __post_init__(self) -> None:
-        check_time_unit(self.time_unit)
+        if self.time_unit is not None:
+            check_time_unit(self.time_unit)
         if self.units is not None and self.units not in METRES:
             raise InputError(f"units = {self.units!r}", f"one of {', '.join(METRES)}")
         if self.crs is not None and self.units not in (None, "m"):
@@ -145,6 +146,14 @@ class Cells:
         """Return the error for a cell, a row (from 0), a column, or the whole table."""
         line = None if row is None else self.line_of(row)
         return InputError(found, expected, path=self.path, line=line, column=column)
+
+    def refuse(self, wrong: NDArray[np.bool_], name: str, expected: str) -> None:
+        """Raise InputError for the first cell of a column that is wrong (n,), if there is one."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            cell = self.columns[name][row]
+            found = "an empty cell" if is_empty(cell) else repr(str(cell).strip()[:_LONGEST])
+            raise self.fail(found, expected, row, name)
 
 
 def check_unique(names: Sequence[str], path: Path | None, line: int | None = None) -> None:
@@ -272,6 +281,16 @@ def numbers(cells: Cells, name: str) -> FloatArray:
         row = int(np.argmax(np.isinf(found)))
         raise cells.fail(str(found[row]), "a finite number or an empty cell", row, name)
     return found
+
+
+def integers(cells: Cells, name: str, missing: int | None = None) -> NDArray[np.int64]:
+    """Return a column as (n,) whole numbers; ``missing`` where it is empty, if that is allowed."""
+    found = numbers(cells, name)
+    if missing is not None:
+        found = np.where(np.isnan(found), missing, found)
+    with np.errstate(invalid="ignore"):
+        cells.refuse(~(np.abs(found) <= LARGEST_ID) | (found != np.rint(found)), name, "a whole number")
+    return found.astype(np.int64)
 
 
 def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
@@ -460,15 +479,16 @@ def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
     for key, pattern in wild.items():
         columns[pattern] = np.concatenate([cells.columns[found[key][person]] for person in people])
     columns[IDENTITY] = np.repeat(np.array(people, dtype=object), n)
-    filled_cells = np.zeros(n * len(people), dtype=bool)
+    filled = np.zeros(n * len(people), dtype=bool)
     for pattern in wild.values():
-        filled_cells |= ~np.array([is_empty(cell) for cell in columns[pattern].tolist()], dtype=bool)
-    kept = np.flatnonzero(filled_cells)
+        filled |= ~np.array([is_empty(cell) for cell in columns[pattern].tolist()], dtype=bool)
+    kept = np.flatnonzero(filled)
     line_of = cells.line_of
     rows = replace(
         cells,
         columns={name: values[kept] for name, values in columns.items()},
         line_of=lambda row: line_of(int(kept[row]) % n),
+        floats=lambda name: None,
     )
     return rows, replace(layout, columns={**layout.columns, "track_id": IDENTITY})
 
@@ -533,6 +553,7 @@ def rows_of_cells(
             format=cells.format,
             fps=fps,
             line_of=cells.line_of,
+            fail=cells.fail,
             ignored=ignored,
             notes=tuple(notes),
         )
@@ -664,9 +685,9 @@ def with_frames(
     if np.isnan(t).any():
         raise cells.fail("an empty cell", "a time in every row", int(np.argmax(np.isnan(t))), named["t"])
     known, place = np.unique(t, return_inverse=True)
-    frames, filled_cells = numbered_times(known)
+    frames, how = numbered_times(known)
     columns["frame"] = frames[place].astype(float)
-    notes.append(f"no frames: {filled_cells}")
+    notes.append(f"no frames: {how}")
     if "track_id" in columns:
         _check_once(columns, cells, named)
 
@@ -678,8 +699,8 @@ def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mappin
     twice = (np.diff(track_id[order]) == 0) & (np.diff(frame[order]) == 0) & (track_id[order][1:] != -1)
     if twice.any():
         row = int(order[np.flatnonzero(twice) + 1].min())
-        filled_cells, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
-        raise cells.fail(f"{filled_cells} again at {when}", "each once at a time", row, named["t"])
+        who, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
+        raise cells.fail(f"{who} again at {when}", "each once at a time", row, named["t"])
 
 
 _AMISS = 0.25  # of a frame: how far a time may be from that of its frame

@@ -422,8 +422,9 @@ def from_columns(
     format: str,
     fps: float | None,
     line_of: Callable[[int], int],
-    ignored: Sequence[str] = (),
-    notes: tuple[str, ...] = (),
+    fail: Callable[..., InputError],
+    ignored: Sequence[str],
+    notes: tuple[str, ...],
 ) -> Rows:
     """Return rows from the columns of the native table, checked cell by cell.
 
@@ -432,15 +433,10 @@ def from_columns(
     columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
     path, format, line_of : as in `Rows`
     fps : frames a second, for rows without times
+    fail : makes the error for what is found and expected in a row and a column
     ignored : names of further columns of the file
     notes : assumptions so far
     """
-
-    def fail(found: str, expected: str, row: int | None = None, column: str | None = None) -> InputError:
-        return InputError(
-            found, expected, path=path, line=None if row is None else line_of(row), column=column
-        )
-
     identified = "track_id" in columns
     if not identified and "frame" in columns:
         columns = {**columns, "track_id": np.full(len(columns["frame"]), -1.0)}

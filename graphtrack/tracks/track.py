@@ -560,7 +560,7 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
         "frame": _joined([track.frame for track in tracks], np.int64),
     }
     for column in (*COLUMNS, *_input_columns(tracks)):
-        if any(_channel(track, column.field) is not None for track in tracks):
+        if any(channel_of(track, column.field) is not None for track in tracks):
             columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
     # Spreads that no engine estimated are NaN throughout: leave the column out.
     for column in COLUMNS:
@@ -583,7 +583,8 @@ def _input_columns(tracks: TrackSet) -> list[Column]:
     return [column for name in columns_in_order(names) if (column := numeric(name)) is not None]
 
 
-def _channel(track: Track, field: str) -> FloatArray | None:
+def channel_of(track: Track, field: str) -> FloatArray | None:
+    """Return an attribute of a track, or one of its inputs (``input_<name>``); None if it is absent."""
     if field.startswith(INPUT):
         return track.inputs.get(field.removeprefix(INPUT))
     value: FloatArray | None = getattr(track, field)
@@ -591,7 +592,7 @@ def _channel(track: Track, field: str) -> FloatArray | None:
 
 
 def _cells(track: Track, column: Column) -> FloatArray:
-    value = _channel(track, column.field)
+    value = channel_of(track, column.field)
     if value is None:
         return np.full(len(track), np.nan)
     place: tuple[Any, ...] = (..., *column.index)

@@ -131,6 +131,13 @@ def check_positive(name: str, value: float | None, highest: float) -> None:
         raise InputError(f"{name} = {value!r}", f"a positive number up to {highest:g}")
 
 
+def check_within(low: float, high: float, **values: float | None) -> None:
+    """Raise InputError for a setting that is neither a number from ``low`` to ``high`` nor None."""
+    for name, value in values.items():
+        if value is not None and not (is_number(value) and low <= value <= high):
+            raise InputError(f"{name} = {value!r}", Bounds(low, high).expected)
+
+
 def is_number(value: object) -> bool:
     """Return whether a setting is a real number, and not text or a boolean."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)

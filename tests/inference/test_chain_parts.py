@@ -32,7 +32,7 @@ from graphtrack.model import LikelihoodParameters, Model, Parameters
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE, mode_memory, renew_couplings
 from graphtrack.model.observation import observations
 from graphtrack.model.program import add_frame
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.terms.couplings import gait_of
 from graphtrack.smoothing import track_online
 
 

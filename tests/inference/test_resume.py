@@ -18,7 +18,7 @@ from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.inference.chain.window import SLOTS, pool_of
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
-from graphtrack.saved import from_text, to_text
+from graphtrack.saved import packed, unpacked
 from graphtrack.streaming.answers import StreamBounds, TrackAnswers
 from graphtrack.tracks.track import Track
 
@@ -136,7 +136,7 @@ def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, sc
         state = through_json(anew.state())
         arrays = state["arrays"]
         if "factored" in arrays:
-            arrays["factored"] = to_text(from_text(arrays["factored"]) + 1.0)  # so far away
+            arrays["factored"] = packed(unpacked(arrays["factored"]) + 1.0)  # so far away
         anew = OnlineSmoother.from_state(state, preset, **options)
         expected = anew.update(observation)
         np.testing.assert_allclose(found.position, expected.position, atol=1e-4)

@@ -137,6 +137,15 @@ def test_the_fast_reader_of_csv_agrees_with_the_slow_one(rows: list[tuple[str, s
     np.testing.assert_equal(read(0), read(10**9))
 
 
+def test_the_fast_reader_reads_wide_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "wide.csv"
+    path.write_text("t,a.x,a.y,b.x,b.y\n0,1,2,,\n1,3,4,5,6\n")
+    columns = {"t": "t", "x": "*.x", "y": "*.y"}
+    slow = io.read_identified(path, columns=columns)
+    monkeypatch.setattr(native, "_SMALL", 0)
+    assert_same(slow, io.read_identified(path, columns=columns))
+
+
 def test_pixels_become_metres_by_a_homography(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("track_id,frame,t,u,v\n1,0,0,100,200\n1,1,1,110,200\n1,2,2,110,-2000\n1,3,3,,\n")

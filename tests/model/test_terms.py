@@ -500,7 +500,7 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
         local = rows.copy()
         local[:, :2] -= packed.origin[0]
         gradients, hessians, turns = np.zeros((2, 6)), np.zeros((3, 6, 6)), np.zeros((2, 4))
-        out = (gradients[0], gradients[1], hessians[0], hessians[1], hessians[2])
+        out = (*map(Sums, gradients, hessians[:2]), hessians[2])
         start = local[0].copy()
         note_turns(0, local, turns)
         cost = program.add_frame(problem, 0, 1, start, local, True, True, True, turns, *out)

@@ -71,7 +71,7 @@ from graphtrack.model.coupling_modes import (
 )
 from graphtrack.model.generator import OF_PRESETS, program_of
 from graphtrack.model.packing import PackedTracks, number_rows
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.terms.couplings import gait_of
 from graphtrack.tracks.track import Track
 
 PASSES = 2

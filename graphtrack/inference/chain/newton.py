@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
-from graphtrack.kernels.lanes import any_of, choose, masked, negate
+from graphtrack.kernels.lanes import any_of, choose, masked, negate, sized
 from graphtrack.kernels.layout import BODY, HEAD, Chain, N, Sums
 from graphtrack.model.generator import add_frame
 
@@ -39,7 +39,8 @@ class Workspace(NamedTuple):
     before: FloatArray  # (n, 6) states to restore
     rival: FloatArray  # (n, 6) the states of the best basin that lost a comparison
 
-    SIZE, SIZES = N, {"trigonometry": 4}
+
+sized(Workspace, N, trigonometry=4)
 
 
 FIRST_COST, COST, STEPS, STATUS, EXACT, RIVAL_COST = range(6)  # Indices of `Workspace.ended`

@@ -38,7 +38,7 @@ from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import FrameProgram, program_of
 from graphtrack.model.packing import PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import FramePacker
-from graphtrack.model.terms.gait import Gait, gait_of
+from graphtrack.model.terms.couplings import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """Arrays of the last solution that the next observation reads; a row for each frame."""

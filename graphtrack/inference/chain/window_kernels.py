@@ -55,7 +55,7 @@ from graphtrack.model.coupling_modes import (
 )
 from graphtrack.model.generator import FrameProgram, add_frame, cut
 from graphtrack.model.packing import CLASS_DIRECTIONS
-from graphtrack.model.terms.gait import ROW, Gait
+from graphtrack.model.terms.couplings import ROW, Gait
 from graphtrack.model.terms.motion import steer
 from graphtrack.model.terms.position import CAUCHY
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES

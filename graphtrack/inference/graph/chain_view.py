@@ -23,7 +23,7 @@ from graphtrack.model.coupling_modes import (
 )
 from graphtrack.model.factors import couplings_of
 from graphtrack.model.generator import program_of
-from graphtrack.model.terms.gait import ROW
+from graphtrack.model.terms.couplings import ROW
 
 
 class ChainView:
@@ -45,6 +45,7 @@ class ChainView:
         self.couplings = {} if couplings is None else couplings
         self.before = np.zeros((2, ROW))
         self._steps: Sequence[Step] = ()
+        self._filtered = np.empty((2, 0, ROW))
 
     def follow(
         self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None, whole: bool = False

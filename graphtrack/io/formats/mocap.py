@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.io.format import MOCAP_COLUMNS, Format
 from graphtrack.io.options import ReadOptions
@@ -25,7 +24,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     header = source.lines[0].split(",")
     for name in MOCAP_COLUMNS:
         if name not in header:
-            raise InputError("no such column", f"a column {name}", path=source.path, line=1, column=name)
+            raise source.fail("no such column", f"a column {name}", line=1, column=name)
     column = header.index("clip")
     table = read_numbers(
         source, delimiter=",", widths=(len(header),), names=tuple(header), text=(column,), skip=1
@@ -33,7 +32,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     clips = [clip.strip() for clip in table.text[column]]
     if "" in clips:
         line = table.line_of(clips.index(""))
-        raise InputError("an empty cell", "a clip", path=source.path, line=line, column="clip")
+        raise source.fail("an empty cell", "a clip", line=line, column="clip")
     number_of = {clip: k for k, clip in enumerate(dict.fromkeys(clips))}
 
     def yaw(name: str) -> np.ndarray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import gzip
 import io
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,7 +48,7 @@ def read_csv(source: Source, options: ReadOptions = ReadOptions(), known: Collec
     rows = ((line, row) for line, row in csv_rows(source.path, source.lines) if not is_blank(row))
     line, first = next(rows, (0, []))
     if not first:
-        raise InputError("no rows", "a header and rows", path=source.path)
+        raise source.fail("no rows", "a header and rows")
     few = len({cell.strip() for cell in first} & set(known)) < min(2, len(known))
     if (few if has_header else len(first) < 2) and (other := other_delimiter(source, known)) is not None:
         raise other
@@ -61,7 +61,7 @@ def read_csv(source: Source, options: ReadOptions = ReadOptions(), known: Collec
         return Cells(source.path, "csv", Columns(names, parsed.text), line_of, floats=parsed.numbers)
     for line, row in rows:
         if len(row) != len(names):
-            raise InputError(f"{len(row)} columns", str(len(names)), path=source.path, line=line)
+            raise source.fail(f"{len(row)} columns", str(len(names)), line=line)
         cells.append(row)
         lines.append(line)
     place = {name: k for k, name in enumerate(names)}
@@ -69,11 +69,22 @@ def read_csv(source: Source, options: ReadOptions = ReadOptions(), known: Collec
     return Cells(source.path, "csv", columns, lines.__getitem__)
 
 
+def open_table(path: str | Path, needed: Sequence[str]) -> Cells:
+    """Read a CSV file that has some columns and at least one row."""
+    cells = read_csv(Source.open(path), known=needed)
+    missing = next((name for name in needed if name not in cells.columns), None)
+    if missing is not None:
+        raise InputError(f"no column {missing}", f"the columns {', '.join(needed)}", path=path)
+    if not len(cells.columns[needed[0]]):
+        raise InputError("no rows", "at least one row", path=path)
+    return cells
+
+
 def _names(source: Source, line: int, row: list[str], known: Collection[str]) -> list[str]:
     # A column of row numbers has no name.
     names = [name.strip() or f"column {k + 1}" for k, name in enumerate(row)]
     if names[0].startswith("#") and not set(names) & set(known):
-        raise InputError("a comment", "a header, without comments before it", path=source.path, line=line)
+        raise source.fail("a comment", "a header, without comments before it", line=line)
     check_unique(names, source.path, line)
     return names
 

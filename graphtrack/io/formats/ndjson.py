@@ -292,7 +292,7 @@ def read(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
     refused = {NOT_USED: errors, REPLACED: len(rows) - len(kept)}
     if not kept:
         found = f"no rows but {errors} {NOT_USED}" if errors else "no rows"
-        raise InputError(found, "at least one row", path=source.path)
+        raise source.fail(found, "at least one row")
     return Cells(
         source.path,
         "ndjson",

@@ -28,7 +28,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     """
     line, first = next(((k, row.split()) for k, row in enumerate(source.lines, 1) if row.strip()), (1, []))
     if first and (len(first) % 5 != 1 or len(first) == 1):
-        raise InputError(f"{len(first)} columns", "1 + 5 for each person", path=source.path, line=line)
+        raise source.fail(f"{len(first)} columns", "1 + 5 for each person", line=line)
     starts = range(1, len(first), 5)
     ids = _ids([first[start] for start in starts], source.path)
     people = len(ids)
@@ -38,7 +38,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         row = next((row for row, own in enumerate(table.text[start]) if own != label), None)
         if row is not None:
             found, at = repr(table.text[start][row][:40]), table.line_of(row)
-            raise InputError(found, f"{label} as above", path=source.path, line=at, column=start + 1)
+            raise source.fail(found, f"{label} as above", line=at, column=start + 1)
     steps = len(table.values)
     t = table.bounded(0, -LARGEST_SECONDS, LARGEST_SECONDS)
     backwards = np.flatnonzero(np.diff(t) <= 0.0)
