@@ -1,7 +1,7 @@
 """Coupling modes given the states: the mode of each coupling, and the resulting coupling.
 
 The hidden Markov chains of `graphtrack.model.terms.couplings`, by the forward–backward recursion; the
-couplings of the next descent are the expectation over modes and offsets. One source for a track and for lanes.
+couplings of the next descent are the expectation over modes and offsets. One source, also for lanes.
 """
 
 from __future__ import annotations
