@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import AT_END, find_other_basin, unwind
+from graphtrack.inference.chain.basin_search import AT_END, find_other_basins, unwind
 from graphtrack.inference.chain.covariance import Calibration, add_lags, add_spread, calibrate_frame, hide
 from graphtrack.inference.chain.newton import (
     COST,
@@ -176,7 +176,7 @@ def solve_window(
     ``keeps``: settled frames are not factored again, and follow those after them. ``covariance`` (6, 6)
     becomes that of the newest frame.
     """
-    problem, n, last = chain.problem, chain.n, chain.n - 1
+    problem, n, last, tracks = chain.problem, chain.n, chain.n - 1, np.zeros(1, np.int64)
     exactly, ended = as_variable(True), memory.ended
     memory.kept[0], memory.kept[1] = 0, 1
     if warm and last > 0:
@@ -199,7 +199,7 @@ def solve_window(
         copy_rows(0, n, states, memory.again)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
         kept = move_if_less(chain, states, leap, problem.prior, kept, True, rules, memory)
-    if search and find_other_basin(chain, states, AT_END, memory):
+    if search and find_other_basins(problem, tracks, chain, states, AT_END, memory):
         prior = problem.prior.copy()
         turn_prior(problem.prior, states, memory.again)
         kept = move_if_less(chain, states, 0.0, prior, kept, False, rules, memory)
@@ -378,10 +378,10 @@ def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Works
     track, first = len(problem.offsets) - 2, len(states) - 2
     clear(sums, transition)
     clear(sums_after, transition)
-    add_frame(problem, track, first, start, states, exact, not every, every, turns, sums, sums, transition)
-    # The second frame's own terms stay in the window.
-    after, links, own = first + 1, every, not every
-    add_frame(problem, track, after, start, states, exact, links, own, turns, sums, sums_after, transition)
+    for k, own in ((first, every), (first + 1, not every)):
+        # The second frame's own terms stay in the window.
+        here = sums if own else sums_after
+        add_frame(problem, track, k, start, states, exact, not own, own, turns, sums, here, transition)
     add_prior(problem.prior, start, sums)
     for place in (BODY, HEAD):
         # An orientation outside the model, or without a link to the next frame.
