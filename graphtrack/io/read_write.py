@@ -233,10 +233,6 @@ def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
     return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
 
 
-def _chosen(source: Source, format: str | None) -> Format:
-    return detect(source) if format is None else format_named(format)
-
-
 def _opened(path: str | Path, options: ReadOptions) -> Source:
     """Return the source with text as UTF-8, commas and decimal points, by the options; for a bag its path."""
     place = table_in(place_of(path))
