@@ -249,9 +249,9 @@ def merged(
     ----------
     known, pairs : (k, 2), (n, 2) ids, both ascending by the second, then by the first
     last : (k,) seconds
-    sums : (k, 5) of the values of each pair, times the seconds that they count for, and of the seconds
-    values : (n, 3)
-    of : (3,) which of the times of averaging each value has
+    sums : (k, 6) of the values of each pair, times the seconds that they count for, and of the seconds
+    values : (n, 4)
+    of : (4,) which of the times of averaging each value has
     seconds : (2,)
     """
     size, count = values.shape[1], len(pairs)
@@ -299,6 +299,8 @@ ALONG = 1.5
 _MOST = 6.0  # log odds that one frame of walking says at most
 _STANDING = 0.02
 """Share of the time that two who stand all along appear not to stand, by the smooth step of speeds."""
+_PASSING = 0.2
+"""Share of the people who walk within 4 m that pass within the reach of an o-space."""
 _CAME = 0.1
 """Share of the time near each other, not spent together, from which two are known to have met in sight."""
 
@@ -365,8 +367,9 @@ class PairValues:
     Attributes
     ----------
     left, right : (n,) rows in `People`, the left one first
-    values : (n, 3) log odds of one group, and how much both walk, averaged over ``persistence_seconds``; the
-        probability that both stand, or walk together, over ``memory_seconds``
+    values : (n, 4) log odds of one group, and how much both walk, averaged over ``persistence_seconds``; the
+        probability that both stand, or walk together, and the number of walkers near them, over
+        ``memory_seconds``
     """
 
     left: IntArray
@@ -376,15 +379,16 @@ class PairValues:
     def evidence(
         self, people: People, means: FloatArray, seconds: FloatArray, parameters: GroupParameters
     ) -> PairEvidence:
-        """The evidence, given the averages (n, 3) and the seconds (n,) that the last ones are of."""
+        """The evidence, given the averages (n, 4) and the seconds (n,) that the last ones are of."""
         start = np.searchsorted(people.frame_of[self.left], np.arange(len(people.frame) + 1))
-        odds, walking, company = means.T
+        odds, walking, company, walkers = means.T
         standing = np.maximum(1.0 - 2.0 * walking, 0.0)  # groups that walk are judged by how they do
-        odds = odds - standing * encounter_odds(company, seconds, parameters)
+        # Two who stand may also be any of the people who walk there and have stopped.
+        odds = odds - standing * (encounter_odds(company, seconds, parameters) + np.log1p(_PASSING * walkers))
         return PairEvidence(self.left, self.right, start, odds, walking)
 
 
-_OF = np.array([0, 0, 1])
+_OF = np.array([0, 0, 1, 1])
 """Which of the times of averaging each of a pair's values has."""
 
 
@@ -400,7 +404,9 @@ def pair_values(people: People, parameters: GroupParameters) -> PairValues:
     alike = walking_odds(people, left, right, parameters)
     company = standing + walking * 0.5 * (1.0 + np.tanh(0.5 * alike))
     odds = standing * odds + (1.0 - standing - walking) * parameters.apart + walking * alike
-    return PairValues(left, right, np.column_stack([odds, walking, company]))
+    walkers = np.bincount(left, walk[right], len(people)) + np.bincount(right, walk[left], len(people))
+    near = np.minimum(walkers[left] - walk[right], walkers[right] - walk[left])
+    return PairValues(left, right, np.column_stack([odds, walking, company, np.maximum(near, 0.0)]))
 
 
 def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
@@ -426,7 +432,7 @@ class OnlineEvidence:
         self._pairs = np.empty((0, 2), dtype=np.int64)  # ids, ascending by the greater, then by the lesser
         self._last = np.empty(0)
         # Of each pair its values, each times the seconds it counts for, and those seconds.
-        self._sums = np.empty((0, 5))
+        self._sums = np.empty((0, 6))
 
     def __len__(self) -> int:
         """The pairs that are known."""
@@ -449,7 +455,7 @@ class OnlineEvidence:
             t,
         )
         here = self._last == t  # in the order of the frame's pairs
-        return found.evidence(people, means, self._sums[here, 4], self.parameters)
+        return found.evidence(people, means, self._sums[here, 5], self.parameters)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `restore`."""
@@ -459,4 +465,4 @@ class OnlineEvidence:
         """Go on where `state` was taken, given the same parameters."""
         self._pairs = np.array(state["pairs"], dtype=np.int64).reshape(-1, 2)
         self._last = from_text(state["last"]).reshape(len(self._pairs))
-        self._sums = from_text(state["sums"]).reshape(len(self._pairs), 5)
+        self._sums = from_text(state["sums"]).reshape(len(self._pairs), 6)

@@ -47,7 +47,7 @@ class GroupParameters:
     strangers_speed_std: float = number(0.6, 0.05, 10.0, "m/s")
     strangers_density: float = number(0.15, 1e-4, 10.0, "1/m²")
     walking_share: float = number(0.2, 0.001, 0.999)
-    encounter_odds: float = number(7.0, 0.0, 50.0)
+    encounter_odds: float = number(5.0, 0.0, 50.0)
     encounter_seconds: float = number(3.0, 0.1, 600.0, "s")
 
     def __post_init__(self) -> None:
