@@ -138,7 +138,7 @@ class DetectionTracker:
         walkable: WalkableArea | None = None,
     ) -> None:
         self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera, "walkable": walkable}
-        self.model, self._camera = Model.named(model), camera
+        self.model, self._camera, self._walkable = Model.named(model), camera, walkable
         smoother = self._smoother()  # checks the options, and compiles
         self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
         known = {**self.model.scene, **known_values(scene)}
