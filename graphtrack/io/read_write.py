@@ -155,13 +155,17 @@ def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -
     """Return the rows of a table's cells, in metres and with times; ``strict``: see `rows_of_cells`."""
     found, notes = with_synonyms(list(cells.columns), options, cells.path)
     layout = found.layout()
-    strict = strict and layout is None
     try:
         rows = rows_of_cells(
-            cells, layout or Layout(), fps=found.fps, reference=found.reference, strict=strict
+            cells,
+            layout or Layout(),
+            fps=found.fps,
+            reference=found.reference,
+            strict=strict and layout is None,
         )
     except InputError as error:
-        raise error.at(hint=hint_for(error, native=strict)) from error
+        native = strict and options.layout() is None
+        raise error.at(hint=hint_for(error, native=native)) from error
     if found is not options:
         notes += unit_notes(found, rows.channels["t"])
     rows = rows.with_notes(*notes)
