@@ -32,11 +32,11 @@ from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     engine_of,
+    make_all_ready,
 )
 from graphtrack.inference.offline import solve_each
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, as_track
-from graphtrack.inference.warm import make_all_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
 from graphtrack.interaction.walls import solve_inside
 from graphtrack.io.options import FileReading, ReadingBase

@@ -27,12 +27,18 @@ from graphtrack.model.coupling_modes import (
     mode_memory,
     smooth_modes,
 )
-from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.terms.gait import BASE, ROW, GaitOffsets, Modes, gait_of
+from graphtrack.model.terms.couplings import (
+    BASE,
+    ROW,
+    BodyFollowsMotion,
+    GaitOffsets,
+    HeadFollowsBody,
+    Modes,
+    gait_of,
+)
 from graphtrack.model.terms.motion import HEAD_RATE, IntentionalMotion, Motion, head_rates, steered_step
-from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
+from graphtrack.model.terms.orientation import BodyDynamics, BodyLikelihood, HeadDynamics, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.packages import special
 from graphtrack.tracks.track import Track
 

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from graphtrack.association.associate import tracks_of
-from graphtrack.association.candidates import match
+from graphtrack.association.matching import match
 from graphtrack.errors import InputError
 from graphtrack.evaluation.matching import (
     EPSILON,

@@ -122,3 +122,17 @@ def class_kappa(n_classes: int) -> float:
     This is the narrowest σ for which equal weights give a flat density (the ripple is 2·exp(−π²/2) = 1.4 %).
     """
     return (n_classes / np.pi) ** 2
+
+
+def vectors_of(directions: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
+    """Vectors (n, 2) from unit vectors, or else from class likelihoods; NaN where both are missing."""
+    if directions is not None and classes is None:
+        return directions
+    vectors = np.full((n, 2), np.nan) if directions is None else directions.copy()
+    if classes is not None:
+        total = classes.sum(axis=1)
+        usable = np.isfinite(total) & (total > 0.0)
+        weights = classes[usable] / total[usable, None]
+        # Not `@`: its rounding depends on the number of rows, so on the other tracks of a batch.
+        vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
+    return vectors

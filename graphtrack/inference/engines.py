@@ -1,10 +1,10 @@
-"""Engines: their choice, options and results, and the diagnosis of extreme input."""
+"""Engines: choice, options, results, the diagnosis of extreme input, and compilation ahead of use."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.batch import is_chain
-from graphtrack.model import Model, Observation
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.batch import has_lanes, is_chain, solve_packed
+from graphtrack.inference.chain.covariance import calibration_of
+from graphtrack.inference.chain.initialisation import initial_states, pack, pack_to_solve
+from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.graph.chain_view import ChainView
+from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
+from graphtrack.model import Model, Observation, Step
+from graphtrack.model.observation import chain, observations, seconds_between
 from graphtrack.tracks.display import counted, html_pairs
 from graphtrack.tracks.track import Track
 from graphtrack.tracks.validation import check_count, is_number
@@ -200,42 +207,28 @@ def not_finite(track: Track, model: Model) -> str:
 
 def with_extreme(reason: str, track: Track, model: Model) -> str:
     """Failure reason of a track, with its most extreme input, if there is one."""
-    channels = {name: getattr(track, name) for name in _USUAL}
-    return _joined(reason, _extremes(track.t, track.frame, track.position, channels, model))
+    return with_extreme_of(reason, list(observations(track)), model)
 
 
-def with_extreme_of(reason: str, observations: Sequence[Observation], model: Model) -> str:
-    """`with_extreme` of the observations of a window and the newest."""
-    t = np.array([one.t for one in observations], dtype=float)
-    frame = np.array([one.frame for one in observations])
-    position = np.array(
-        [(math.nan, math.nan) if one.position is None else one.position for one in observations]
-    )
-    channels = {
-        name: np.array([getattr(one, name) for one in observations], dtype=float)  # None becomes NaN
-        for name in _USUAL
-    }
-    return _joined(reason, _extremes(t, frame, position, channels, model))
+def with_extreme_of(reason: str, observed: Sequence[Observation], model: Model) -> str:
+    """The same of some observations, such as those of a window."""
+    return _joined(reason, _extremes(observed, model))
 
 
-def _extremes(
-    t: FloatArray,
-    frame: NDArray[np.int64],
-    position: FloatArray,
-    channels: Mapping[str, FloatArray | None],
-    model: Model,
-) -> Iterator[tuple[float, str]]:
+def _extremes(observed: Sequence[Observation], model: Model) -> Iterator[tuple[float, str]]:
     """Yield the factor by which each extreme input exceeds its usual range, and its name."""
-    dt = np.diff(t)
+    t = np.array([one.t for one in observed], dtype=float)
+    frame, dt = np.array([one.frame for one in observed]), np.diff(t)
     if dt.size and 0.0 < dt.min() < _SHORTEST:
         k = int(dt.argmin())
         words = f"{dt[k]:.3g} s between the frames {frame[k]} and {frame[k + 1]}"
         yield _SHORTEST / dt[k], f"{words}, expected at least {_SHORTEST:g} s"
-    far = np.abs(position).max(axis=1)
-    yield from _outside(far, frame, (0.0, _FARTHEST), "a coordinate of {} m")
-    for name, values in channels.items():
-        if values is not None:
-            yield from _outside(values, frame, _USUAL[name], f"{name} = {{}}")
+    none = math.nan, math.nan
+    position = np.array([none if one.position is None else one.position for one in observed])
+    yield from _outside(np.abs(position).max(axis=1), frame, (0.0, _FARTHEST), "a coordinate of {} m")
+    for name, usual in _USUAL.items():
+        values = np.array([getattr(one, name) for one in observed], dtype=float)  # None becomes NaN
+        yield from _outside(values, frame, usual, f"{name} = {{}}")
     std, (low, high) = model.parameters.likelihood.position_std, _USUAL["position_std"]
     if not low <= std <= high:
         words = f"position_std = {std:.3g} of the model, expected {low:g} to {high:g}"
@@ -267,3 +260,122 @@ def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:
     if indeterminate is None:
         return reason
     return f"the linear system has no unique solution: the factors do not determine {indeterminate[1]}"
+
+
+OFFLINE = "the offline solver"
+
+
+def make_all_ready(
+    model: Model, engine: OnlineEngine | Literal["gtsam"] = "auto", *, large: bool = False
+) -> None:
+    """Compile, or load, all functions for smoothing and tracking with a model and an engine.
+
+    ``large``: also the solver of many tracks in lanes, where the model has it.
+    """
+    if not is_chain(model):
+        make_ready(OFFLINE, _graph_rehearsal(None))
+    elif engine == "gtsam":
+        make_solver_ready(model, engine)
+    elif engine in ("fixed-lag", "isam2"):
+        make_online_ready(model, engine)
+    else:
+        ways = (False, True) if large and has_lanes(model) else (False,)
+        make_ready("the solver", *_chain_rehearsals(model, None, ways), _online_rehearsal(model))
+
+
+def make_solver_ready(
+    model: Model,
+    engine: OfflineEngine,
+    camera: GroundCamera | None = None,
+    in_lanes: Collection[bool] = (False,),
+    *,
+    complete: bool = False,
+) -> None:
+    """Compile, or load, the offline functions of an engine, ``in_lanes`` or not.
+
+    ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with user-defined
+    terms.
+    """
+    if engine == "chain":
+        make_ready(OFFLINE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
+        return
+    own = has_own_kernels(model) and not model.has_modes
+    make_ready(OFFLINE, _graph_rehearsal(None if own and not complete else model))
+
+
+def make_online_ready(model: Model, engine: OnlineEngine) -> None:
+    """Compile, or load, the functions of a compiled window, or those of GTSAM's online engines."""
+    make_ready(
+        "the online solver", _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model)
+    )
+
+
+def has_own_kernels(model: Model) -> bool:
+    """Return True if a model has kernels that no preset has: an engine is compiled for them."""
+    return any("kernels" in vars(kind) for kind in model.own_terms)
+
+
+def _chain_rehearsals(
+    model: Model, camera: GroundCamera | None, in_lanes: Collection[bool], *, complete: bool = False
+) -> list[Rehearsal]:
+    """Return rehearsals of the chain engine: the linear solution for linear models, and Newton's steps."""
+    # Linear with the camera of a scene, where its tracks have no pixels.
+    linear, like = model.is_linear(pack([TRACK], model)), _like(model)
+    found = [Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)] if linear else []
+    if linear and camera is None and not complete:
+        return found
+    if not all(in_lanes):
+        found.append(Rehearsal(f"offline {_kind(model)}", lambda: _solve(like), 25.0))
+    if any(in_lanes):
+        found.append(Rehearsal(f"lanes {_kind(model)}", lambda: _solve(like, in_lanes=True), 25.0))
+    return found
+
+
+def _graph_rehearsal(model: Model | None) -> Rehearsal:
+    """Return the rehearsal of GTSAM's engines; without basin search and coupling modes for None."""
+    known = None if model is None else model.compiled
+    if known is None or not (known.has_body or known.has_head):
+        return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
+    return Rehearsal(f"graph {_kind(known)}", lambda: _search(_like(known)), 8.0)
+
+
+def _online_rehearsal(model: Model) -> Rehearsal:
+    """Return the rehearsal of the compiled window."""
+    like = _like(model)
+    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 0.15, 1e-8, 5)), 20.0)
+
+
+def _like(model: Model) -> Model:
+    """A model that calls the same functions, with any parameters."""
+    if has_own_kernels(model):
+        return Model(model.preset, terms=model.own_terms)
+    return Model("full" if model.has_modes else "joint")
+
+
+def _kind(model: Model) -> str:
+    """Return a key of the functions that a model calls."""
+    own = [f" {kind.__module__}.{kind.__qualname__}" for kind in model.own_terms if "kernels" in vars(kind)]
+    return ("modes" if model.has_modes else "angles") + "".join(own)
+
+
+def _solve(model: Model, *, in_lanes: bool = False) -> None:
+    calibration = calibration_of(model.parameters)
+    solve_packed(pack_to_solve([TRACK], model), model, in_lanes=in_lanes, calibration=calibration)
+
+
+def _search(model: Model) -> None:
+    initial_states(TRACK, Model("position"))
+    view, states = ChainView(model), np.zeros((len(TRACK), 6))
+    view.follow(chain(TRACK), states, None, whole=True)
+    view.other(states, 0.0)
+    if model.has_modes:
+        view.renew(states)
+        view.widen(states, np.zeros((len(TRACK), 6, 6)))
+
+
+def _slide(window: ChainWindow) -> None:
+    previous = None
+    for k, observation in enumerate(observations(TRACK)):
+        step = Step(k, observation, previous, seconds_between(previous, observation), previous is None)
+        window.extend(step, (*TRACK.position[k].tolist(), 0.0, 0.0, 0.0, 0.0))
+        previous = step.alone()

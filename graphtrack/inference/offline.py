@@ -23,10 +23,10 @@ from graphtrack.inference.engines import (
     SolverOptions,
     engine_of,
     estimated_tracks,
+    make_solver_ready,
     not_finite,
 )
 from graphtrack.inference.graph.batch import smooth_graph
-from graphtrack.inference.warm import make_solver_ready
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import LANES
 from graphtrack.model import Model

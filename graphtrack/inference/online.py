@@ -21,7 +21,13 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
-from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine, with_extreme_of
+from graphtrack.inference.engines import (
+    OnlineEngine,
+    check_lag,
+    make_online_ready,
+    online_engine,
+    with_extreme_of,
+)
 from graphtrack.inference.graph.coupling_modes import CouplingModeSmoother
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
@@ -37,7 +43,6 @@ from graphtrack.inference.state import (
     predicted,
     unpack_state,
 )
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS, seconds_between
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
@@ -179,7 +184,8 @@ class OnlineSmoother:
         InputError
             If a time or value is not a number within bounds. The state is then unchanged.
         """
-        return self._take(*_with_walls([self], [self.usable(observation)]))
+        (estimate,) = self.update_together([self], [self.usable(observation)])
+        return estimate
 
     def usable(self, observation: Observation) -> Observation:
         """Return the checked observation, with the position of its pixel; InputError as `update`."""
@@ -202,15 +208,13 @@ class OnlineSmoother:
         windows: list[ChainWindow] = []
         steps: list[Step] = []
         for k, (smoother, observation) in enumerate(zip(smoothers, observations, strict=True)):
-            window = smoother._smoother
-            if (
-                isinstance(window, ChainWindow)
-                and window.steps
-                and observation.t > window.steps[-1].observation.t
-            ):
+            window, before = smoother._smoother, smoother._smoother.steps
+            if isinstance(window, ChainWindow) and before and observation.t > before[-1].observation.t:
                 indices.append(k)
                 windows.append(window)
-                steps.append(smoother._next_step(observation, window.steps[-1]))
+                # A window needs no link to its newest step.
+                dt = observation.t - before[-1].observation.t
+                steps.append(Step(smoother._next_index, observation, None, dt, False, smoother.camera))
             else:
                 estimates[k] = smoother._take(observation)
         for k, found in zip(indices, extend_together(windows, steps), strict=True):
@@ -318,9 +322,6 @@ class OnlineSmoother:
 
     def _append(self, observation: Observation) -> Estimate:
         steps, smoother = self._smoother.steps, self._smoother
-        if steps and isinstance(smoother, ChainWindow):
-            (found,) = extend_together([smoother], [self._next_step(observation, steps[-1])])
-            return self._extended(found, observation)
         previous = steps[-1].alone() if steps else None
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
@@ -329,11 +330,6 @@ class OnlineSmoother:
             return self._extended(smoother.extend(step, predicted(step, before)), observation)
         except FAILURES as error:
             return self._extended(error, observation)
-
-    def _next_step(self, observation: Observation, newest: Step) -> Step:
-        """The step after the newest of a chain's window, which needs no link to it."""
-        dt = observation.t - newest.observation.t
-        return Step(self._next_index, observation, None, dt, False, self.camera)
 
     def _extended(self, found: Newest | Exception, observation: Observation) -> Estimate:
         if isinstance(found, Exception):

@@ -18,7 +18,7 @@ from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, TIME_TOLERANCE, 
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS
 from graphtrack.packages import gtsam
-from graphtrack.saved import DAMAGES, damaged, from_text, integer, real, to_text
+from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, real, unpack_tree
 from graphtrack.tracks.display import html_pairs
 from graphtrack.tracks.schema import INPUT_NAME, is_input_name
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
@@ -364,42 +364,27 @@ class SavedState(NamedTuple):
 
 
 def pack_state(saved: SavedState) -> dict[str, Any]:
-    """A state as JSON-able data: NaN becomes null, and arrays Base64 of their bytes."""
+    """A state as JSON-able data: arrays as Base64 of their bytes."""
     window, prior, last = saved.window, saved.window.prior, saved.last
+    steps = [
+        {name: getattr(step, name) for name in ("index", "starts", "dt")}
+        | {"observation": pack_observation(step.observation)}
+        for step in window.steps
+    ]
+    arrays = {
+        "states": window.states,
+        "prior": None if prior is None else vars(prior),
+        "anchor": None if window.anchor is None else np.array(window.anchor),
+        "modes": window.modes,
+    }
     return {
         "version": STATE_VERSION,
         "engine": saved.engine,
         "next_index": saved.next_index,
-        "steps": [
-            {
-                "index": step.index,
-                "starts": step.starts,
-                "dt": step.dt,
-                "values": _nulls(state),
-                "observation": pack_observation(step.observation),
-            }
-            for step, state in zip(window.steps, window.states.tolist(), strict=True)
-        ],
-        "prior": None
-        if prior is None
-        else {
-            "information": prior.information.tolist(),
-            "linear": prior.linear.tolist(),
-            "point": prior.point.tolist(),
-            "constant": prior.constant,
-        },
-        "anchor": None if window.anchor is None else _nulls(window.anchor),
-        "modes": None if window.modes is None else window.modes.tolist(),
-        "arrays": {name: to_text(values) for name, values in saved.arrays.items()},
-        "last": None
-        if last is None
-        else {
-            "t": last.t,
-            "frame": last.frame,
-            "state": _nulls((*last.position, *last.velocity, last.body, last.head)),
-            "covariance": [_nulls(row) for row in last.covariance],
-            "modes": _nulls((last.aligned_p, last.gait_offset, last.glance_p)),
-        },
+        "steps": steps,
+        "window": pack_tree(arrays),
+        "arrays": pack_tree(saved.arrays),
+        "last": None if last is None else _pack_estimate(last),
     }
 
 
@@ -421,18 +406,17 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
     try:
         return SavedState(
             state["engine"],
-            _window(state, camera),
-            {name: from_text(text) for name, text in state["arrays"].items()},
-            None if state["last"] is None else _estimate(state["last"]),
+            _unpack_window(state, camera),
+            unpack_tree(state["arrays"]),
+            None if state["last"] is None else _unpack_estimate(state["last"]),
             integer(state["next_index"]),
         )
     except DAMAGES as error:
         raise damaged(error) from error
 
 
-def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
+def _unpack_window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     steps: list[Step] = []
-    states = np.empty((len(state["steps"]), N))
     for entry in state["steps"]:
         previous = steps[-1].alone() if steps else None
         observation = unpack_observation(entry["observation"])
@@ -442,49 +426,41 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
         if steps and not observation.t > steps[-1].observation.t:
             raise ValueError("steps that are not in order")
         steps.append(Step(integer(entry["index"]), observation, previous, dt, entry["starts"], camera))
-        states[len(steps) - 1] = _nans(entry["values"]).reshape(N)
-    prior = None
-    if state["prior"] is not None:
-        saved = state["prior"]
-        linear, point = (_nans(saved[name]).reshape(N) for name in ("linear", "point"))
-        prior = MarginalPrior(
-            _matrix(saved["information"]).reshape(N, N), linear, point, real(saved["constant"])
-        )
-    anchor = None
-    if state["anchor"] is not None:
-        body, head = _nans(state["anchor"]).tolist()
-        anchor = (body, head)
-    modes = None if state["modes"] is None else _matrix(state["modes"])
+    saved = unpack_tree(state["window"])
+    prior, anchor, modes = saved["prior"], saved["anchor"], saved["modes"]
+    if prior is not None:
+        linear, point = (prior[name].reshape(N) for name in ("linear", "point"))
+        prior = MarginalPrior(prior["information"].reshape(N, N), linear, point, real(prior["constant"]))
+    if anchor is not None:
+        body, head = anchor.tolist()
+        anchor = body, head
     if modes is not None and (modes.shape[0] != 2 or not modes.size):
         raise ValueError(f"modes {modes.shape}")
-    return Window(tuple(steps), states, prior, anchor, modes)
+    return Window(tuple(steps), saved["states"].reshape(len(steps), N), prior, anchor, modes)
 
 
-def _estimate(saved: dict[str, Any]) -> Estimate:
-    state = _nans(saved["state"]).reshape(6)
-    aligned, offset, glance = _nans(saved["modes"]).tolist()
+def _pack_estimate(last: Estimate) -> dict[str, Any]:
+    state = np.array([*last.position, *last.velocity, last.body, last.head])
+    modes = np.array([last.aligned_p, last.gait_offset, last.glance_p])
+    return {
+        "t": last.t,
+        "frame": last.frame,
+        **pack_tree({"state": state, "covariance": last.covariance, "modes": modes}),
+    }
+
+
+def _unpack_estimate(saved: dict[str, Any]) -> Estimate:
+    arrays = unpack_tree(saved)
+    x, y, vx, vy, body, head = arrays["state"].tolist()
     return Estimate(
         real(saved["t"]),
         integer(saved["frame"]),
-        state[:2],
-        state[2:4],
-        float(state[4]),
-        float(state[5]),
-        _matrix(saved["covariance"]).reshape(6, 6),
+        np.array([x, y]),
+        np.array([vx, vy]),
+        body,
+        head,
+        arrays["covariance"].reshape(N, N),
         "new",
-        aligned_p=aligned,
-        gait_offset=offset,
-        glance_p=glance,
+        "",
+        *arrays["modes"].tolist(),
     )
-
-
-def _matrix(rows: list[list[float | None]]) -> FloatArray:
-    return np.array([_nans(row) for row in rows])
-
-
-def _nulls(numbers: Any) -> list[float | None]:
-    return [None if math.isnan(x) else float(x) for x in numbers]
-
-
-def _nans(numbers: list[float | None]) -> FloatArray:
-    return np.array([math.nan if x is None else real(x) for x in numbers], dtype=float)

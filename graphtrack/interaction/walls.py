@@ -8,15 +8,26 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import Failure, Solution
-from graphtrack.model.terms.walls import barrier_depth, with_walls, without_walls
-from graphtrack.tracks.track import TrackSet
+from graphtrack.model.terms.walls import WALL_INPUT, barrier_depth
+from graphtrack.tracks.track import Track, TrackSet
 
 ROUNDS = 4
 """Most rounds in which walls are selected at the previous estimates."""
 
 Solve = Callable[[TrackSet], list[Solution | Failure]]
+
+
+def with_walls(track: Track, position: FloatArray, area: WalkableArea) -> Track:
+    """Return a track with the input `WALL_INPUT` of walls near positions (n, 2), one a frame."""
+    return replace(track, inputs={**track.inputs, WALL_INPUT: area.walls(position)})
+
+
+def without_walls(track: Track) -> Track:
+    """Return a track without the input `WALL_INPUT`."""
+    return replace(track, inputs={name: one for name, one in track.inputs.items() if name != WALL_INPUT})
 
 
 def solve_inside(

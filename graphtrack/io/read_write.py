@@ -164,7 +164,8 @@ def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -
         raise error.at(hint=hint_for(error, native=strict)) from error
     if found is not options:
         notes += unit_notes(found, rows.channels["t"])
-    return place_pixels(rows.with_notes(*notes), found)
+    rows = rows.with_notes(*notes)
+    return place_pixels(rows, found) if "pixel" in rows.channels else rows
 
 
 def read_with(

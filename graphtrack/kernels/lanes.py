@@ -39,24 +39,20 @@ from numba.extending import (
 from graphtrack.kernels.layout import LANES
 
 _FLAGS = ("contract", "reassoc", "nsz", "arcp")
-_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
-_BITS = ir.VectorType(ir.IntType(1), LANES)
 
 
-class _LanesType(types.Type):
+class _VectorType(types.Type):
+    """A vector of ``element``, into which numbers of the ``plain`` type are converted."""
+
+    def __init__(self, name: str, plain: type[types.Type], element: ir.Type) -> None:
+        self.plain, self.vector = plain, ir.VectorType(element, LANES)
+        super().__init__(name=name)
+
     def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
-        return numba.core.typeconv.Conversion.safe if isinstance(other, types.Number) else None
+        return numba.core.typeconv.Conversion.safe if isinstance(other, self.plain) else None
 
     def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
-        return self if isinstance(other, types.Number) else None
-
-
-class _MaskType(types.Type):
-    def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
-        return numba.core.typeconv.Conversion.safe if other == types.boolean else None
-
-    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
-        return self if other == types.boolean else None
+        return self if isinstance(other, self.plain) else None
 
 
 class LaneArrayType(types.Type):
@@ -72,19 +68,14 @@ class LaneArrayType(types.Type):
         super().__init__(name=f"LaneArray({dims}, {masked}, {dtype})")
 
 
-Lanes, LaneMask = _LanesType(name="Lanes"), _MaskType(name="LaneMask")
+Lanes = _VectorType("Lanes", types.Number, ir.DoubleType())
+LaneMask = _VectorType("LaneMask", types.Boolean, ir.IntType(1))
 
 
-@register_model(_LanesType)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, _DOUBLES)
-
-
-@register_model(_MaskType)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, _BITS)
+@register_model(_VectorType)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: _VectorType) -> None:
+        super().__init__(manager, kind, kind.vector)
 
 
 @register_model(LaneArrayType)
@@ -119,11 +110,10 @@ def _binary(
     operators: tuple[Callable[..., Any], ...], emit: Callable[[Any, Any, Any], Any], of: Any, to: Any
 ) -> None:
     """Register operators of two such numbers, or of one and a plain number."""
-    plain = types.Boolean if of == LaneMask else types.Number
 
     class Template(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
-            known = all(arg == of or isinstance(arg, plain) for arg in args)
+            known = all(arg == of or isinstance(arg, of.plain) for arg in args)
             return signature(to, of, of) if len(args) == 2 and of in args and known else None
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -155,41 +145,31 @@ _binary((operator.and_, operator.iand), lambda builder, x, y: builder.and_(x, y)
 _binary((operator.or_, operator.ior), lambda builder, x, y: builder.or_(x, y), LaneMask, LaneMask)
 
 
-@infer_global(operator.neg)
-class _Negative(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(Lanes, Lanes) if args == (Lanes,) else None
-
-
-@lower_builtin(operator.neg, Lanes)
-def _negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.fsub(ir.Constant(_DOUBLES, [-0.0] * LANES), args[0])
-
-
-def _unary(name: str) -> Any:
-    """An LLVM intrinsic."""
+def unary(name: str) -> Any:
+    """An LLVM intrinsic, of a float or of lanes."""
 
     @intrinsic
     def call(_context: Any, x: Any) -> Any:
         def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
-            function = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(_DOUBLES, [_DOUBLES]), f"llvm.{name}.v{LANES}f64"
-            )
+            kind, of = args[0].type, f"v{LANES}f64" if x == Lanes else "f64"
+            one = ir.FunctionType(kind, [kind])
+            function = cgutils.get_or_insert_function(builder.module, one, f"llvm.{name}.{of}")
             return builder.call(function, args)
 
-        return Lanes(Lanes), emit
+        return x(x), emit
 
     return call
 
 
-def of_lanes(function: Callable[..., Any], own: Callable[..., Any]) -> None:
-    """Replace a function of Python's library by ``own`` for lanes in compiled code."""
-    # Without annotations, which numba compares.
-    overload(function)(lambda x: (lambda x: own(x)) if x == Lanes else None)
+def of_lanes(function: Callable[..., Any], own: Callable[[Any], Any]) -> None:
+    """Replace a function of Python's by ``own``, a lambda of x, for lanes in compiled code."""
+    overload(function)(lambda x: own if x == Lanes else None)
 
 
-for _known, _own in ((math.sqrt, _unary("sqrt")), (abs, _unary("fabs"))):
-    of_lanes(_known, _own)
+_root, _size = unary("sqrt"), unary("fabs")
+of_lanes(math.sqrt, lambda x: _root(x))
+of_lanes(abs, lambda x: _size(x))
+of_lanes(operator.neg, lambda x: -0.0 - x)
 
 
 # -- in place of branches ----------------------------------------------------------------------------------
@@ -252,7 +232,7 @@ def only_lane(_context: Any, condition: Any, lane: Any) -> Any:
         holds = ir.Constant(ir.IntType(1), 1)
         if condition == types.boolean:
             return holds
-        return builder.insert_element(ir.Constant(_BITS, [0] * LANES), holds, args[1])
+        return builder.insert_element(ir.Constant(LaneMask.vector, [0] * LANES), holds, args[1])
 
     return condition(condition, types.intp), emit
 
@@ -267,7 +247,7 @@ def _made(context: Any, builder: Any, kind: Any, data: Any) -> Any:
 
 
 def _lanes_at(builder: Any, data: Any) -> Any:
-    return builder.bitcast(data, _DOUBLES.as_pointer())
+    return builder.bitcast(data, Lanes.vector.as_pointer())
 
 
 @intrinsic(prefer_literal=True)
@@ -284,16 +264,21 @@ def _viewed(array: Any, to: Any, *strides: Any) -> Any:
     return to(array, *strides), emit
 
 
+_SIZES: dict[type, dict[str, int]] = {}
+
+
+def sized(kind: Any, size: int, **others: int) -> None:
+    """State the sizes of the arrays of a named tuple after their first axis; ``others``: by name."""
+    _SIZES[kind] = dict.fromkeys(kind._fields, size) | others
+
+
 @intrinsic
 def lane_memory(_context: Any, memory: Any) -> Any:
-    """A named tuple of arrays, those of floats as arrays of lanes; or None.
-
-    Its class has their ``SIZES`` after the first axis by name, and the ``SIZE`` of all others.
-    """
+    """A named tuple of arrays, those of floats as arrays of lanes by `sized`; or None."""
     if isinstance(memory, types.NoneType):
         return memory(memory), lambda context, builder, sig, args: args[0]
     made = memory.instance_class
-    sizes = [made.SIZES.get(name, made.SIZE) for name in memory.fields]
+    sizes = [_SIZES[made][name] for name in memory.fields]
     kinds = [
         LaneArrayType((size,) * (array.ndim - 2)) if array.dtype == types.float64 else array
         for array, size in zip(memory.types, sizes, strict=True)

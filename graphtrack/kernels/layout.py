@@ -53,22 +53,11 @@ def record_type(fields: Iterable[Field]) -> np.dtype:
     return np.dtype([(f.name, float, f.shape) for f in dict.fromkeys(fields)])
 
 
-def number_rows(records: np.ndarray) -> np.ndarray:
-    """The same records (n,) as rows (n, numbers) of floats, in the same memory."""
-    return records.view(float).reshape(len(records), -1)
-
-
-def place_in_row(field: str, record: np.dtype) -> int:
-    """Return the place of a number in such a row."""
-    assert record.fields is not None
-    return int(record.fields[field][1]) // 8
-
-
 class Problem(NamedTuple):
     """Some tracks end to end, as the kernels read them: N frames, m tracks."""
 
-    records: np.ndarray  # (N,) of the program's FRAME
-    shared: np.ndarray  # (1,) of its SHARED
+    records: np.ndarray  # (N,) of the program's type; a gate is 0 where its kernel is not called
+    shared: np.ndarray  # (1,) fields shared by all frames
     body_heights: FloatArray  # (N, classes + 1), or no rows without class likelihoods
     head_heights: FloatArray
     body_directions: FloatArray  # (classes, 2) cosines and sines of the centres
@@ -130,7 +119,7 @@ class Kernel:
     variables, before : variables of the frame, and of the previous frame, whose derivatives it adds
     unless : field that disables it where that is greater than 0
     names : parameter → its argument, where that has another name
-    switched : True if the coupling modes switch it; see `gait.GaitOffsets`
+    switched : True if the coupling modes switch it; see `couplings.GaitOffsets`
     add_quarter_turns : compiled; a faster evaluation of the cost in four directions, if there is one. Adds
         to ``cost`` (4,) the kernel's cost at its orientation, and at one, two and three quarter turns from it
     """

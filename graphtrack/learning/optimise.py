@@ -17,10 +17,10 @@ from scipy import optimize
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, von_mises_log_density
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.batch import Options, solve_packed, solve_terms
+from graphtrack.inference.chain.batch import PASSES, Options, solve_packed, solve_terms
 from graphtrack.inference.chain.initialisation import empty_result, pack, problem_of
 from graphtrack.inference.chain.newton import NOT_FINITE, Result, Workspace, factorise, workspace
-from graphtrack.inference.warm import make_solver_ready
+from graphtrack.inference.engines import make_solver_ready
 from graphtrack.kernels.compilation import allocating
 from graphtrack.kernels.layout import BODY, HEAD, Chain, N, Problem
 from graphtrack.model import Model
@@ -307,10 +307,8 @@ class Solver:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        memory = workspace(self._longest)
-        options = Options(MAX_ITERATIONS, TOLERANCE, search=False)
-        solve_terms(model, problem, options, result, memory=memory)
-        return Solved(packed, problem, result, memory, model.parameters.motion)
+        solve_terms(model, problem, Options(MAX_ITERATIONS, TOLERANCE, PASSES, search=False), result)
+        return Solved(packed, problem, result, workspace(self._longest), model.parameters.motion)
 
 
 Criterion = Literal["truth", "evidence", "prediction"]

@@ -1,7 +1,7 @@
 """Coupling modes given the states: the mode of each coupling, and the resulting coupling.
 
-The hidden Markov chains of `graphtrack.model.terms.gait`, by the forward–backward recursion; the couplings of
-next descent are the expectation over modes and offsets. One source for a single track and for lanes.
+The hidden Markov chains of `graphtrack.model.terms.couplings`, by the forward–backward recursion; the
+couplings of the next descent are the expectation over modes and offsets. One source, also for lanes.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.arithmetic import cos_sin, direction_of, exp, floor_of, log
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
-from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
+from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane, sized
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, Problem
-from graphtrack.model.terms.couplings import squared_excess
-from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
+from graphtrack.model.terms.couplings import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes, squared_excess
 from graphtrack.model.terms.motion import steer
 
 BODY_MODE, HEAD_MODE = 0, 1  # Places of the two couplings in arrays of both
@@ -45,7 +44,8 @@ class ModeMemory(NamedTuple):
     held: FloatArray  # (n, 4) offset from motion to body, cosine and sine; probabilities: aligned, a glance
     spread: FloatArray  # (n, 2) standard deviation of the pull of each coupling
 
-    SIZE, SIZES = ROW, {"ahead": 3, "held": 4, "spread": 2}
+
+sized(ModeMemory, ROW, ahead=3, held=4, spread=2)
 
 
 @allocating
@@ -130,7 +130,7 @@ class Base(NamedTuple):
 def add_angle_evidence(
     row: FloatArray, modes: Modes, base: Any, cos: Any, sin: Any, kappa: Any, uniform: Any
 ) -> None:
-    """Add the log likelihood (BASE,) of an observed angle at each offset; see `pose.add_angle`."""
+    """Add the log likelihood (BASE,) of an observed angle at each offset; see `orientation.add_angle`."""
     known = base.weight * kappa > 0.0
     if not any_of(known):
         return
@@ -152,7 +152,7 @@ def add_angle_evidence(
 def add_class_evidence(
     row: FloatArray, modes: Modes, base: Any, heights: FloatArray, directions: FloatArray, kappa: Any
 ) -> None:
-    """The same for class likelihoods; ``heights`` and ``directions`` as in `pose.add_classes`."""
+    """The same for class likelihoods; ``heights`` and ``directions`` as in `orientation.add_classes`."""
     if not any_of(base.weight * kappa > 0.0):
         return
     n_classes = len(heights) - 1

@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import GraphtrackError
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
 from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, Kernel, N
 from graphtrack.model.observation import Step
-from graphtrack.model.packing import PackedTracks
+from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks
 from graphtrack.packages import gtsam
-from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
 
 def von_mises_noise(kappa: float) -> gtsam.noiseModel.Base:
@@ -153,7 +152,7 @@ COUPLED = (
     "steer_cross",
     "steer_spread",
 )
-"""The fields of a frame that the coupling modes set; see `gait.GaitOffsets`."""
+"""The fields of a frame that the coupling modes set; see `couplings.GaitOffsets`."""
 
 Couplings = Mapping[int, Sequence[float]]  # Index of a step → values of its `COUPLED` fields
 
@@ -165,8 +164,8 @@ _CONSTANTS: dict[str, Any] = {
     "exact": False,
     "origin_x": 0.0,
     "origin_y": 0.0,
-    "body_directions": unit(class_centres(BODY_CLASSES)),
-    "head_directions": unit(class_centres(HEAD_CLASSES)),
+    "body_directions": CLASS_DIRECTIONS[0],
+    "head_directions": CLASS_DIRECTIONS[1],
 }
 
 _SCRATCH = {

@@ -13,7 +13,6 @@ import inspect
 import sys
 import textwrap
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -26,34 +25,13 @@ from numba.extending import overload
 from graphtrack.errors import InputError
 from graphtrack.kernels.compilation import INNER, OPTIONS
 from graphtrack.kernels.lanes import LaneArrayType
-from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of
+from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of, record_type
 from graphtrack.model import Model, Term, program
 from graphtrack.model.model import every_term
 from graphtrack.model.packing import RecordTypes
 
 if TYPE_CHECKING:
     from graphtrack.model.term import Term
-
-
-_FUNCTIONS: dict[tuple[str, ...], Any] = {}  # Names of the fields of a record → the functions of its program
-
-
-@dataclass(frozen=True, eq=False)
-class FrameProgram:
-    """Record types of a frame program, and the gates of links to the previous frame and of the modes."""
-
-    types: RecordTypes
-    links: tuple[str, ...]
-    switched: tuple[str, ...]
-
-    @classmethod
-    def of(cls, functions: Any) -> FrameProgram:
-        """The program whose functions and types are the attributes of a module or a namespace."""
-        _FUNCTIONS[functions.FRAME.names] = functions
-        return cls(RecordTypes(functions.FRAME, functions.SHARED), functions.LINKS, functions.SWITCHED)
-
-
-OF_PRESETS = FrameProgram.of(program)  # The program of the package's terms
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
@@ -118,8 +96,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 {imports}
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
@@ -178,8 +154,8 @@ def set_quarter_turns(
 '''
 
 
-class Program:
-    """The source of the frame program of some terms.
+class FrameProgram:
+    """The frame program of some terms: the types of its records, and its source.
 
     Parameters
     ----------
@@ -188,32 +164,44 @@ class Program:
     more_terms : terms whose fields alone it has, since other functions read them
     *fields : further fields of the record
 
+    Attributes
+    ----------
+    types : of the records of frames, and of the fields that all frames share
+    links, switched : gates of links to the previous frame, and of kernels that the coupling modes switch
+
     Raises
     ------
     ValueError
-        For kernels with unknown parameters or gates, and for two fields of one name.
+        For two fields of one name; from `source` for kernels with unknown parameters or gates.
     """
 
     def __init__(
         self, terms: Iterable[type[Term]], title: str, more_terms: Iterable[type[Term]] = (), *fields: Field
     ) -> None:
-        terms = list(terms)
+        terms, self._title = list(terms), title
         every = [*more_terms, *terms]
-        self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields]))
-        self.shared = tuple(dict.fromkeys(f for term in every for f in term.shared))
-        self.kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
-        self._modules: dict[str, str] = {}
-        self._frame_names = {f.name for f in self.fields}
-        names = [f.name for f in (*self.fields, *self.shared)]
+        frame = dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields])
+        shared = dict.fromkeys(f for term in every for f in term.shared)
+        names = [f.name for f in (*frame, *shared)]
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise ValueError(f"found two fields named {', '.join(sorted(double))}, expected other names")
-        self._known = {name: f"shared.{name}" for name in names} | _GIVEN
+        self.types = RecordTypes(record_type(frame), record_type(shared))
+        self._kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
+        self.links = tuple(dict.fromkeys(kernel.gate for kernel in self._kernels if kernel.before))
+        self.switched = tuple(dict.fromkeys(kernel.gate for kernel in self._kernels if kernel.switched))
+        self._modules: dict[str, str] = {}
+        self._frame_names = {f.name for f in frame}
+        self._known = {f.name: f"shared.{f.name}" for f in shared} | _GIVEN
         self._known |= {name: f"frame.{name}" for name in self._frame_names}
-        body = self._types() + self._frame() + self._cut() + self._quarter_turns()
+
+    @property
+    def source(self) -> str:
+        """The text of its functions."""
+        body = self._frame() + self._cut() + self._quarter_turns()
         aliases = sorted(self._modules.items(), key=lambda alias: alias[1])
         imports = "\n".join(f"import {module} as {alias}" for alias, module in aliases)
-        self.source = _HEADER.format(title=title, imports=imports) + body
+        return _HEADER.format(title=self._title, imports=imports) + body
 
     def _name(self, function: Function) -> str:
         """The name of a function in the program, which imports its module."""
@@ -246,32 +234,11 @@ class Program:
             gate = f"({gate}) & negate(frame.{kernel.unless} > 0.0)"
         return textwrap.indent(f"gate = {gate}\nif any_of(gate):\n", " " * indent)
 
-    def _types(self) -> str:
-        text = ""
-        for name, fields, what in (
-            ("FRAME", self.fields, "One frame. A gate is 0 where its kernel is not called."),
-            ("SHARED", self.shared, "Fields shared by all frames of a job."),
-        ):
-            text += f"{name} = np.dtype([\n"
-            for f in fields:
-                shape, meaning = f", {f.shape}" if f.shape else "", f"  # {f.meaning}" if f.meaning else ""
-                text += f'    ("{f.name}", float{shape}),{meaning}\n'
-            text += f'])\n"""{what}"""\n\n'
-        links = [kernel.gate for kernel in self.kernels if kernel.before]
-        switched = [kernel.gate for kernel in self.kernels if kernel.switched]
-        for name, gates, what in (
-            ("LINKS", links, "Gates of links to the previous frame."),
-            ("SWITCHED", switched, "Gates of kernels that the coupling modes switch."),
-        ):
-            quoted = "".join(f'"{gate}", ' for gate in dict.fromkeys(gates)).strip()
-            text += f'{name} = ({quoted})\n"""{what}"""\n\n'
-        return text
-
     def _frame(self) -> str:
         text = _FRAME
         for links in (True, False):
             text += "" if links else "    if own:\n"
-            for kernel in self.kernels:
+            for kernel in self._kernels:
                 if bool(kernel.before) is links:
                     text += self._opened(kernel, 8)
                     line = " " * 12 + "cost += choose(gate, {}, 0.0)"
@@ -279,13 +246,12 @@ class Program:
         return text + "    return cost\n\n"
 
     def _cut(self) -> str:
-        links = dict.fromkeys(kernel.gate for kernel in self.kernels if kernel.before)
-        return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in links) + "\n"
+        return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in self.links) + "\n"
 
     def _quarter_turns(self) -> str:
         """Calls of the kernels that the basin search tabulates."""
         text = _QUARTERS
-        for kernel in self.kernels:
+        for kernel in self._kernels:
             name = kernel.orientation
             if name is None or "start" in kernel.arguments:
                 continue
@@ -300,6 +266,11 @@ class Program:
             text += self._call(line, kernel.function, kernel.names, here)
             text += "            cos, sin = -sin, cos\n"
         return text
+
+
+OF_PRESETS = FrameProgram(every_term(), "the presets' terms")
+_FUNCTIONS: dict[tuple[str, ...], Any] = {OF_PRESETS.types.frame.names or (): program}
+"""Names of the fields of a record → the functions of its program."""
 
 
 def program_of(model: Model) -> FrameProgram:
@@ -324,11 +295,12 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
     title = ", ".join(kind.__name__ for kind in kinds)
     name = f"program_{_digest(functions)}"
     # The names of the record's fields distinguish the solver's machine code on disk.
-    source = Program(kinds, title, every_term(), Field(name, "program of the record")).source
+    made = FrameProgram(kinds, title, every_term(), Field(name, "program of the record"))
     # Machine code on disk names the module of each function, which is imported when it is loaded.
     module = sys.modules[name] = ModuleType(name)
-    exec(compile(source, f"<{name}>", "exec"), vars(module))
-    return FrameProgram.of(module)
+    exec(compile(made.source, f"<{name}>", "exec"), vars(module))
+    _FUNCTIONS[made.types.frame.names or ()] = module
+    return made
 
 
 def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
@@ -366,5 +338,4 @@ def _digest(functions: Iterable[Function]) -> str:
 
 
 if __name__ == "__main__":
-    written = Program(every_term(), "the presets' terms").source
-    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")
+    Path(__file__).with_name("program.py").write_text(OF_PRESETS.source, encoding="utf-8")

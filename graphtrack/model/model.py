@@ -26,13 +26,17 @@ from graphtrack.model.parameters import (
 )
 from graphtrack.model.term import FramePacker, Term, types_of
 from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
-from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.terms.gait import GaitOffsets
+from graphtrack.model.terms.couplings import BodyFollowsMotion, GaitOffsets, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion, Motion
+from graphtrack.model.terms.orientation import (
+    Anchor,
+    BodyDynamics,
+    BodyLikelihood,
+    HeadDynamics,
+    HeadLikelihood,
+)
 from graphtrack.model.terms.place import PlacePrior
-from graphtrack.model.terms.pose import Anchor, BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.packages import gtsam
 from graphtrack.tracks.display import html_table, listed, shortened
 from graphtrack.tracks.scene import GivenScene, known_values
@@ -130,7 +134,7 @@ class Model:
         self.preset = preset
         self.parameters = default_parameters(preset) if parameters is None else parameters
         self.own_terms = tuple(terms)
-        self.scene = known_values(scene)
+        self.scene = {} if scene is None else known_values(scene)
         self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self.own_terms))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -10,9 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
+
+CLASS_DIRECTIONS = unit(class_centres(BODY_CLASSES)), unit(class_centres(HEAD_CLASSES))
+"""Cosines and sines (classes, 2) of the centres of the classes of body and head."""
 
 
 @dataclass(eq=False)
@@ -60,13 +63,11 @@ class PackedTracks:
     def channel(self, name: str) -> FloatArray | None:
         """One channel (N, …) of all tracks, NaN for tracks without it; None if no track has it."""
         values = [getattr(track, name) for track in self.tracks]
-        if len(values) == 1 or all(value is not None for value in values):
-            return values[0] if len(values) == 1 else np.concatenate(values)
-        shape = next((value.shape[1:] for value in values if value is not None), None)
-        if shape is None:
-            return None
+        known = next((value for value in values if value is not None), None)
+        if known is None or len(values) == 1:
+            return known
         parts = [
-            np.full((len(track), *shape), np.nan) if value is None else value
+            np.full((len(track), *known.shape[1:]), np.nan) if value is None else value
             for track, value in zip(self.tracks, values, strict=True)
         ]
         return np.concatenate(parts)
@@ -138,3 +139,20 @@ class RecordTypes(NamedTuple):
 
     frame: np.dtype
     shared: np.dtype
+
+
+def number_rows(records: np.ndarray) -> np.ndarray:
+    """The same records (n,) as rows (n, numbers) of floats, in the same memory."""
+    return records.view(float).reshape(len(records), -1)
+
+
+def place_in_row(field: str, record: np.dtype) -> int:
+    """Return the place of a number in such a row."""
+    assert record.fields is not None
+    return int(record.fields[field][1]) // 8
+
+
+def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
+    """A function of numbers (n,), evaluated once where all are equal."""
+    alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
+    return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)

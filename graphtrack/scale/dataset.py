@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -154,6 +155,16 @@ class Dataset:
             return InputError(found, expected, path=self.path, column=column)
         file = next(file for file in reversed(self.files) if file.first_row <= row)
         return InputError(found, expected, path=file.path, line=row - file.first_row + 1, column=column)
+
+    @contextmanager
+    def located(self) -> Iterator[None]:
+        """Replace the row of the data set in errors of the block by the file and the row in it."""
+        try:
+            yield
+        except InputError as error:
+            if error.path != str(self.path) or error.line is None:
+                raise
+            raise self.fail(error.found, error.expected, error.line - 1, error.column) from error
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -15,8 +15,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
-from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.terms.gait import BINS, gait_of
+from graphtrack.model.terms.couplings import BINS, BodyFollowsMotion, HeadFollowsBody, gait_of
 from graphtrack.model.terms.motion import smooth_speed, steered_step
 from graphtrack.packages import special
 

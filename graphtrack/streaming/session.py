@@ -21,9 +21,8 @@ from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import WalkableArea
-from graphtrack.inference.engines import OnlineEngine, online_engine
+from graphtrack.inference.engines import OnlineEngine, make_online_ready, online_engine
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.interaction import attention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded

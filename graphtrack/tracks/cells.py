@@ -77,7 +77,8 @@ class Layout:
     crs: str | None = None
 
     def __post_init__(self) -> None:
-        check_time_unit(self.time_unit)
+        if self.time_unit is not None:
+            check_time_unit(self.time_unit)
         if self.units is not None and self.units not in METRES:
             raise InputError(f"units = {self.units!r}", f"one of {', '.join(METRES)}")
         if self.crs is not None and self.units not in (None, "m"):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning, TrackIndexError, UnknownTrackError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, direction, unit, vectors_of
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
 from graphtrack.tracks.schema import COLUMNS, INPUT_NAME, Column, input_columns, is_input_name, numeric
@@ -515,6 +515,14 @@ class TrackSet:
             tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label, inputs))
         summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
         return cls(tuple(tracks), rows.camera, summary, rows.as_read)
+
+
+def observed_angle(track: Track, name: str) -> FloatArray:
+    """Observed angle (n,) of body or head in radians; NaN where unobserved."""
+    angle = getattr(track, name)
+    directions = None if angle is None else unit(angle)
+    vectors = vectors_of(directions, getattr(track, f"{name}_likelihood"), len(track))
+    return np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
 
 
 def _contents(tracks: Sequence[Track]) -> str:

@@ -32,7 +32,7 @@ from graphtrack.model import LikelihoodParameters, Model, Parameters
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE, mode_memory, renew_couplings
 from graphtrack.model.observation import observations
 from graphtrack.model.program import add_frame
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.terms.couplings import gait_of
 from graphtrack.smoothing import track_online
 
 
@@ -175,7 +175,8 @@ def test_the_sweeps_solve_the_chain() -> None:
     memory, hessians = workspace(n), [block.copy() for block in blocks]
     for k in range(n - 1):
         here, there = (Sums(np.zeros(6), hessians[j]) for j in (k, k + 1))
-        assert eliminate(k, here, links[k], there, memory)
+        rows = memory.inverse[k], memory.link[k], memory.solution[k]
+        assert eliminate(here, links[k], there, *rows)
     assert invert_cholesky(hessians[-1], memory.inverse[n - 1])
     states, spread = rng.normal(0.0, 1.5, (n, 6)), rng.uniform(0.1, 2.0, (n, 2))
     problem = problem_of(pack([walk(n)], Model("joint")))

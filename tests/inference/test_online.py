@@ -22,6 +22,7 @@ from graphtrack.inference.state import MarginalPrior, variable_keys
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
+from graphtrack.saved import packed
 from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import Track
 
@@ -402,17 +403,17 @@ def damage(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
     [
         lambda state: state.pop("version"),
         lambda state: state.pop("steps"),
-        lambda state: state["steps"][2].pop("values"),
-        lambda state: state["steps"][2].update(values="many"),
-        lambda state: state["steps"][2].update(values=[1.0, 2.0]),
+        lambda state: state["steps"].pop(),
+        lambda state: state["steps"][2].update(starts="many"),
+        lambda state: state["window"].update(states=packed(np.zeros((2, 6)))),
         lambda state: state["steps"][2]["observation"].update(colour="red"),
-        lambda state: state["prior"].update(information=[[1.0, "x"]]),
-        lambda state: state["prior"].update(information=[[1.0]]),
+        lambda state: state["window"]["prior"].update(information="x"),
+        lambda state: state["window"]["prior"].update(information=packed(np.ones((1, 1)))),
         lambda state: state["last"].pop("covariance"),
         lambda state: state.update(next_index=None),
         lambda state: state["arrays"].pop("search_from"),
-        lambda state: state["arrays"].update(search_from="AAAA"),
-        lambda state: state["arrays"].update(search_from="?"),
+        lambda state: state["arrays"].update(search_from=[[1], "f", "AAAA"]),
+        lambda state: state["arrays"].update(search_from=[[1], "f", "?"]),
     ],
 )
 def test_damaged_states_are_refused(change: Callable[[dict[str, Any]], Any]) -> None:

@@ -6,9 +6,10 @@ import shapely
 
 import graphtrack as gt
 from graphtrack.geometry.walkable import WalkableArea
+from graphtrack.interaction.walls import with_walls
 from graphtrack.model import Model
 from graphtrack.model.observation import States
-from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls
+from graphtrack.model.terms.walls import WALL_INPUT, StaysInside
 
 CORRIDOR = shapely.union_all([shapely.box(0, 0, 20, 2), shapely.box(18, 0, 20, 12)])
 NOISE = 0.3

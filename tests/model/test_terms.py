@@ -37,7 +37,7 @@ from graphtrack.model import (
     presets,
     program,
 )
-from graphtrack.model.generator import OF_PRESETS, Program
+from graphtrack.model.generator import OF_PRESETS
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
 from graphtrack.model.packing import PackedTracks
@@ -46,16 +46,17 @@ from graphtrack.model.term import filled
 from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion, Motion
-from graphtrack.model.terms.place import PlacePrior
-from graphtrack.model.terms.pose import (
+from graphtrack.model.terms.orientation import (
     Anchor,
+    BodyDynamics,
     BodyLikelihood,
+    HeadDynamics,
     HeadLikelihood,
     highest_log_density,
     mixture_log_density,
 )
+from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.tracks.track import Track
 
 PI = float(np.pi)
@@ -483,7 +484,7 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    source = Program(every_term(), "the presets' terms").source
+    source = OF_PRESETS.source
     assert Path(program.__file__).read_text(encoding="utf-8") == source
 
 
@@ -499,7 +500,7 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
         local = rows.copy()
         local[:, :2] -= packed.origin[0]
         gradients, hessians, turns = np.zeros((2, 6)), np.zeros((3, 6, 6)), np.zeros((2, 4))
-        out = (gradients[0], gradients[1], hessians[0], hessians[1], hessians[2])
+        out = (*map(Sums, gradients, hessians[:2]), hessians[2])
         start = local[0].copy()
         note_turns(0, local, turns)
         cost = program.add_frame(problem, 0, 1, start, local, True, True, True, turns, *out)

@@ -20,6 +20,7 @@ from graphtrack.inference.chain.covariance import (
     admit_rivals,
     calibrate_tracks,
     find_covariances,
+    hide,
 )
 from graphtrack.inference.chain.initialisation import (
     ObservedAngles,
@@ -58,7 +59,7 @@ from graphtrack.kernels.lanes import (
     negate,
     only_lane,
 )
-from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, Chain, N, Problem, X, Y, number_rows
+from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, Chain, N, Problem, X, Y
 from graphtrack.model import Model
 from graphtrack.model.coupling_modes import (
     ModeMemory,
@@ -69,8 +70,8 @@ from graphtrack.model.coupling_modes import (
     report_modes,
 )
 from graphtrack.model.generator import OF_PRESETS, program_of
-from graphtrack.model.packing import PackedTracks
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.packing import PackedTracks, number_rows
+from graphtrack.model.terms.couplings import gait_of
 from graphtrack.tracks.track import Track
 
 PASSES = 2
@@ -86,6 +87,7 @@ class Options(NamedTuple):
 
     max_iterations: int  # most steps of each descent
     tolerance: float  # of the cost, of the last descent; see `ON_THE_WAY`
+    passes: int  # alternations of coupling modes and states
     search: bool  # True for basin search
 
 
@@ -283,7 +285,7 @@ def solve_group(
     if gait is not None:
         # The first descent has no couplings; then modes and states alternate.
         put_back(group, guessed, workspace.before)
-        for left in range(PASSES - 1, -1, -1):
+        for left in range(options.passes - 1, -1, -1):
             last = left == 0
             tolerance = options.tolerance if last else on_the_way
             renew_couplings(chain, states, gait, classified, last, group.modes)
@@ -306,22 +308,24 @@ def solve_group(
 # -- one track after the other -------------------------------------------------------------------------------
 
 
-@compiled
+@inner_allocating
+def modes_of(gait: Any, n: int) -> Any:
+    """Memory for the coupling modes of up to n frames; None without modes."""
+    if gait is None:
+        return None
+    return mode_memory(n)
+
+
+@allocating
 def solve_tracks(
-    problem: Problem,
-    options: Options,
-    gait: Any,
-    guessed: BoolArray,
-    tracks: NDArray[np.int64],
-    workspace: Workspace,
-    modes: Any,
-    result: Result,
+    problem: Problem, longest: int, options: Options, gait: Any, guessed: BoolArray, result: Result
 ) -> None:
-    """Solve all tracks from the states in the result, in place; the other arrays are memory."""
+    """Solve all tracks, of up to ``longest`` frames, from the states in the result, in place."""
+    tracks, memory, modes = np.empty(1, np.int64), workspace(longest), modes_of(gait, longest)
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         tracks[0], chain = track, Chain(problem, track, b - a, float(b - a))
-        group = Group(chain, problem, tracks, result.states[a:b], result.covariance[a:b], workspace, modes)
+        group = Group(chain, problem, tracks, result.states[a:b], result.covariance[a:b], memory, modes)
         body, head = classified_in(problem, track)
         searched = options.search and (body or head)
         solve_group(group, options, gait, guessed, head, searched, result)
@@ -514,7 +518,7 @@ def solve_packed(
         problem, angles_observed = problem_of(packed), observed_angles(packed, model)
         initialise(linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
         guessed = never_observed(packed, angles_observed) if model.has_modes else NONE_GUESSED
-        options = Options(max_iterations, tolerance, basin_search)
+        options = Options(max_iterations, tolerance, PASSES, basin_search)
         solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     if calibration is not None:
@@ -531,7 +535,6 @@ def solve_terms(
     guessed: BoolArray = NONE_GUESSED,
     *,
     in_lanes: bool = False,
-    memory: Workspace | None = None,
 ) -> None:
     """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states."""
     lengths = np.diff(problem.offsets)
@@ -544,10 +547,7 @@ def solve_terms(
         arrays = lane_arrays(longest, numbers.shape[1], gait is not None)
         solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
     else:
-        memory = workspace(longest) if memory is None else memory
-        modes = None if gait is None else mode_memory(longest)
-        numbers = np.zeros(1, np.int64)
-        solve_tracks(problem, options, gait, guessed, numbers, memory, modes, result)
+        solve_tracks(problem, longest, options, gait, guessed, result)
 
 
 def never_observed(packed: PackedTracks, angles_observed: ObservedAngles) -> BoolArray:
@@ -589,9 +589,6 @@ def finish(
             state[Y] += origin[track, Y]
             for place, has in ((BODY, has_body), (HEAD, has_head)):
                 if not has:
-                    state[place] = math.nan
-                    for i in range(N):
-                        covariance[place, i] = math.nan
-                        covariance[i, place] = math.nan
+                    hide(place, state, covariance)
             if failed:
                 covariance[:] = math.nan

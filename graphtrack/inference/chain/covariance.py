@@ -26,7 +26,7 @@ from graphtrack.inference.chain.newton import (
     whiten,
 )
 from graphtrack.kernels.arithmetic import exp
-from graphtrack.kernels.compilation import allocating, compiled, inner, merged
+from graphtrack.kernels.compilation import allocating, compiled, inner
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE
@@ -70,15 +70,20 @@ def sweep_pulls(
 
 @inner
 def add_spread(
-    chain: Chain, states: FloatArray, spread: FloatArray, workspace: Workspace, covariance: FloatArray
+    chain: Chain,
+    states: FloatArray,
+    spread: FloatArray,
+    workspace: Workspace,
+    first: int,
+    covariance: FloatArray,
 ) -> None:
-    """Add the uncertainty of the modes of both couplings to covariances (n, 6, 6), by a factorisation."""
+    """Add the uncertainty of the modes of both couplings to covariances (n − first, 6, 6) from a frame on."""
     last = chain.n - 1
     for coupling in range(2):
         sweep_pulls(chain, states, coupling, spread, workspace)
-        for k in range(last, -1, -1):
+        for k in range(last, first - 1, -1):
             take_step(k, k < last, workspace)  # −u, with the same outer product
-            widen(covariance[k], workspace.step[k])
+            widen(covariance[k - first], workspace.step[k])
 
 
 @compiled
@@ -95,18 +100,7 @@ def spread_track(
 ) -> None:
     """Add the uncertainty of the modes to covariances (n, 6, 6) of a track; ``spread`` is (n, 2)."""
     if factorise(chain, states, workspace):
-        add_spread(chain, states, spread, workspace, covariance)
-
-
-@merged
-def spread_newest(
-    chain: Chain, states: FloatArray, spread: FloatArray, workspace: Workspace, covariance: FloatArray
-) -> None:
-    """Add the uncertainty of the modes to the newest frame's (6, 6), by `solve_window`."""
-    for coupling in range(2):
-        sweep_pulls(chain, states, coupling, spread, workspace)
-        take_step(chain.n - 1, as_variable(False), workspace)
-        widen(covariance, workspace.step[chain.n - 1])
+        add_spread(chain, states, spread, workspace, 0, covariance)
 
 
 @inner
@@ -119,14 +113,14 @@ def find_covariances(
     if any_of(exact):
         marginals(chain.n, workspace, covariance)
         if modes is not None:
-            add_spread(chain, states, modes.spread, workspace, covariance)
+            add_spread(chain, states, modes.spread, workspace, 0, covariance)
     if any_of(negate(exact)):
         # A saddle, or not converged: the positive semidefinite curvature.
         sweep_forward(chain, states, not full, workspace)
         correction = masked(covariance, negate(exact))
         marginals(chain.n, workspace, correction)
         if modes is not None:
-            add_spread(chain, states, modes.spread, workspace, correction)
+            add_spread(chain, states, modes.spread, workspace, 0, correction)
 
 
 SHRINK_WIDEST = 1e3  # Inverse curvature in rad² beyond which an angle is uniform
@@ -323,6 +317,14 @@ def calibrate_tracks(
         for k in range(first, last + 1):
             ends[k] = min(t[k] - t[first], t[last] - t[k])
     calibrate(covariances, states, ends, calibration)
+
+
+@inner
+def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
+    """Set variables outside the model to NaN."""
+    state[place] = math.nan
+    for i in range(N):
+        covariance[i, place] = covariance[place, i] = math.nan
 
 
 @compiled

@@ -32,13 +32,13 @@ from graphtrack.inference.state import (
     Window,
     leaving,
 )
-from graphtrack.kernels.layout import N, Problem, number_rows, place_in_row
+from graphtrack.kernels.layout import N, Problem
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import FrameProgram, program_of
-from graphtrack.model.packing import PackedTracks
+from graphtrack.model.packing import PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import FramePacker
-from graphtrack.model.terms.gait import Gait, gait_of
+from graphtrack.model.terms.couplings import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """Arrays of the last solution that the next observation reads; a row for each frame."""
@@ -49,7 +49,6 @@ others."""
 
 SLOTS = 32  # Windows per block
 _LEAST_FRAMES = 64
-_KNOWN = (math.nan, math.nan)
 
 
 class Slot:
@@ -411,21 +410,10 @@ def _advanced(
         (one._slot.number, adds, solves, one._warm, one._ambiguous, one._leaving(step) if solves else 0)
         for one, step in zip(windows, steps, strict=True)
     ]
-    guesses = np.array([_guess(step, first._model) for step in steps])
     found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 3), math.nan))
     gait = gait_of_model(first._model) if first._model.has_modes else None
-    advance(first._slot.windows, np.array(tasks, TASK), guesses, first._rules, gait, found)
+    advance(first._slot.windows, np.array(tasks, TASK), first._rules, gait, found)
     return found
-
-
-def _guess(step: Step, model: Model) -> Angles:
-    """Return initial angles for variables outside the model; NaN for those inside."""
-    if model.has_body and model.has_head:
-        return _KNOWN
-    observation = step.observation
-    body = next((one for one in (observation.body, observation.head) if one is not None), 0.0)
-    head = body if observation.head is None else observation.head
-    return math.nan if model.has_body else body, math.nan if model.has_head else head
 
 
 def _size_for(frames: int) -> int:

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
-from graphtrack.inference.chain.basin_search import AT_END, find_other_basin, unwind
-from graphtrack.inference.chain.covariance import Calibration, add_lags, calibrate_frame, spread_newest
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.basin_search import AT_END, find_other_basins, unwind
+from graphtrack.inference.chain.covariance import Calibration, add_lags, add_spread, calibrate_frame, hide
 from graphtrack.inference.chain.newton import (
     COST,
     EXACT,
@@ -54,7 +54,8 @@ from graphtrack.model.coupling_modes import (
     report_modes,
 )
 from graphtrack.model.generator import FrameProgram, add_frame, cut
-from graphtrack.model.terms.gait import ROW, Gait
+from graphtrack.model.packing import CLASS_DIRECTIONS
+from graphtrack.model.terms.couplings import ROW, Gait
 from graphtrack.model.terms.motion import steer
 from graphtrack.model.terms.position import CAUCHY
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
@@ -90,8 +91,7 @@ class Windows(NamedTuple):
             np.zeros((slots, 1), program.types.shared),
             np.zeros((*frames, BODY_CLASSES + 1)),
             np.zeros((*frames, HEAD_CLASSES + 1)),
-            unit(class_centres(BODY_CLASSES)),
-            unit(class_centres(HEAD_CLASSES)),
+            *CLASS_DIRECTIONS,
             np.zeros((slots, 1, 2)),
             np.zeros((slots, 2), np.int64),
             np.zeros((slots, N + 2, N)),
@@ -176,7 +176,7 @@ def solve_window(
     ``keeps``: settled frames are not factored again, and follow those after them. ``covariance`` (6, 6)
     becomes that of the newest frame.
     """
-    problem, n, last = chain.problem, chain.n, chain.n - 1
+    problem, n, last, tracks = chain.problem, chain.n, chain.n - 1, np.zeros(1, np.int64)
     exactly, ended = as_variable(True), memory.ended
     memory.kept[0], memory.kept[1] = 0, 1
     if warm and last > 0:
@@ -199,7 +199,7 @@ def solve_window(
         copy_rows(0, n, states, memory.again)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
         kept = move_if_less(chain, states, leap, problem.prior, kept, True, rules, memory)
-    if search and find_other_basin(chain, states, AT_END, memory):
+    if search and find_other_basins(problem, tracks, chain, states, AT_END, memory):
         prior = problem.prior.copy()
         turn_prior(problem.prior, states, memory.again)
         kept = move_if_less(chain, states, 0.0, prior, kept, False, rules, memory)
@@ -325,19 +325,17 @@ def chain_of(problem: Problem) -> Chain:
 @compiled
 def predict_newest(chain: Chain, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start."""
-    last, transition, every = chain.n - 1, memory.scratch[3], as_variable(True)
-    sums_before, sums = (
-        Sums(memory.scratch[0, 0], memory.scratch[1]),
-        Sums(memory.scratch[0, 1], memory.scratch[2]),
-    )
-    memory.scratch[:] = 0.0
+    last, every, scratch, turns = chain.n - 1, as_variable(True), memory.scratch, memory.trigonometry
+    sums_before, sums = Sums(scratch[0, 0], scratch[1]), Sums(scratch[0, 1], scratch[2])
+    transition = scratch[3]
+    scratch[:] = 0.0
     assign(sums_before.hessian, memory.message[last - 1, :N])
-    turns = memory.trigonometry
     note_turns(last - 1, states, turns)
     problem, track, start = chain.problem, chain.track, states[0]
     add_frame(problem, track, last, start, states, every, every, every, turns, sums_before, sums, transition)
     memory.solution[:last] = 0.0
-    definite = eliminate(last - 1, sums_before, transition, sums, memory)
+    inverse, link, solution = memory.inverse[last - 1], memory.link[last - 1], memory.solution[last - 1]
+    definite = eliminate(sums_before, transition, sums, inverse, link, solution)
     if not definite or not invert_cholesky(sums.hessian, memory.inverse[last]):
         return
     whiten(memory.inverse[last], sums.gradient, memory.solution[last])
@@ -380,18 +378,19 @@ def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Works
     track, first = len(problem.offsets) - 2, len(states) - 2
     clear(sums, transition)
     clear(sums_after, transition)
-    add_frame(problem, track, first, start, states, exact, not every, every, turns, sums, sums, transition)
-    # The second frame's own terms stay in the window.
-    after, links, own = first + 1, every, not every
-    add_frame(problem, track, after, start, states, exact, links, own, turns, sums, sums_after, transition)
+    for k, own in ((first, every), (first + 1, not every)):
+        # The second frame's own terms stay in the window.
+        here = sums if own else sums_after
+        add_frame(problem, track, k, start, states, exact, not own, own, turns, sums, here, transition)
     add_prior(problem.prior, start, sums)
     for place in (BODY, HEAD):
         # An orientation outside the model, or without a link to the next frame.
         if sums_after.hessian[place, place] == 0.0:
             sums_after.hessian[place, place] = 1e-12
-    if not eliminate(0, sums, transition, sums_after, workspace):
+    inverse, link, solution = workspace.inverse[0], workspace.link[0], workspace.solution[0]
+    if not eliminate(sums, transition, sums_after, inverse, link, solution):
         return False
-    return invert_cholesky(sums_after.hessian, workspace.inverse[0])
+    return invert_cholesky(sums_after.hessian, inverse)
 
 
 TASK = np.dtype(
@@ -430,13 +429,12 @@ class Advanced(NamedTuple):
 
 
 @inner
-def predict_state(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
-    """Initial values of a new frame: constant velocity, angles constant, or as in ``guess`` (2,)."""
+def predict_state(states: FloatArray, row: int, dt: float) -> None:
+    """Initial values of a new frame: constant velocity and angles."""
     before, state = states[row - 1], states[row]
     state[X], state[Y] = before[X] + dt * before[VX], before[Y] + dt * before[VY]
-    state[VX], state[VY] = before[VX], before[VY]
-    state[BODY] = before[BODY] if math.isnan(guess[0]) else guess[0]
-    state[HEAD] = before[HEAD] if math.isnan(guess[1]) else guess[1]
+    for i in range(VX, N):
+        state[i] = before[i]
 
 
 @compiled
@@ -465,36 +463,26 @@ def report(
     calibrate_frame(reported, lags, rules.calibration)
 
 
-@inner
-def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
-    """Set variables outside the model to NaN."""
-    state[place] = math.nan
-    for i in range(N):
-        covariance[i, place] = covariance[place, i] = math.nan
-
-
 @allocating
-def advance(
-    windows: Windows, tasks: np.ndarray, guesses: FloatArray, rules: Rules, gait: Any, advanced: Advanced
-) -> None:
+def advance(windows: Windows, tasks: np.ndarray, rules: Rules, gait: Any, advanced: Advanced) -> None:
     """Add one observation, or a change, to each of some windows of a block.
 
     Parameters
     ----------
     tasks : (P,) of `TASK`; the new frames' records stand in the rows after their windows' last
-    guesses : (P, 2) as in `predict_state`
     rules : of all windows
     gait : parameters of the coupling modes; None without
     advanced : filled in
     """
     size = windows.states.shape[1]
-    memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
+    memory, before, covariances = workspace(size), np.empty((size, N)), np.empty((1, N, N))
+    covariance = covariances[0]
     # Coupling modes change the couplings of all frames: no factorisation is kept.
     keeps, lags, modes = as_variable(gait is None), np.empty(5), mode_memory(0 if gait is None else size)
     for p in range(len(tasks)):
         task, slot = tasks[p], tasks[p].slot
         problem = problem_in(windows, slot)
-        kept = add_newest(problem, windows.states[slot], task.adds, guesses[p], before)
+        kept = add_newest(problem, windows.states[slot], task.adds, before)
         begin, end = problem.offsets[0], problem.offsets[1]
         states, own = windows.states[slot, begin:end], memory_in(windows, slot, begin, memory)
         chain = chain_of(problem)
@@ -509,7 +497,7 @@ def advance(
                 assign(states[:kept], before[:kept])
                 continue
             if gait is not None:
-                spread_newest(chain, states, modes.spread, own, covariance)
+                add_spread(chain, states, modes.spread, own, chain.n - 1, covariances)
                 covariance[HEAD, HEAD] += glance_variance(modes.held[end - begin - 1, GLANCE], gait)
             report(problem, states[chain.n - 1], rules, covariance, lags, p, advanced)
             for k in range(task.leave):
@@ -524,13 +512,13 @@ def advance(
 
 
 @merged
-def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
+def add_newest(problem: Problem, states: FloatArray, adds: int, before: FloatArray) -> int:
     """Save the states in ``before`` and add the frame after the newest; returns the previous number."""
     begin, end = problem.offsets[0], problem.offsets[1]
     assign(before[: end - begin], states[begin:end])
     if adds != NOTHING:
         if adds == PREDICTED:
-            predict_state(states, end, problem.records[end].dt, guess)
+            predict_state(states, end, problem.records[end].dt)
         problem.offsets[1] = end + 1
     return int(end - begin)
 

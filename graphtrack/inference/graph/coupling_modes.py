@@ -12,9 +12,9 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END
 from graphtrack.inference.chain.window import packer_of
-from graphtrack.inference.engines import SolverOptions
+from graphtrack.inference.engines import SolverOptions, make_online_ready
 from graphtrack.inference.graph.batch import keys_of, optimize, window_graph
-from graphtrack.inference.graph.chain_view import WindowView
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
 from graphtrack.inference.state import (
@@ -27,7 +27,6 @@ from graphtrack.inference.state import (
     states_of,
     values_of,
 )
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
@@ -71,7 +70,7 @@ class CouplingModeSmoother:
         model.packer = packer_of(self._model)
         self._lag = _LAG if lag == math.inf else lag
         self._outliers = model.parameters.likelihood.outlier_probability > 0.0
-        self._view: WindowView | None
+        self._view: ChainView | None
         self._searches: bool
         self._search_from: float
         self._take(EMPTY)
@@ -146,10 +145,10 @@ class CouplingModeSmoother:
             self._searches = True
             self._view = self._view or self._look()
 
-    def _look(self, modes: FloatArray | None = None) -> WindowView:
+    def _look(self, modes: FloatArray | None = None) -> ChainView:
         """A view of the window, with the modes before it."""
         make_online_ready(self._model, "isam2")
-        view = WindowView(self._model, self._couplings)
+        view = ChainView(self._model, self._couplings)
         view.before = view.before if modes is None else modes
         return view
 

@@ -27,16 +27,6 @@ STD = 0.01
 """Metres from a wall at which the barrier begins, and the 1-σ of its penalty within them."""
 
 
-def with_walls(track: Track, position: FloatArray, area: WalkableArea) -> Track:
-    """Return a track with the input `WALL_INPUT` of walls near positions (n, 2), one a frame."""
-    return replace(track, inputs={**track.inputs, WALL_INPUT: area.walls(position)})
-
-
-def without_walls(track: Track) -> Track:
-    """Return a track without the input `WALL_INPUT`."""
-    return replace(track, inputs={name: one for name, one in track.inputs.items() if name != WALL_INPUT})
-
-
 def with_walls_at(
     observed: Sequence[Observation], position: FloatArray, area: WalkableArea
 ) -> list[Observation]:
