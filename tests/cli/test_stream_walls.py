@@ -24,11 +24,11 @@ NOISE = 0.3
 Rows = list[dict[str, Any]]
 
 
-def corridor_rows(people: int, seed: int, identities: bool = True) -> Rows:
-    """Rows of people who walk round the corner of a corridor 4 s after each other, frame by frame."""
+def corridor_rows(people: int, seed: int, identities: bool = True, near: bool = False) -> Rows:
+    """Rows of people who walk round the corner of a corridor 4 s after each other, perhaps near a wall."""
     rng, rows = np.random.default_rng(seed), []
     for k in range(people):
-        aside = rng.uniform(0.12, 1.88)
+        aside = 0.15 if near else rng.uniform(0.12, 1.88)
         corners = np.array([[0.3, aside], [20.0 - aside, aside], [20.0 - aside, 11.7]])
         along = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))]
         at = np.arange(0.0, along[-1], 0.26)
@@ -74,7 +74,7 @@ def test_estimates_of_a_stream_stay_inside(track: Any, area: Path) -> None:
 
 
 def test_tracked_detections_of_a_stream_stay_inside(track: Any, area: Path) -> None:
-    rows = corridor_rows(2, 5, identities=False)
+    rows = corridor_rows(2, 5, identities=False, near=True)
     _, plain = track(rows, "--lag", "1")
     _, walled = track(rows, "--lag", "1", "--walkable", area, "--forecast", "2")
     assert share_outside(plain, 200) > 0.01 and share_outside(walled, 200) == 0.0

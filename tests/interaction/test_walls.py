@@ -96,7 +96,7 @@ def test_the_barrier_has_the_derivatives_of_its_cost():
 
 
 def test_forecasts_cross_no_wall():
-    truth = walkers(4, np.random.default_rng(6), 0.1)  # some of those near a wall are observed outside
+    truth = walkers(4, np.random.default_rng(6))  # near a wall some are observed outside
     assert share_outside(truth) > 0.002
     free = gt.forecast(truth, horizon=4.8)
     kept = gt.forecast(truth, horizon=4.8, samples=5, walkable=CORRIDOR)

@@ -101,7 +101,7 @@ def test_what_supervision_gave_goes_back_to_it_and_is_read_again(sv: Any) -> Non
         np.testing.assert_allclose(track.position, before.position[known], atol=1e-9)
         np.testing.assert_allclose(track.t, before.t[known])
     smoothed = gt.smooth(again, "position")
-    assert gt.to_supervision(smoothed, 5).tracker_id.tolist() == [3, 7][1:]
+    assert gt.to_supervision(smoothed, 5).tracker_id.tolist() == [7]
 
 
 def test_boxes_that_are_known_are_taken(sv: Any, tmp_path: Path) -> None:
@@ -117,8 +117,8 @@ def test_boxes_that_are_known_are_taken(sv: Any, tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[4].xyxy, expected)
         np.testing.assert_array_equal(found[8].xyxy, gt.to_supervision(scene, 8).xyxy)  # by the camera
     # A table's own boxes need no camera; people without either are left out.
-    found = gt.to_supervision(table)
-    np.testing.assert_array_equal(found[4].xyxy, expected)
+    found = gt.to_supervision(table)  # in the order of ids
+    np.testing.assert_array_equal(found[4].xyxy, expected[::-1])
     assert list(found) == [0, 1, 2, 3, 4, 5]
     gt.write(scene, tmp_path / "boxes.txt", format="mot")
     np.testing.assert_allclose(
@@ -162,6 +162,6 @@ def test_a_frame_of_polars_has_the_names_that_were_read() -> None:
     given = polars.DataFrame(
         {"who": ["a", "b", "a"], "ms": [0, 0, 40], "px": [0.0, 99.0, 4.0], "py": [0.0, 9.0, 0.0]}
     )
-    tracks = gt.read(given, columns="track_id=who,t=ms,x=px,y=py", time_unit="ms", units="cm")
+    tracks = gt.read(given, columns="id=who,t=ms,x=px,y=py", time_unit="ms", units="cm")
     frame = gt.to_polars(tracks, as_read=True)
     assert frame.sort("ms", "who").select(given.columns).rows() == given.sort("ms", "who").rows()
