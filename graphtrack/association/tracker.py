@@ -25,8 +25,7 @@ from graphtrack.inference.state import Estimate, as_track, checked, pack_observa
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import CHANNELS, observation_at
-from graphtrack.model.terms.faces_group import Group, with_group_at
-from graphtrack.model.terms.walls import with_walls_at
+from graphtrack.model.terms.conversation import Group, with_group_at
 from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
@@ -123,7 +122,7 @@ class DetectionTracker:
     """Track all people in a scene online from detections without identities; see `OnlineTracker`.
 
     ``groups``: source of the input `GROUP` of all observations; None: the detections' own.
-    ``walkable``: area in which people walk, for a model with its term.
+    ``walkable``: area in which people walk.
     ``revised`` has the revisions of the last update, ``newest`` its observations.
     """
 
@@ -138,7 +137,7 @@ class DetectionTracker:
         groups: SceneGroups | None = None,
         walkable: WalkableArea | None = None,
     ) -> None:
-        self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
+        self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera, "walkable": walkable}
         self.model, self._camera, self._walkable = Model.named(model), camera, walkable
         smoother = self._smoother()  # checks the options, and compiles
         self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
@@ -359,8 +358,6 @@ class DetectionTracker:
             detection = replace(detection, position=(x, y))
         if detection.position is None:
             raise InputError("a detection without a position", "x and y in metres, or u, v and a camera")
-        if self._walkable is not None:
-            detection = with_walls_at(detection, self._walkable)
         return checked(detection)
 
 

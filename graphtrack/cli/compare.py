@@ -63,6 +63,44 @@ def compare_trackers(
     write_json(json_path, found.to_dict())
 
 
+def compare_groups(
+    inputs: Sequence[Path],
+    labels: Path,
+    reading: options.SceneReading,
+    methods: Sequence[str],
+    parameters: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Read tracks and labelled groups, find groups with each method, and print their scores."""
+    from graphtrack.evaluation.groups import compare_groups as compare
+    from graphtrack.evaluation.groups import registry
+    from graphtrack.interaction.tables import load_parameters
+    from graphtrack.io.groups import read_groups
+
+    options.check_outputs(
+        {"--json": json_path}, {**reading.inputs(inputs), "--groups": labels, "--parameters": parameters}
+    )
+    chosen = None if parameters is None else load_parameters(parameters)
+    with input_warnings_as_notes():
+        found = compare(
+            reading.tracks(inputs), read_groups(labels), list(methods) or list(registry), parameters=chosen
+        )
+    frames = next(iter(found.scores.values())).frames
+    rows = [
+        {"method": name}
+        | {
+            f"F1, {share} of\nthe members": f1
+            for share, f1 in zip(("two thirds", "all"), one.f1, strict=True)
+        }
+        | {"F1, pairs": one.pair_f1}
+        for name, one in found.scores.items()
+    ]
+    print_table(f"Groups against the truth, {counted(frames, 'frame')}", rows)
+    for name, information in found.information.items():
+        emit(f"  {name}: {information}")
+    write_json(json_path, found.to_dict())
+
+
 def print_trackers(found: TrackerComparison) -> None:
     """Print the figures as a table, followed by notes on reading them."""
     from graphtrack.evaluation.identities import HEADINGS
@@ -76,8 +114,8 @@ def print_trackers(found: TrackerComparison) -> None:
         row.pop("group")
     print_table(f"Trackers on the same {found.detections} detections, {found.threshold}", rows)
     for one in found.results:
-        filled = "; smoothed, gaps filled" if found.filled and one.online else ""
-        emit(f"  {one.method}: {one.information}{filled}")
+        filled = "; smoothed, gaps filled" if found.filled and one.of.online else ""
+        emit(f"  {one.method}: {one.of.information}{filled}")
     for note in found.notes:
         emit(f"  note: {note}")
 
@@ -110,11 +148,13 @@ def compare(
     truth: Path | None = None,
     metres: float | None = None,
     fill: bool = False,
+    groups: Path | None = None,
+    parameters: Path | None = None,
 ) -> None:
     """Compare methods on tracks with known truth: errors, NEES and interval coverage.
 
     With a noise option the file's values are the truth, and noisy observations are drawn from them. With
-    --truth, trackers are compared on detections without identities.
+    --truth, trackers are compared on detections without identities; with --groups, methods that find groups.
 
     Parameters
     ----------
@@ -122,7 +162,7 @@ def compare(
         particle-modes, rts, ffbs, smoother, chain, isam2, fixed-lag; by default chain, isam2, kf,
         intentional, intentional-printed, particle, smoother, rts. The others are compared with the first
         online and the first offline method, track by track. With --truth: associate, hungarian, bytetrack,
-        ocsort; by default the first two.
+        ocsort; by default the first two. With --groups: groups, online, average-linkage; by default all.
     model : A preset or a model file (.toml) for all methods; by default the best preset of each: full for the
         graph with every engine and particle-modes, joint for particles, and the filters' own.
     occlude : Seconds around the sharpest turn to withhold and score.
@@ -134,10 +174,21 @@ def compare(
         trackers are compared.
     metres : Largest distance of a match on the ground; 1 by default.
     fill : Smooth the tracks of online methods too, and fill their gaps; only identities then differ.
+
+    Groups
+    ------
+    groups : Labelled groups of the same frames: a SALSA or ETH file, or a table of groups.
+    parameters : Output of 'graphtrack fit --groups' (.toml), for the methods groups and online.
     """
+    of_tracks = {"occlude": occlude, "figures": figures, "trust": trust} | vars(noise)
+    refused = {options.option_name(name): one for name, one in of_tracks.items()}
+    if groups is not None:
+        refused |= {"--truth": truth, "--metres": metres, "--fill": fill, "--model": model}
+        options.refuse(refused, "with --groups", "no such option: methods that find groups have none")
+        compare_groups(inputs, groups, reading, named(methods), parameters, json_path)
+        return
+    options.refuse({"--parameters": parameters}, "without --groups", "it with --groups")
     if truth is not None:
-        of_tracks = {"occlude": occlude, "figures": figures, "trust": trust}
-        refused = {options.option_name(name): one for name, one in (of_tracks | vars(noise)).items()}
         options.refuse(refused, "with --truth", "no such option: with --truth the input is detections")
         compare_trackers(inputs, truth, reading, named(methods), metres, fill, model, json_path)
         return

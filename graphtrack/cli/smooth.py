@@ -107,7 +107,7 @@ def _associate(dataset: Dataset, output: Path, read_options: ReadOptions, option
 
 def _smooth_tracks(dataset: Dataset, output: Path, **options: Any) -> None:
     from graphtrack.inference.chain.batch import is_large
-    from graphtrack.inference.warm import make_solver_ready
+    from graphtrack.inference.engines import make_solver_ready
     from graphtrack.scale import smooth_dataset
 
     if options["cluster"] in (None, "local"):
@@ -170,9 +170,7 @@ def smooth(
     from graphtrack.diagnostics import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
-    from graphtrack.inference.engines import engine_of
-    from graphtrack.inference.result import Failure, Solution
-    from graphtrack.inference.warm import make_solver_ready
+    from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at

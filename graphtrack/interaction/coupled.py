@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.result import Failure, Solution
+from graphtrack.inference.engines import Failure, Solution
 from graphtrack.inference.state import Estimate, checked
 from graphtrack.interaction.evidence import (
     FORGOTTEN,
@@ -24,7 +24,7 @@ from graphtrack.interaction.groups import groups_of
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
 from graphtrack.model import Model, Observation
-from graphtrack.model.terms.faces_group import GROUP, Group, with_group_at
+from graphtrack.model.terms.conversation import GROUP, Group, with_group_at
 from graphtrack.saved import from_text, integer, real, to_text
 from graphtrack.tracks.track import STATE, Track, TrackSet
 
@@ -187,12 +187,12 @@ class Conversations:
     def group(self, track_id: int) -> Group | None:
         """Return the group input of a person in this frame; None if they are new, or were absent for long."""
         known = self._known.get(track_id)
-        long = FORGOTTEN * DEFAULT.place_seconds
+        long = FORGOTTEN * DEFAULT.persistence_seconds
         return None if known is None or self._t - known.t > long else known.group
 
     def _take(self, people: People) -> None:
         t = float(people.t[0])
-        kept = FORGOTTEN * DEFAULT.look_seconds
+        kept = FORGOTTEN * DEFAULT.memory_seconds
         self._known = {one: known for one, known in self._known.items() if t - known.t <= kept}
         found = neighbours(people, self._evidence.take(people))
         ids = people.ids[people.person].tolist()

@@ -1,161 +1,74 @@
 """Log odds that two people are of one group, frame by frame and averaged over time.
 
-Features of a pair are positions, o-spaces, crowding and gaze; unknown bodies are taken to face where the
-others stand, for an o-space is empty, with companions about it.
+A conversation has an o-space (Kendon 1990): an empty place that its members face, each from about the same
+distance. The odds of a pair are those of the distance between the o-spaces of both, given how surely bodies
+and heads point there, and where the other people stand.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.interaction.parameters import RINGS, GroupParameters
+from graphtrack.geometry.angles import FloatArray, concentration_from_resultant, unit
+from graphtrack.interaction.parameters import GroupParameters
 from graphtrack.interaction.people import IntArray, People
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.saved import from_text, to_text
 
-FEATURES = ("shared", "crowd", "far", "rank", "look")  # in order, as in `ConversationWeights`
 REACH = 4.0  # metres: people further apart are in no group by themselves, only through others
-_SHARED = 0.6  # metres over which two o-spaces count as one
-_CROWD = 1.0  # metres over which somebody counts for the crowd about a place
-_SOFT = 0.2  # metres of distance that make somebody clearly nearer than another
-_LOOK = 0.5  # radians, 1-σ of where a head points about what is looked at
-_NOTHING = 0.05  # weight of looks at nobody, where that of a look straight at somebody near is 1
 
 
 @allocating
-def _of_frame(
-    position: FloatArray,
-    body: FloatArray,
-    head: FloatArray,
-    stride: float,
-    left: IntArray,
-    right: IntArray,
-    found: FloatArray,
-    at: int,
-    offset: int,
-) -> int:
-    """Write the pairs of one frame within reach from place ``at`` on; return the place after them."""
-    people = len(position)
-    apart, shared = np.zeros((people, people)), np.zeros((people, people))
-    look, near = np.zeros((people, people)), np.zeros((people, people))
-    space = position + stride * body
-    crowd, last_known = np.ones(people), np.full(people, _NOTHING)
-    for i in range(people):
-        shared[i, i] = 1.0
-        for j in range(people):
-            if j == i:
-                continue
-            x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-            square = x * x + y * y
-            apart[i, j] = math.sqrt(square)
-            if apart[i, j] > 3.0 * REACH:
-                continue
-            crowd[i] += math.exp(-0.5 * square / (_CROWD * _CROWD))
-            near[i, j] = math.exp(-apart[i, j] / _SOFT)
-            dx, dy = space[j, 0] - space[i, 0], space[j, 1] - space[i, 1]
-            shared[i, j] = math.exp(-0.5 * (dx * dx + dy * dy) / (_SHARED * _SHARED))
-            length = math.hypot(head[i, 0], head[i, 1])
-            if length > 0.0:
-                across, along = head[i, 0] * y - head[i, 1] * x, head[i, 0] * x + head[i, 1] * y
-                angle = math.atan2(across, along)
-                look[i, j] = length * math.exp(-0.5 * (angle / _LOOK) ** 2) / (1.0 + 0.5 * square)
-                last_known[i] += look[i, j]
-    for i in range(people):
-        for j in range(i):
-            far = apart[i, j]
-            if far > REACH:
-                continue
-            # Each k is nearer than the other one by a logistic function of distances, which is a ratio. The
-            # other one counts for a half, which is taken off, and somebody is not near to themselves.
-            both, before_one, before_other = 0.0, -0.5, -0.5
-            here = near[i, j]
-            for k in range(people):
-                both += shared[i, k] * shared[j, k]
-                before_one += near[i, k] / (near[i, k] + here)
-                before_other += near[j, k] / (near[j, k] + here)
-            ahead = math.hypot(space[i, 0] - position[j, 0], space[i, 1] - position[j, 1])
-            other = math.hypot(space[j, 0] - position[i, 0], space[j, 1] - position[i, 1])
-            found[at, 0] = math.log1p(both)
-            found[at, 1] = math.log(crowd[i]) + math.log(crowd[j])
-            found[at, 2] = max(ahead, other)
-            found[at, 3] = math.log1p(before_one) + math.log1p(before_other)
-            found[at, 4] = min(look[i, j] / last_known[i], look[j, i] / last_known[j])
-            left[at], right[at] = offset + j, offset + i
-            at += 1
-    return at
-
-
-@compiled
-def _near_pairs(position: FloatArray, first: IntArray) -> int:
+def _near_pairs(position: FloatArray, first: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows of the two people of each pair within `REACH`, frame by frame."""
     count = 0
+    left, right = np.empty(64, dtype=np.int64), np.empty(64, dtype=np.int64)
     for k in range(len(first) - 1):
         for i in range(first[k], first[k + 1]):
             for j in range(first[k], i):
                 x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-                count += math.sqrt(x * x + y * y) <= REACH
-    return count
+                if math.sqrt(x * x + y * y) > REACH:
+                    continue
+                if count == len(left):
+                    left, right = np.append(left, left), np.append(right, right)
+                left[count], right[count] = j, i
+                count += 1
+    return left[:count].copy(), right[:count].copy()
 
 
-@compiled
-def of_frames(
-    position: FloatArray,
-    body: FloatArray,
-    head: FloatArray,
-    first: IntArray,
-    stride: float,
-    left: IntArray,
-    right: IntArray,
-    found: FloatArray,
-) -> int:
-    """Write the pairs of all frames, as `pair_features` gives them; how many there are."""
-    at = 0
-    for k in range(len(first) - 1):
-        rows = slice(first[k], first[k + 1])
-        at = _of_frame(position[rows], body[rows], head[rows], stride, left, right, found, at, first[k])
-    return at
-
-
-def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """Rows (n,) of the two people of each pair within `REACH`, frame by frame, and its `FEATURES` (n, 5).
-
-    ``stride``: metres to the o-space ahead of somebody; where the body is unknown, it is where they stand
-    """
-    # A pair at the very edge may be counted and not found, as sums are reordered: there is room for more.
-    count = _near_pairs(people.position, people.first) + len(people.frame)
-    left, right = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    found = np.empty((count, len(FEATURES)))
-    arrays = (people.position, people.body, people.head, people.first)
-    end = of_frames(*arrays, stride, left, right, found)
-    return left[:end], right[:end], found[:end]
+def near_pairs(people: People) -> tuple[IntArray, IntArray]:
+    """Rows (n,) of the two people of each pair within `REACH`, frame by frame."""
+    return _near_pairs(people.position, people.first)
 
 
 DIRECTIONS: FloatArray = 2.0 * np.pi * np.arange(36) / 36
-"""Radians, of the bodies that are compared."""
-_WIDTH = 0.2  # metres, 1-σ of a ring
-_FARTHEST = 2.5  # metres from an o-space beyond which somebody tells nothing of it
+"""Radians, of the o-spaces that are compared."""
+_UNITS = unit(DIRECTIONS)
+_SURE = 1.0 - 1e-4
+"""Mean resultant length of the surest direction."""
+_FARTHEST = 2.5  # metres from an o-space beyond which a person is no evidence of it
+_RING = 0.2  # metres, 1-σ of the distance of members from their o-space about ``stride``
+_OUTLIER = 0.1  # least share of the density at the members' distance that a companion has anywhere
+_INSIDE = 0.6  # metres about an o-space in which nobody stands, 1-σ
 
 
 @allocating
 def _add_scores(
     position: FloatArray,
     space: FloatArray,
-    rings: FloatArray,
-    weights: FloatArray,
+    stride: float,
     left: IntArray,
     right: IntArray,
     together: FloatArray,
     found: FloatArray,
 ) -> None:
-    weight = np.empty(len(rings))
     for k in range(len(left)):
-        weight[:] = together[k] * weights[0] + (1.0 - together[k]) * weights[1]
         x, y = position[right[k], 0] - position[left[k], 0], position[right[k], 1] - position[left[k], 1]
         for d in range(len(space)):
             for side in range(2):
@@ -163,33 +76,28 @@ def _add_scores(
                 far = math.hypot(sign * x - space[d, 0], sign * y - space[d, 1])
                 if far > _FARTHEST:
                     continue
-                total = 0.0
-                for r in range(len(rings)):
-                    total += weight[r] * math.exp(-0.5 * ((far - rings[r]) / _WIDTH) ** 2)
-                found[right[k] if side else left[k], d] += total
+                near = math.exp(-0.5 * ((far - stride) / _RING) ** 2)
+                member = math.log((near + _OUTLIER) / _OUTLIER)
+                outside = math.log(1.0 - 0.5 * math.exp(-0.5 * (far / _INSIDE) ** 2))
+                found[right[k] if side else left[k], d] += together[k] * member + outside
 
 
 def facing_scores(
-    position: FloatArray,
-    left: IntArray,
-    right: IntArray,
-    together: FloatArray,
-    weights: FloatArray,
-    stride: float,
+    position: FloatArray, left: IntArray, right: IntArray, odds: FloatArray, parameters: GroupParameters
 ) -> FloatArray:
-    """Log odds (n, directions) of each person's body pointing there, of where the others are.
+    """Log density (n, directions), up to a constant, of each person's o-space lying there.
+
+    Companions stand about an o-space at the distance at which people stand from theirs, and nobody within.
 
     Parameters
     ----------
     position : (n, 2) metres
     left, right : (k,) rows of the two of a pair of people near each other in one frame
-    together : (k,) probability that they are in one conversation
-    weights : (2, rings) of companions and of others
-    stride : metres to the o-space ahead of a body
+    odds : (k,) log odds that they are in one conversation
     """
     found = np.zeros((len(position), len(DIRECTIONS)))
-    space, rings = stride * unit(DIRECTIONS), np.array(RINGS)
-    _add_scores(position, space, rings, weights, left, right, together, found)
+    together = 0.5 * (1.0 + np.tanh(0.5 * odds))
+    _add_scores(position, parameters.stride * _UNITS, parameters.stride, left, right, together, found)
     return found
 
 
@@ -197,12 +105,10 @@ def facing(
     position: FloatArray, left: IntArray, right: IntArray, odds: FloatArray, parameters: GroupParameters
 ) -> FloatArray:
     """(n, 2) expected unit vectors of bodies by where the others stand, given log odds of pairs; or 0."""
-    weights = np.stack([parameters.companions.of_rings, parameters.strangers.of_rings])
-    together = 0.5 * (1.0 + np.tanh(0.5 * odds))
-    score = facing_scores(position, left, right, together, weights, parameters.stride)
+    score = facing_scores(position, left, right, odds, parameters)
     found: FloatArray = np.zeros((len(position), 2))
     met = score.any(axis=1)
-    found[met] = probabilities(score[met]) @ unit(DIRECTIONS)
+    found[met] = probabilities(score[met]) @ _UNITS
     return found
 
 
@@ -210,6 +116,55 @@ def probabilities(score: FloatArray) -> FloatArray:
     """(n, k) of log odds (n, k)."""
     likelihood = np.exp(score - score.max(axis=1, keepdims=True))
     return np.asarray(likelihood / likelihood.sum(axis=1, keepdims=True))
+
+
+def observed_scores(people: People, parameters: GroupParameters) -> FloatArray:
+    """Log density (n, directions), up to a constant, of o-spaces given the body and the head of each.
+
+    Both point there, each with a spread of its own about which its uncertainty comes: who has no body known
+    has a wider o-space, who has neither one all around.
+    """
+    toward = np.zeros((len(people), 2))
+    for vector, spread in ((people.body, parameters.body_spread), (people.head, parameters.head_spread)):
+        length = np.linalg.norm(vector, axis=1)
+        kappa = concentration_from_resultant(np.minimum(np.exp(-0.5 * spread**2) * length, _SURE))
+        toward += np.where(length > 0.0, kappa / np.maximum(length, 1e-9), 0.0)[:, None] * vector
+    return np.asarray(toward @ _UNITS.T)
+
+
+def o_spaces(people: People, score: FloatArray, stride: float) -> tuple[FloatArray, FloatArray]:
+    """Mean (n, 2) and covariance (n, 2, 2) of o-spaces, m and m², ``stride`` metres ahead.
+
+    ``score``: (n, directions) log densities
+    """
+    probability = probabilities(score)
+    mean = probability @ _UNITS
+    square = np.einsum("nd,da,db->nab", probability, _UNITS, _UNITS)
+    spread = square - mean[:, :, None] * mean[:, None, :]
+    return people.position + stride * mean, stride**2 * spread
+
+
+def conversation_odds(
+    space: FloatArray, spread: FloatArray, left: IntArray, right: IntArray, parameters: GroupParameters
+) -> FloatArray:
+    """Log odds, (k,), that two who stand are in one conversation, by the distance of their o-spaces.
+
+    The difference of two o-spaces of one conversation is Gaussian, with ``space_std`` for each and what is
+    unknown of their directions; it is as probable as by chance at ``reach`` where directions are known. The
+    odds are ``apart`` at least.
+
+    Parameters
+    ----------
+    space, spread : (n, 2) metres and (n, 2, 2) m², the means and covariances of o-spaces
+    """
+    exact = 2.0 * parameters.space_std**2
+    total = spread[left] + spread[right] + exact * np.eye(2)
+    x, y = (space[left] - space[right]).T
+    size = total[:, 0, 0] * total[:, 1, 1] - total[:, 0, 1] ** 2
+    square = (total[:, 1, 1] * x**2 - 2.0 * total[:, 0, 1] * x * y + total[:, 0, 0] * y**2) / size
+    nearest = 0.5 * parameters.reach**2 / exact
+    odds = nearest - 0.5 * np.log(size / exact**2) - 0.5 * square
+    return np.logaddexp(odds, parameters.apart)
 
 
 _BEGINNING = 0.5  # seconds that the first frame counts for where nobody knows when the next one will come
@@ -294,10 +249,10 @@ def merged(
     ----------
     known, pairs : (k, 2), (n, 2) ids, both ascending by the second, then by the first
     last : (k,) seconds
-    sums : (k, 9) of the values of each pair, times the seconds that they count for, and of the seconds
-    values : (n, 6)
-    of : (6,) which of the times of averaging each value has
-    seconds : (3,)
+    sums : (k, 5) of the values of each pair, times the seconds that they count for, and of the seconds
+    values : (n, 3)
+    of : (3,) which of the times of averaging each value has
+    seconds : (2,)
     """
     size, count = values.shape[1], len(pairs)
     room = len(known) + count
@@ -338,16 +293,14 @@ def merged(
     return all_pairs[:at].copy(), all_last[:at].copy(), all_sums[:at].copy(), means
 
 
-SLOW = np.array([False, True, False, False, True])
-"""Mask of the features that are averaged over ``look_seconds``."""
 _SPEED_STEP = 0.1  # m/s over which standing becomes walking
 ALONG = 1.5
 """Those who walk together are side by side: a metre along their way counts as so many across it."""
 _MOST = 6.0  # log odds that one frame of walking says at most
+_STANDING = 0.02
+"""Share of the time that two who stand all along appear not to stand, by the smooth step of speeds."""
 _CAME = 0.1
 """Share of the time near each other, not spent together, from which two are known to have met in sight."""
-_UNSURE = 0.01
-"""How much shorter than 1 the expected direction of a body is that is looked for among the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,17 +311,7 @@ class PairEvidence:
     right: IntArray  # (n,) rows in `People`
     start: IntArray  # (k + 1,) first pair of each frame
     odds: FloatArray  # (n,) log odds that they are of one group, averaged over time
-    caution: FloatArray  # (n,) to be taken from them before people are parted
     walking: FloatArray  # (n,) how much both walk, 0 to 1, averaged over time
-
-
-def with_bodies(people: People, spread: float) -> People:
-    """People whose unknown bodies are where their heads point, more or less: 1-σ ``spread`` radians."""
-    unseen = np.asarray(~people.body.any(axis=1))
-    if not (unseen & people.head.any(axis=1)).any():
-        return people
-    turned = np.exp(-0.5 * spread**2) * people.head
-    return replace(people, body=np.where(unseen[:, None], turned, people.body))
 
 
 def abreast(people: People, left: IntArray, right: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -401,9 +344,9 @@ def encounter_odds(share: FloatArray, seconds: FloatArray, parameters: GroupPara
 
     encounter_odds · exp(−share · seconds/encounter_seconds), and none for two who were together for as long
     as they were near each other, since they may have met before. ``share``: (n,) of the ``seconds`` (n,) near
-    each other, weighted by exp(−|Δt|/look_seconds), in which they stood or walked together.
+    each other, weighted by exp(−|Δt|/memory_seconds), in which they stood or walked together.
     """
-    met = np.minimum((1.0 - share) / _CAME, 1.0)
+    met = np.clip((1.0 - share - _STANDING) / _CAME, 0.0, 1.0)
     decay = np.exp(-share * seconds / parameters.encounter_seconds)
     return np.asarray(parameters.encounter_odds * met * decay)
 
@@ -415,9 +358,6 @@ def walks(people: People, parameters: GroupParameters) -> FloatArray:
     return share
 
 
-PARTS = 2  # values of a pair that are averaged over each of the three times
-
-
 @dataclass(frozen=True, eq=False)
 class PairValues:
     """Evidence of pairs near each other from single frames.
@@ -425,9 +365,8 @@ class PairValues:
     Attributes
     ----------
     left, right : (n,) rows in `People`, the left one first
-    values : (n, 6) log odds by places and bodies, and the caution, averaged over ``place_seconds``;
-        log odds by looks and the crowd, and the probability that both stand, or walk together, over
-        ``look_seconds``; log odds by walking, and how much both walk, over ``walking_seconds``
+    values : (n, 3) log odds of one group, and how much both walk, averaged over ``persistence_seconds``; the
+        probability that both stand, or walk together, over ``memory_seconds``
     """
 
     left: IntArray
@@ -437,45 +376,31 @@ class PairValues:
     def evidence(
         self, people: People, means: FloatArray, seconds: FloatArray, parameters: GroupParameters
     ) -> PairEvidence:
-        """The evidence, given the averages (n, 6) and the seconds (n,) that those of looks are of."""
+        """The evidence, given the averages (n, 3) and the seconds (n,) that the last ones are of."""
         start = np.searchsorted(people.frame_of[self.left], np.arange(len(people.frame) + 1))
-        place, caution, look, company, alike, walking = means.T
+        odds, walking, company = means.T
         standing = np.maximum(1.0 - 2.0 * walking, 0.0)  # groups that walk are judged by how they do
-        odds = place + look + alike - standing * encounter_odds(company, seconds, parameters)
-        return PairEvidence(self.left, self.right, start, odds, caution, walking)
+        odds = odds - standing * encounter_odds(company, seconds, parameters)
+        return PairEvidence(self.left, self.right, start, odds, walking)
+
+
+_OF = np.array([0, 0, 1])
+"""Which of the times of averaging each of a pair's values has."""
 
 
 def pair_values(people: People, parameters: GroupParameters) -> PairValues:
-    """Return the evidence of single frames; unknown bodies are taken to face where the others stand."""
-    people = with_bodies(people, parameters.head_spread)
-    found = _values(people, parameters)
-    unknown = 1.0 - np.linalg.norm(people.body, axis=1)
-    if not (unknown > _UNSURE).any():
-        return found
-    odds = found.values[:, ::PARTS].sum(axis=1)
-    faced = facing(people.position, found.left, found.right, odds, parameters)
-    return _values(replace(people, body=people.body + np.maximum(unknown, 0.0)[:, None] * faced), parameters)
-
-
-def _values(people: People, parameters: GroupParameters) -> PairValues:
-    left, right, features = pair_features(people, parameters.stride)
-    body, head = (np.linalg.norm(vector, axis=1) for vector in (people.body, people.head))
-    bodies, heads = body[left] * body[right], head[left] * head[right]
-    # How much a pair is one of which positions alone, bodies too, and heads too are known.
-    shares = np.column_stack([1.0 - bodies, bodies * (1.0 - heads), bodies * heads])
-    quick, slow = np.zeros(len(features)), np.zeros(len(features))
-    for share, weights in zip(shares.T, parameters.conversations, strict=True):
-        terms = weights.of_features
-        quick += share * (weights.bias + features @ np.where(SLOW, 0.0, terms))
-        slow += share * (features @ np.where(SLOW, terms, 0.0))
-    caution = shares @ np.array([one.caution for one in parameters.conversations])
+    """Return the evidence of single frames: by bodies and heads, and again with where the others stand."""
+    left, right = near_pairs(people)
+    observed = observed_scores(people, parameters)
+    odds = conversation_odds(*o_spaces(people, observed, parameters.stride), left, right, parameters)
+    score = observed + facing_scores(people.position, left, right, odds, parameters)
+    odds = conversation_odds(*o_spaces(people, score, parameters.stride), left, right, parameters)
     walk = walks(people, parameters)
     walking, standing = walk[left] * walk[right], (1.0 - walk[left]) * (1.0 - walk[right])
-    quick = standing * quick + (1.0 - standing - walking) * parameters.apart
     alike = walking_odds(people, left, right, parameters)
     company = standing + walking * 0.5 * (1.0 + np.tanh(0.5 * alike))
-    columns = (quick, standing * caution, standing * slow, company, walking * alike, walking)
-    return PairValues(left, right, np.column_stack(columns))
+    odds = standing * odds + (1.0 - standing - walking) * parameters.apart + walking * alike
+    return PairValues(left, right, np.column_stack([odds, walking, company]))
 
 
 def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
@@ -483,11 +408,10 @@ def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
     found = pair_values(people, parameters)
     pair = people.person[found.left] * len(people.ids) + people.person[found.right]
     t = people.t[people.frame_of[found.left]]
-    parts = np.split(found.values, 3, axis=1)
-    (place, _), (look, seconds), (walking, _) = (
-        averaged(pair, t, values, time) for values, time in zip(parts, parameters.seconds, strict=True)
-    )
-    return found.evidence(people, np.hstack([place, look, walking]), seconds, parameters)
+    persistence, memory = parameters.seconds
+    odds, _ = averaged(pair, t, found.values[:, :2], persistence)
+    company, seconds = averaged(pair, t, found.values[:, 2:], memory)
+    return found.evidence(people, np.hstack([odds, company]), seconds, parameters)
 
 
 class OnlineEvidence:
@@ -502,7 +426,7 @@ class OnlineEvidence:
         self._pairs = np.empty((0, 2), dtype=np.int64)  # ids, ascending by the greater, then by the lesser
         self._last = np.empty(0)
         # Of each pair its values, each times the seconds it counts for, and those seconds.
-        self._sums = np.empty((0, 3 * PARTS + 3))
+        self._sums = np.empty((0, 5))
 
     def __len__(self) -> int:
         """The pairs that are known."""
@@ -520,12 +444,12 @@ class OnlineEvidence:
             self._sums,
             pairs,
             found.values,
-            np.repeat(np.arange(3), PARTS),
+            _OF,
             np.array(self.parameters.seconds),
             t,
         )
         here = self._last == t  # in the order of the frame's pairs
-        return found.evidence(people, means, self._sums[here, 3 * PARTS + 1], self.parameters)
+        return found.evidence(people, means, self._sums[here, 4], self.parameters)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `restore`."""
@@ -535,4 +459,4 @@ class OnlineEvidence:
         """Go on where `state` was taken, given the same parameters."""
         self._pairs = np.array(state["pairs"], dtype=np.int64).reshape(-1, 2)
         self._last = from_text(state["last"]).reshape(len(self._pairs))
-        self._sums = from_text(state["sums"]).reshape(len(self._pairs), 3 * PARTS + 3)
+        self._sums = from_text(state["sums"]).reshape(len(self._pairs), 5)

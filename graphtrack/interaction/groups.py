@@ -1,4 +1,4 @@
-"""Groups: for every frame a partition of the people by correlation clustering, offline and online."""
+"""Groups: for every frame the most probable partition of the people about o-spaces, offline and online."""
 
 from __future__ import annotations
 
@@ -12,7 +12,13 @@ import numpy as np
 from graphtrack.association.associate import tracks_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.interaction.evidence import OnlineEvidence, PairEvidence, pair_evidence, with_bodies
+from graphtrack.interaction.evidence import (
+    OnlineEvidence,
+    PairEvidence,
+    o_spaces,
+    observed_scores,
+    pair_evidence,
+)
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of, people_of_estimates
 from graphtrack.kernels.compilation import allocating, compiled
@@ -24,31 +30,61 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
 
 
+@compiled
+def _worth(inside: float, size: float) -> float:
+    """Log odds of a group of ``size``, with the sum ``inside`` of those of its pairs.
+
+    Members stand about one o-space. The squared distances from their mean add up to the sum of those of pairs
+    over the size, so that a pair counts the less, the larger the group is.
+    """
+    return 2.0 * inside / size if size > 1.0 else 0.0
+
+
+@compiled
+def _count(weight: FloatArray, label: IntArray, size: FloatArray, inside: FloatArray) -> None:
+    """Write the size of each group, and the sum of the log odds of its pairs."""
+    size[:] = 0.0
+    inside[:] = 0.0
+    for i in range(len(label)):
+        size[label[i]] += 1.0
+        for j in range(i):
+            if label[i] == label[j]:
+                inside[label[i]] += weight[i, j]
+
+
 @allocating
 def _climbed(weight: FloatArray, label: IntArray) -> None:
     """Better a partition by moving one person, joining two groups, until nothing helps."""
     people = len(weight)
-    gain = np.empty(people)
+    gain, size, inside = np.empty(people), np.empty(people), np.empty(people)
     for _ in range(100):
         changed = False
+        _count(weight, label, size, inside)
         for i in range(people):
             gain[:] = 0.0
-            size = np.zeros(people, dtype=np.int64)
             for j in range(people):
-                size[label[j]] += 1
                 if j != i:
                     gain[label[j]] += weight[i, j]
-            best, most = -1, 0.0 if size[label[i]] > 1 else -1e-9
-            now = gain[label[i]] if size[label[i]] > 1 else 0.0
+            here = label[i]
+            left = _worth(inside[here] - gain[here], size[here] - 1.0)
+            most = 0.0 if size[here] > 1.0 else -1e-9
+            stay = _worth(inside[here], size[here]) - left
+            best = -1
             for g in range(people):
-                if size[g] > 0 and g != label[i] and gain[g] > most:
-                    best, most = g, gain[g]
-            if most > now + 1e-9:
+                if size[g] > 0.0 and g != here:
+                    more = _worth(inside[g] + gain[g], size[g] + 1.0) - _worth(inside[g], size[g])
+                    if more > most:
+                        best, most = g, more
+            if most > stay + 1e-9:
                 if best < 0:
                     for g in range(people):
-                        if size[g] == 0:
+                        if size[g] == 0.0:
                             best = g
                             break
+                inside[here] -= gain[here]
+                inside[best] += gain[best]
+                size[here] -= 1.0
+                size[best] += 1.0
                 label[i] = best
                 changed = True
         if _joined(weight, label):
@@ -62,41 +98,49 @@ def _joined(weight: FloatArray, label: IntArray) -> bool:
     """Join the two groups that gain most by it, again and again; whether there were any."""
     people = len(weight)
     between = np.zeros((people, people))
+    size = np.zeros(people)
     for i in range(people):
+        size[label[i]] += 1.0
         for j in range(i):
+            between[label[i], label[j]] += weight[i, j]
             if label[i] != label[j]:
-                between[label[i], label[j]] += weight[i, j]
                 between[label[j], label[i]] += weight[i, j]
     any_joined = False
     while True:
         best, a, b = 1e-9, -1, -1
         for g in range(people):
             for h in range(g):
-                if between[g, h] > best:
-                    best, a, b = between[g, h], h, g
+                if size[g] > 0.0 and size[h] > 0.0:
+                    inside = between[g, g] + between[h, h] + between[g, h]
+                    apart = _worth(between[g, g], size[g]) + _worth(between[h, h], size[h])
+                    gain = _worth(inside, size[g] + size[h]) - apart
+                    if gain > best:
+                        best, a, b = gain, h, g
         if a < 0:
             return any_joined
         any_joined = True
         for i in range(people):
             if label[i] == b:
                 label[i] = a
+        between[a, a] += between[b, b] + between[a, b]
         for g in range(people):
             if g != a and g != b:
                 between[a, g] += between[b, g]
                 between[g, a] += between[g, b]
         between[b, :] = 0.0
         between[:, b] = 0.0
-        between[a, b] = between[b, a] = 0.0
+        size[a] += size[b]
+        size[b] = 0.0
 
 
-@compiled
-def _inside(weight: FloatArray, label: IntArray) -> float:
-    """The sum of log odds inside groups."""
+@allocating
+def _value(weight: FloatArray, label: IntArray) -> float:
+    """The log odds of a partition."""
+    size, inside = np.empty(len(label)), np.empty(len(label))
+    _count(weight, label, size, inside)
     total = 0.0
-    for i in range(len(label)):
-        for j in range(i):
-            if label[i] == label[j]:
-                total += weight[i, j]
+    for g in range(len(label)):
+        total += _worth(inside[g], size[g])
     return total
 
 
@@ -108,7 +152,7 @@ def _best(weight: FloatArray) -> IntArray:
     _climbed(weight, alone)
     together = np.zeros(len(weight), dtype=np.int64)
     _climbed(weight, together)
-    if _inside(weight, together) > _inside(weight, alone) + 1e-9:
+    if _value(weight, together) > _value(weight, alone) + 1e-9:
         return together
     return alone
 
@@ -344,14 +388,14 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     ----------
     tracks : estimates, or observations, which count as far as their concentrations say; people count in the
         frames in which their position is known
-    parameters : by default those that were learned
+    parameters : by default those of the literature
     online : whether the past alone counts in each frame, or both sides
     """
     chosen = DEFAULT if parameters is None else parameters
     people = people_of(tracks_of(tracks), online=online)
     if not online:
         return groups_of(people, chosen, pair_evidence(people, chosen))
-    known, numbering = OnlineEvidence(chosen), Numbering(chosen.look_seconds)
+    known, numbering = OnlineEvidence(chosen), Numbering(chosen.memory_seconds)
     if not len(people):
         return groups_of(people, chosen, known.take(people))
     parts = [groups_of(one, chosen, known.take(one), numbering) for one in people.frames()]
@@ -366,8 +410,8 @@ def groups_of(
 
     ``numbering``: that knows the frames before; None: there are none
     """
-    odds = evidence.odds - evidence.caution
-    label = partitions(people.first, evidence.start, evidence.left, evidence.right, odds, parameters.apart)
+    pairs = evidence.start, evidence.left, evidence.right, evidence.odds
+    label = partitions(people.first, *pairs, parameters.apart)
     size = np.bincount(label, minlength=len(people))[label]
     within = label[evidence.left] == label[evidence.right]
     kind = np.where(size > 1, 1, 0)
@@ -380,10 +424,10 @@ def groups_of(
         people.frame[frame_of],
         people.t[frame_of],
         people.ids[people.person],
-        numbered(people, label, size, numbering or Numbering(parameters.look_seconds)),
+        numbered(people, label, size, numbering or Numbering(parameters.memory_seconds)),
         kind,
         _probability(people, evidence, within, size, parameters.apart),
-        _centres(with_bodies(people, parameters.head_spread), label, size, kind, parameters.stride),
+        _centres(people, label, size, kind, parameters),
     )
 
 
@@ -402,8 +446,11 @@ def _probability(
     return np.where(size > 1, inside, 1.0 - likeliest)
 
 
-def _centres(people: People, label: IntArray, size: IntArray, kind: IntArray, stride: float) -> FloatArray:
-    point = people.position + np.where(kind[:, None] == 1, stride, 0.0) * people.body
+def _centres(
+    people: People, label: IntArray, size: IntArray, kind: IntArray, parameters: GroupParameters
+) -> FloatArray:
+    space, _ = o_spaces(people, observed_scores(people, parameters), parameters.stride)
+    point = np.where(kind[:, None] == 1, space, people.position)
     count = len(people)
     total = np.column_stack([np.bincount(label, point[:, k], minlength=count)[label] for k in (0, 1)])
     return np.where(size[:, None] > 1, total / size[:, None], np.nan)
@@ -417,7 +464,7 @@ class OnlineGroups:
 
     Parameters
     ----------
-    parameters : by default those that were learned
+    parameters : by default those of the literature
 
     Examples
     --------
@@ -432,7 +479,7 @@ class OnlineGroups:
 
     def __init__(self, parameters: GroupParameters | None = None) -> None:
         self.parameters = DEFAULT if parameters is None else parameters
-        self._numbering = Numbering(self.parameters.look_seconds)
+        self._numbering = Numbering(self.parameters.memory_seconds)
         self._evidence = OnlineEvidence(self.parameters)
         self.t = -math.inf
 

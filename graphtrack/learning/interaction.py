@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,71 +13,19 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.interaction.attention import Attention, AttentionParameters, attention
 from graphtrack.interaction.evidence import (
     ALONG,
-    DIRECTIONS,
     REACH,
-    SLOW,
-    PairEvidence,
     abreast,
-    averaged,
-    facing_scores,
+    near_pairs,
     pair_evidence,
-    pair_features,
-    probabilities,
     walks,
-    with_bodies,
 )
 from graphtrack.interaction.groups import groups, groups_of
-from graphtrack.interaction.parameters import (
-    DEFAULT,
-    RINGS,
-    ConversationWeights,
-    FacingWeights,
-    GroupParameters,
-)
+from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import IntArray, People, people_of
 from graphtrack.interaction.scores import LEAST, GroupScore, LookScore, score_gaze, score_groups, true_shares
 from graphtrack.interaction.tables import LookLabels
 from graphtrack.io.groups import UNLABELLED, GroupLabels
 from graphtrack.tracks.track import Track, TrackSet
-
-_RIDGE = 20.0
-_SPREAD = 1e-6
-
-
-def fit_facing(
-    people: People, evidence: list[PairEvidence], used: BoolArray, parameters: GroupParameters
-) -> tuple[FacingWeights, FacingWeights]:
-    """Learn the weights of companions and of others by the likelihood of bodies, with a ridge.
-
-    ``evidence``: of the same people, with more or less information; ``used``: (n,) rows with a body
-    """
-    from scipy.optimize import minimize
-
-    angle = np.arctan2(people.body[used, 1], people.body[used, 0])
-    place = np.round(angle / (DIRECTIONS[1] - DIRECTIONS[0])).astype(np.int64) % len(DIRECTIONS)
-    features = np.concatenate([_features(people, one, parameters.stride)[used] for one in evidence])
-    chosen = (np.arange(len(features)), np.tile(place, len(evidence)))
-    scale = features.std(axis=(0, 1)) + _SPREAD
-    features = features / scale
-
-    def cost(weights: FloatArray) -> tuple[float, FloatArray]:
-        probability = probabilities(features @ weights)
-        value = -np.log(probability[chosen] + 1e-300).sum() + 0.5 * _RIDGE * weights @ weights
-        expected = np.einsum("nd,ndf->f", probability, features)
-        return float(value), expected - features[chosen].sum(axis=0) + _RIDGE * weights
-
-    found = minimize(cost, np.zeros(2 * len(RINGS)), jac=True, method="L-BFGS-B").x / scale
-    values = [float(round(value, 3)) for value in np.clip(found, -50.0, 50.0).tolist()]
-    return FacingWeights(*values[: len(RINGS)]), FacingWeights(*values[len(RINGS) :])
-
-
-def _features(people: People, evidence: PairEvidence, stride: float) -> FloatArray:
-    """Return (n, directions, 2·rings) counts of companions, and others, by distance from the o-space."""
-    together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds))
-    units = np.eye(2 * len(RINGS)).reshape(-1, 2, len(RINGS))
-    scene = people.position, evidence.left, evidence.right, together
-    return np.stack([facing_scores(*scene, weights, stride) for weights in units], axis=2)
-
 
 _LEAST = 20
 """Pairs in frames, of those who walk together and of those who do not, below which nothing is learned."""
@@ -90,7 +37,7 @@ def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupPa
     ``label``: (n,) numbers that those of a group share within a frame, −1: alone; ``used``: (n,) rows to
     learn from; ``start`` is returned where there are too few pairs.
     """
-    left, right, _ = pair_features(people, start.stride)
+    left, right = near_pairs(people)
     walk = walks(people, start)
     use = used[left] & used[right] & (np.minimum(walk[left], walk[right]) > 0.5)
     left, right = left[use], right[use]
@@ -113,19 +60,26 @@ def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupPa
     return replace(start, **values)
 
 
-_APART = 12.0  # seconds between training frames: frames in between are correlated
-_CAUTION = np.arange(-2.0, 2.01, 0.5)
-_BLOCKS = 4
-_CLEAR = 0.5  # length of the expected direction of bodies from which facing is learned
-_SIGNS = np.array([1.0, -1.0, -1.0, -1.0, 1.0])
-"""Sign of each feature's weight: see `ConversationWeights`."""
-
-_HIDDEN: dict[str, Callable[[Track], Track]] = {
-    "heads": lambda track: track,
-    "bodies": lambda track: replace(track, head=None),
-    "places": lambda track: replace(track, head=None, body=None),
+_PRIOR = {
+    "stride": 0.1,
+    "space_std": 0.2,
+    "reach": 0.15,
+    "body_spread": 0.3,
+    "head_spread": 0.3,
+    "persistence_seconds": 0.4,
 }
-"""Learned parts, each from people with only that information."""
+"""1-σ of the logarithms of parameters of conversations about those of the literature."""
+_TRIALS = 100  # evaluations
+_FRAMES = 20  # frames that are learned from, at most
+_ABOUT = 10.0  # seconds to either side of these that count as their past and future
+
+_HIDDEN: tuple[Callable[[Track], Track], ...] = (
+    lambda track: track,
+    lambda track: replace(track, body=None),
+    lambda track: replace(track, head=None),
+    lambda track: replace(track, head=None, body=None),
+)
+"""What is learned from: one model serves whatever is known of people."""
 
 
 @dataclass(frozen=True)
@@ -138,48 +92,145 @@ class GroupFit:
     held_out: GroupScore | None
 
 
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """Averaged features of pairs in the frames that are labelled, and whether they share a group."""
-
-    features: FloatArray
-    together: BoolArray
-    t: FloatArray
-
-
 def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25) -> GroupFit:
-    """Learn the weights of conversations by the likelihood of labelled pairs, and the caution by F1.
+    """Learn the parameters of conversations and of walking together from labelled groups.
 
-    Weights are of one sign each, pulled to 0 (ridge), and learned from a frame in `_APART` seconds. The
-    caution has the best F1 (mean of T = 2/3 and T = 1) over parts of the time left out in turn. How people
-    walk together is learned where enough do. Raise InputError if there are no labels, one group of all, or no
-    groups.
+    Those of conversations are the mode of the posterior: a prior about the literature's values (`_PRIOR`) and
+    for each person the probability of the own group among those of all others (pseudo-likelihood; Besag
+    1975). A recording counts for as many independent frames as it is longer than a conversation
+    (`independent_frames`), and each group once. The parameters have to explain the groups with heads and
+    bodies hidden, too. How people walk together is learned where enough do. Raise InputError if nobody is
+    labelled, or all are together, or nobody is with anybody.
 
     ``hold_out``: share of the recording's end held out for validation
     """
+    from scipy.optimize import minimize
+
     people = people_of(tracks)
     label = labels.labels(*_rows(people))
     t = people.t[people.frame_of]
     labelled = label != UNLABELLED
     low, high = float(t[labelled].min()), float(t[labelled].max())
     split = high - hold_out * (high - low) if hold_out > 0.0 else np.inf
-    parameters = walked = fit_walking(people, label, np.asarray(labelled & (t <= split)), DEFAULT)
-    for name, hide in _HIDDEN.items():
-        shown = with_bodies(people_of(hide(track) for track in tracks), DEFAULT.head_spread)
-        if (name == "heads" and not shown.head.any()) or (name != "places" and not shown.body.any()):
-            continue
-        pairs = _pairs(shown, label, parameters)
-        used = np.isin(pairs.t, _chosen(pairs.t, split))
-        if walked != DEFAULT and not pairs.together[used].any():  # they all walk
-            continue
-        weights = _weights(pairs, used)
-        caution = _caution(shown, label, pairs, parameters, name, split)
-        parameters = parameters.with_weights(name, replace(weights, caution=caution))
-    parameters = _faced(tracks, people, parameters, np.asarray(labelled & np.isin(t, _chosen(t, split))))
+    used = np.asarray(labelled & (t <= split))
+    parameters = fit_walking(people, label, used, DEFAULT)
+    independent = independent_frames(people, label, used)
+    times = np.unique(t[used])
+    chosen = times[np.linspace(0, len(times) - 1, min(len(times), _FRAMES)).round().astype(int)].tolist()
+    if _stand(people, label, labelled & np.isin(t, chosen), parameters):
+        near = np.abs(people.t[:, None] - np.array(chosen)).min(axis=1) <= _ABOUT
+        label_near = label[near[people.frame_of]]
+        shown = [_frames(people_of(hide(track) for track in tracks), near) for hide in _HIDDEN]
+        begin = np.log([getattr(parameters, name) for name in _PRIOR])
+        spread = np.array(list(_PRIOR.values()))
+
+        def cost(free: FloatArray) -> float:
+            made = _with_conversations(parameters, free)
+            logs = [_own_groups(one, label_near, chosen, made) for one in shown]
+            mean = float(np.mean(logs)) / len(chosen)
+            return 0.5 * float(np.sum(((free - begin) / spread) ** 2)) - independent * mean
+
+        simplex = begin + np.vstack([np.zeros(len(begin)), np.diag(spread)])
+        options = {"maxfev": _TRIALS, "initial_simplex": simplex, "xatol": 0.01, "fatol": 0.01}
+        best = minimize(cost, begin, method="Nelder-Mead", options=options).x
+        parameters = _with_conversations(parameters, best)
+    elif parameters == DEFAULT:
+        raise InputError(
+            "no pairs near each other, or all of one group, or none",
+            "labelled groups, and people near each other of different ones",
+        )
     before, after = (label.copy() for _ in range(2))
     before[t > split], after[t <= split] = UNLABELLED, UNLABELLED
     held = _scored(people, parameters, after) if (after != UNLABELLED).any() else None
     return GroupFit(parameters, DEFAULT, _scored(people, parameters, before), held)
+
+
+def independent_frames(people: People, label: IntArray, used: BoolArray) -> float:
+    """Return the number of frames with independent groups: 1 + the duration over the time of a conversation.
+
+    That is the time that pairs spend in one group for each time that a pair leaves its group.
+
+    Parameters
+    ----------
+    label : (n,) numbers that those of a group share within a frame, −1: alone
+    used : (n,) rows with labels
+    """
+    left, right = near_pairs(people)
+    keep = used[left] & used[right]
+    left, right = left[keep], right[keep]
+    t, pair = people.t[people.frame_of[left]], people.person[left] * len(people.ids) + people.person[right]
+    order = np.lexsort((t, pair))
+    together = ((label[left] == label[right]) & (label[left] >= 0))[order]
+    same = (np.diff(pair[order]) == 0) & together[:-1]
+    seconds = float(np.sum(np.diff(t[order])[same]))
+    ended = np.count_nonzero(same & ~together[1:])
+    times = people.t[people.frame_of[used]]
+    return 1.0 + (float(times.max() - times.min()) * ended / seconds if seconds > 0.0 else 0.0)
+
+
+def _stand(people: People, label: IntArray, used: BoolArray, parameters: GroupParameters) -> bool:
+    """Return whether there are pairs who stand in one group, and pairs who stand and are in none together."""
+    left, right = near_pairs(people)
+    walk = walks(people, parameters)
+    use = used[left] & used[right] & (np.maximum(walk[left], walk[right]) < 0.5)
+    together = (label[left] == label[right]) & (label[left] >= 0)
+    return bool(together[use].any() and not together[use].all())
+
+
+def _with_conversations(parameters: GroupParameters, free: FloatArray) -> GroupParameters:
+    """With the logarithms of the parameters of `_PRIOR`, within their ranges."""
+    ranges = {one.name: one.metadata["range"] for one in fields(parameters)}
+    values: dict[str, Any] = {
+        name: float(np.clip(round(value, 3), *ranges[name]))
+        for name, value in zip(_PRIOR, np.exp(free).tolist(), strict=True)
+    }
+    return replace(parameters, **values)
+
+
+def _frames(people: People, chosen: BoolArray) -> People:
+    """The people of some of the frames."""
+    rows = chosen[people.frame_of]
+    first = np.concatenate([[0], np.cumsum(np.diff(people.first)[chosen])])
+    return People(
+        people.ids,
+        people.frame[chosen],
+        people.t[chosen],
+        first,
+        people.person[rows],
+        *(values[rows] for values in (people.position, people.velocity, people.body, people.head)),
+    )
+
+
+def _own_groups(people: People, label: IntArray, chosen: list[float], parameters: GroupParameters) -> float:
+    """Log probability of the group of each person, given those of all others, in frames of the times."""
+    evidence = pair_evidence(people, parameters)
+    total = 0.0
+    for k in np.flatnonzero(np.isin(people.t, chosen)).tolist():
+        begin, count = people.first[k], people.first[k + 1] - people.first[k]
+        pairs = slice(evidence.start[k], evidence.start[k + 1])
+        left, right = evidence.left[pairs] - begin, evidence.right[pairs] - begin
+        odds = np.full((count, count), parameters.apart)
+        odds[left, right] = odds[right, left] = evidence.odds[pairs]
+        np.fill_diagonal(odds, 0.0)
+        here = label[begin : begin + count]
+        known = here != UNLABELLED
+        total += _choices(odds[np.ix_(known, known)], here[known])
+    return total
+
+
+def _choices(odds: FloatArray, label: IntArray) -> float:
+    """Log probability of each person's group given the others', summed over a frame, each group once."""
+    own = np.where(label >= 0, label, label.max(initial=0) + 1 + np.arange(len(label)))
+    names, place = np.unique(own, return_inverse=True)
+    member = np.eye(len(names))[place]
+    gain = odds @ member
+    size, inside = member.sum(axis=0) - member, 0.5 * np.sum(member * gain, axis=0) - member * gain
+    before = 2.0 * inside / np.maximum(size, 1.0)
+    worth = 2.0 * (inside + gain) / (size + 1.0) - before  # to join each group, 0 for one without others
+    logs = worth[np.arange(len(label)), place]
+    alone = np.where(size[np.arange(len(label)), place] > 0.0, 0.0, -np.inf)
+    members = member.sum(axis=0)[place]
+    return float(np.sum((logs - np.logaddexp(np.logaddexp.reduce(worth, axis=1), alone)) / members))
 
 
 def _rows(people: People) -> tuple[IntArray, FloatArray, IntArray]:
@@ -190,96 +241,6 @@ def _rows(people: People) -> tuple[IntArray, FloatArray, IntArray]:
 def _scored(people: People, parameters: GroupParameters, label: IntArray) -> GroupScore:
     found = groups_of(people, parameters, pair_evidence(people, parameters))
     return score_groups(found.frame, found.track_id, found.group, label)
-
-
-def _pairs(people: People, label: IntArray, parameters: GroupParameters) -> _Pairs:
-    left, right, features = pair_features(people, parameters.stride)
-    pair = people.person[left] * len(people.ids) + people.person[right]
-    t = people.t[people.frame_of[left]]
-    means, _ = averaged(pair, t, features, parameters.place_seconds)
-    slow, _ = averaged(pair, t, features, parameters.look_seconds)
-    means = np.where(SLOW, slow, means)
-    walk = walks(people, parameters)
-    use = (label[left] != UNLABELLED) & (np.maximum(walk[left], walk[right]) < 0.5)
-    together = (label[left] == label[right]) & (label[left] >= 0)
-    return _Pairs(means[use], together[use], t[use])
-
-
-def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: BoolArray) -> GroupParameters:
-    """Learn body directions, if any are known: from positions only, and from all information."""
-    standing = used & (walks(people, parameters) < 0.5) & (np.linalg.norm(people.body, axis=1) > _CLEAR)
-    if not standing.any():
-        return parameters
-    known = [people_of(_HIDDEN["places"](track) for track in tracks), people]
-    evidence = [pair_evidence(one, parameters) for one in known]
-    companions, strangers = fit_facing(people, evidence, standing, parameters)
-    return replace(parameters, companions=companions, strangers=strangers)
-
-
-def _chosen(t: FloatArray, split: float) -> list[float]:
-    """The times that are learned from."""
-    chosen, last = [], -np.inf
-    for one in np.unique(t[t <= split]).tolist():
-        if one - last >= _APART - 1e-6:
-            chosen.append(one)
-            last = one
-    return chosen
-
-
-def _weights(pairs: _Pairs, used: BoolArray) -> ConversationWeights:
-    """Ridge regression of log odds, with weights of given signs."""
-    from scipy.optimize import minimize
-
-    features, together = pairs.features[used], pairs.together[used]
-    if not together.any() or together.all():
-        raise InputError(
-            "only pairs of one group, or none, among pairs near each other" if len(together) else "no pairs",
-            "labelled groups, and people near each other of different ones",
-        )
-    mean, scale = features.mean(axis=0), features.std(axis=0) + 1e-9
-    design = np.column_stack([np.ones(len(features)), _SIGNS * (features - mean) / scale])
-    sign = np.where(together, 1.0, -1.0)
-
-    def cost(weights: FloatArray) -> tuple[float, FloatArray]:
-        odds = sign * (design @ weights)
-        value = np.logaddexp(0.0, -odds).sum() + 0.5 * _RIDGE * weights[1:] @ weights[1:]
-        share = 0.5 * (1.0 - np.tanh(0.5 * odds))
-        gradient = -(design * (sign * share)[:, None]).sum(axis=0)
-        gradient[1:] += _RIDGE * weights[1:]
-        return float(value), gradient
-
-    bounds = [(None, None)] + [(0.0, None)] * features.shape[1]
-    found = minimize(cost, np.full(len(bounds), 0.1), jac=True, method="L-BFGS-B", bounds=bounds).x
-    terms = np.where(features.std(axis=0) > 1e-6, _SIGNS * found[1:] / scale, 0.0)  # or it never varied
-    bias = found[0] - terms @ mean
-    values = [float(np.clip(round(float(value), 3) + 0.0, -50.0, 50.0)) for value in (bias, *terms)]
-    return ConversationWeights(*values)
-
-
-def _caution(
-    people: People, label: IntArray, pairs: _Pairs, parameters: GroupParameters, name: str, split: float
-) -> float:
-    """The caution with the best F1 in parts of the time, each found by weights from the other parts."""
-    used = np.isin(pairs.t, _chosen(pairs.t, split))
-    t = people.t[people.frame_of]
-    learned_t = t[(label != UNLABELLED) & (t <= split)]
-    edges = np.linspace(learned_t.min(), learned_t.max() + 1e-6, _BLOCKS + 1)
-    total = np.zeros(len(_CAUTION))
-    for low, high in pairwise(edges):
-        strangers = used & ~((pairs.t >= low) & (pairs.t < high))
-        judged = np.where((t >= low) & (t < high) & (t <= split), label, UNLABELLED)
-        try:
-            weights = _weights(pairs, strangers)
-        except InputError:  # nothing to learn from but this part
-            continue
-        if (judged == UNLABELLED).all():
-            continue
-        for k, caution in enumerate(_CAUTION.tolist()):
-            chosen = parameters.with_weights(name, replace(weights, caution=caution))
-            total[k] += sum(_scored(people, chosen, judged).f1)
-    # Among those as good as the best within half a percent, the one that changes least.
-    good = _CAUTION[total >= total.max() - 0.01 * _BLOCKS]
-    return float(good[np.argmin(np.abs(good))])
 
 
 _STEP = 0.5  # of the first simplex, in logarithms of parameters

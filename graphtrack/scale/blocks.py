@@ -22,11 +22,10 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.options import ReadOptions
-from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
+from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset, rows_of_block
 from graphtrack.scale.workers import on_cluster
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 from graphtrack.tracks.schema import in_order
-from graphtrack.tracks.table import from_columns
 from graphtrack.tracks.track import TrackSet, to_columns
 
 IntArray = NDArray[np.int64]
@@ -187,14 +186,7 @@ def associate_block(
     path: Path, columns: tuple[str, ...], known: Known, options: ReadOptions, block: Block
 ) -> Associated:
     """Associate the detections of a block; it runs on any worker."""
-    number = block.rows[:, -1].astype(np.int64)
-    native = from_columns(
-        {name: block.rows[:, k] for k, name in enumerate(columns)},
-        path=path,
-        format="parquet",
-        fps=options.fps,
-        line_of=lambda row: int(number[row]) + 1,
-    )
+    native = rows_of_block(path, columns, block.rows, options.fps, {})
     rows = with_identities(native, known)
     tracks = with_every_frame(TrackSet.from_rows(rows), SceneParameters(**known).longest_filled)
     found = to_columns(tracks)

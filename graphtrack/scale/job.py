@@ -14,9 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.chain.batch import is_large
-from graphtrack.inference.engines import engine_of
-from graphtrack.inference.result import OfflineEngine
-from graphtrack.inference.warm import make_solver_ready
+from graphtrack.inference.engines import OfflineEngine, engine_of, make_solver_ready
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions

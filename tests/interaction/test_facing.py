@@ -13,7 +13,7 @@ from graphtrack.interaction.evidence import facing, pair_evidence
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import People, people_of
 from graphtrack.io.groups import GroupLabels, GroupStep
-from graphtrack.learning.interaction import fit_groups
+from graphtrack.learning.interaction import fit_groups, independent_frames
 from graphtrack.simulation.scenario import Party
 from graphtrack.simulation.scenario import party as simulated
 from graphtrack.tracks.track import Track, TrackSet
@@ -88,12 +88,25 @@ def walking_pairs(rng: np.random.Generator, apart: float, alike: float) -> tuple
     return TrackSet(tuple(tracks)), GroupLabels("always", (GroupStep(0.0, tuple(pairs), 1),), Path("pairs"))
 
 
+def test_a_party_counts_for_as_many_frames_as_it_is_longer_than_a_conversation() -> None:
+    """Two of three people are together, and change twice; the frame rate makes no difference."""
+    for n in (31, 301):
+        t = np.linspace(0.0, 300.0, n)
+        frame = np.arange(n, dtype=np.int64)
+        people = people_of(Track(k, frame, t, np.tile([0.5 * k, 0.0], (n, 1))) for k in range(3))
+        time, person = people.t[people.frame_of], people.person
+        single = np.where(time < 100.0, 2, np.where(time < 200.0, 0, 1))
+        label = np.where(person == single, -1, 0)
+        count = independent_frames(people, label, np.ones(len(label), dtype=bool))
+        assert abs(count - 3.0) < 0.1
+
+
 def test_how_people_walk_together_is_learned() -> None:
     tracks, labels = walking_pairs(np.random.default_rng(0), 1.1, 0.05)
     found = fit_groups(tracks, labels, hold_out=0.0)
     assert abs(found.parameters.walking_distance - 1.1) < 0.15
     assert found.parameters.walking_speed_std < 0.2 < found.parameters.strangers_speed_std
-    assert found.parameters.places == DEFAULT.places
+    assert found.parameters.stride == DEFAULT.stride
     assert found.learned_from.pair_f1 > 0.95
     again = gt.groups(tracks, found.parameters)
     assert set(again.to_table()["kind"]) == {"walking"}

@@ -12,9 +12,13 @@ from command import run as run_program
 
 import graphtrack as gt
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.geometry.angles import direction, wrap
+from graphtrack.geometry.angles import direction, mean_resultant_length, unit, wrap
+from graphtrack.interaction.evidence import o_spaces, observed_scores
 from graphtrack.interaction.groups import partition
+from graphtrack.interaction.parameters import DEFAULT
+from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import matches, score_groups
+from graphtrack.interaction.tables import load_parameters
 from graphtrack.io.groups import read_groups
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -153,7 +157,8 @@ def test_a_partition_is_nearly_the_best_of_all() -> None:
         odds = rng.normal(size=len(left)) * 2.0
 
         def worth(label: np.ndarray, odds: np.ndarray = odds) -> float:
-            return float(odds[label[left] == label[right]].sum())
+            size = np.bincount(label, minlength=5)[label[left]]
+            return float((2.0 * odds / size)[label[left] == label[right]].sum())
 
         every = np.stack(np.meshgrid(*[range(5)] * 5, indexing="ij"), -1).reshape(-1, 5)
         best = max(worth(label) for label in every)
@@ -161,6 +166,34 @@ def test_a_partition_is_nearly_the_best_of_all() -> None:
         assert found <= best + 1e-9
         shares.append(found / best)
     assert np.mean(shares) > 0.98
+
+
+def test_the_marginal_of_o_spaces_is_that_of_drawn_directions() -> None:
+    rng = np.random.default_rng(3)
+    kappa, length = 4.0, mean_resultant_length(4.0)
+    body = replace(DEFAULT, body_spread=0.0)
+    one = replace(party(1).tracks[0], body=np.array([0.7]), head=None, body_kappa=np.array([kappa]))
+    people = people_of([one])
+    mean, spread = o_spaces(people, observed_scores(people, body), body.stride)
+    drawn = people.position + body.stride * unit(rng.vonmises(0.7, kappa, 200_000))
+    assert np.hypot(*people.body[0]) == pytest.approx(length)
+    np.testing.assert_allclose(mean[0], drawn.mean(axis=0), atol=0.01)
+    np.testing.assert_allclose(spread[0], np.cov(drawn.T), atol=0.01)
+
+
+def test_people_with_less_known_of_their_bodies_are_as_with_wider_bodies() -> None:
+    hidden = party().map(lambda track: replace(track, body=None))
+    wider = party().map(lambda track: replace(track, body=track.head, head=None))
+    found = gt.groups(hidden).probability
+    same = gt.groups(wider, replace(DEFAULT, body_spread=DEFAULT.head_spread)).probability
+    np.testing.assert_allclose(found, same, atol=1e-9)
+
+
+def test_parameters_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.toml"
+    path.write_text("[groups]\nstride = 0.65\n[groups.bodies]\nbias = 9.0\n")
+    with pytest.raises(InputError, match=r"\[groups.bodies\] of an earlier version"):
+        load_parameters(path)
 
 
 def test_scores_of_the_truth_are_one_and_of_nothing_zero() -> None:
@@ -243,16 +276,3 @@ def test_nothing_is_written_beside_a_truth_of_others(
     done = run_program(command, *paths, program="graphtrack")
     assert done.returncode == 2 and told in done.stderr
     assert not (tmp_path / "found.csv").exists()
-
-
-def test_groups_of_a_party_that_was_not_learned_from(data_dir: Path) -> None:
-    tracks = gt.read(data_dir / "salsa" / "features.txt").map(
-        lambda track: track[(track.t > 1000.0) & (track.t < 1934.0)]
-    )
-    found = gt.groups(tracks)
-    with pytest.warns(InputWarning):
-        labels = read_groups(data_dir / "salsa" / "groups.txt")
-    score = score_groups(
-        found.frame, found.track_id, found.group, labels.labels(found.frame, found.t, found.track_id)
-    )
-    assert score.f1[0] >= 0.9 and score.f1[1] >= 0.76
