@@ -14,7 +14,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.tracks.track import Track, TrackSet
-from graphtrack.tracks.validation import SMALLEST, check_numbers, number
+from graphtrack.tracks.validation import check_numbers, number
 
 NUMERALS = ("i", "ii", "iii", "iv", "v", "vi", "vii")
 """Behaviours as numbered by Baxter et al. (2014): i is straight, ii–vii avoid an obstacle."""
@@ -42,8 +42,8 @@ class CorpusParameters:
 
     tracks: int = number(500, 1, 1e9)
     steps: int = number(200, 1, 1e9)
-    speed: float = number(0.3, SMALLEST, 1e6, "m")
-    step_seconds: float = number(0.25, SMALLEST, 1e6, "s")
+    speed: float = number(0.3, 1e-6, 1e6, "m")
+    step_seconds: float = number(0.25, 1e-6, 1e6, "s")
     path_std: float = number(0.1, 0.0, 1e6, "m")
     observation_std: float = number(0.5, 0.0, 1e6, "m")
     head_offset: float = number(float(np.radians(4.0)), -np.pi, np.pi, "rad")
