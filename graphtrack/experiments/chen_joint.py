@@ -377,19 +377,19 @@ def _noisy(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
 
 def _parts(settings: Settings) -> Parts:
     everyone, evaluations = people(settings), settings.few(100, 7)
-    others = simulated_walkers(settings, everyone)
+    other_people = simulated_walkers(settings, everyone)
     models = default_models(METHODS, WITH_MODES)
     searches = len(FITTED) * sum(not method.endswith(ISAM2) for method in METHODS)
     reported = sum(len(tracks) for tracks in everyone.values())
     settings.expect(
-        (len(models) + len(FITTED) * len(METHODS)) * reported + searches * evaluations * len(others)
+        (len(models) + len(FITTED) * len(METHODS)) * reported + searches * evaluations * len(other_people)
     )
     found = []
     for name, tracks in everyone.items():
         observed = by_angle(("observation", ""), [errors_of(track, track) for track in tracks])
         estimates = estimated_errors(tracks, METHODS, models, settings.progress)
         found.append(Scores(name, len(tracks), observed | estimates))
-    best = fitted_models(others, METHODS, evaluations, settings.progress)
+    best = fitted_models(other_people, METHODS, evaluations, settings.progress)
     fitted = {
         name: estimated_errors(tracks, METHODS, best, settings.progress) for name, tracks in everyone.items()
     }

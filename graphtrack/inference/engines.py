@@ -366,7 +366,7 @@ def _solve(model: Model, *, in_lanes: bool = False) -> None:
 def _search(model: Model) -> None:
     initial_states(TRACK, Model("position"))
     view, states = ChainView(model), np.zeros((len(TRACK), 6))
-    view.follow(chain(TRACK), states, None, whole=True)
+    view.follow(chain(TRACK), states, None, complete=True)
     view.other(states, 0.0)
     if model.has_modes:
         view.renew(states)

@@ -267,9 +267,9 @@ def _viewed(array: Any, to: Any, *strides: Any) -> Any:
 _SIZES: dict[type, dict[str, int]] = {}
 
 
-def sized(kind: Any, size: int, **others: int) -> None:
-    """State the sizes of the arrays of a named tuple after their first axis; ``others``: by name."""
-    _SIZES[kind] = dict.fromkeys(kind._fields, size) | others
+def sized(kind: Any, size: int, **by_name: int) -> None:
+    """State the sizes of the arrays of a named tuple after their first axis, or those of ``by_name``."""
+    _SIZES[kind] = dict.fromkeys(kind._fields, size) | by_name
 
 
 @intrinsic

@@ -163,7 +163,7 @@ class EndedFrames:
         self._t, self._frame = -math.inf, 0
         self._is_open = False
         self._people: dict[int, Numbers] = {}
-        self._seen: dict[int, tuple[float, ...]] = {}
+        self._observed: dict[int, tuple[float, ...]] = {}
 
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
         """Add a row; return a row for each person of the previous frame, if that has ended."""
@@ -182,7 +182,7 @@ class EndedFrames:
             x, y = estimate.position.tolist() if at is None else at
             given = (observation.position_std, observation.head)
             if math.isfinite(x) and math.isfinite(y):
-                self._seen[track_id] = (x, y, *(math.nan if one is None else one for one in given))
+                self._observed[track_id] = (x, y, *(math.nan if one is None else one for one in given))
         return rows
 
     def finish(self) -> list[dict[str, Any]]:
@@ -191,13 +191,13 @@ class EndedFrames:
         ahead: dict[int, list[dict[str, float]]] = {}
         if self._behaviour is not None and self._people:
             behaviour = self._behaviour.columns(people_at(self._t, self._frame, self._people))
-        if self._forecaster is not None and self._seen:
-            values = np.array(list(self._seen.values()))
-            self._forecaster.update(self._t, list(self._seen), values[:, :2], values[:, 2], values[:, 3])
+        if self._forecaster is not None and self._observed:
+            values = np.array(list(self._observed.values()))
+            self._forecaster.update(self._t, list(self._observed), values[:, :2], values[:, 2], values[:, 3])
             ahead = by_person(self._forecaster.forecast(self._ahead))
-        if self._people or self._seen:
+        if self._people or self._observed:
             self._is_open = False
-        self._people, self._seen = {}, {}
+        self._people, self._observed = {}, {}
         of_frame = {"frame": self._frame, "t": self._t}
         known = sorted({*behaviour, *ahead}) if behaviour else ahead
         return [
@@ -213,7 +213,7 @@ class EndedFrames:
             "frame": self._frame,
             "is_open": self._is_open,
             "people": [[one, to_text(np.array(numbers))] for one, numbers in self._people.items()],
-            "seen": [[one, to_text(np.array(numbers))] for one, numbers in self._seen.items()],
+            "seen": [[one, to_text(np.array(numbers))] for one, numbers in self._observed.items()],
             BEHAVIOUR: None if self._behaviour is None else self._behaviour.state(),
             "forecaster": None if self._forecaster is None else pack_tree(self._forecaster.state()),
         }
@@ -225,7 +225,7 @@ class EndedFrames:
         if type(state["is_open"]) is not bool:
             raise TypeError(f"{state['is_open']!r} in place of true or false")
         self._is_open = state["is_open"]
-        self._people, self._seen = (
+        self._people, self._observed = (
             {integer(one): tuple(from_text(saved).tolist()) for one, saved in state[name]}
             for name in ("people", "seen")
         )

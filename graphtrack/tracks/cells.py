@@ -699,8 +699,8 @@ def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mappin
     twice = (np.diff(track_id[order]) == 0) & (np.diff(frame[order]) == 0) & (track_id[order][1:] != -1)
     if twice.any():
         row = int(order[np.flatnonzero(twice) + 1].min())
-        who, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
-        raise cells.fail(f"{who} again at {when}", "each once at a time", row, named["t"])
+        person, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
+        raise cells.fail(f"{person} again at {when}", "each once at a time", row, named["t"])
 
 
 _AMISS = 0.25  # of a frame: how far a time may be from that of its frame

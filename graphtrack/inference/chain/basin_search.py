@@ -262,7 +262,7 @@ def leads_elsewhere(
 
 @inner_allocating
 def find_other_basins(
-    whole: Problem,
+    all_tracks: Problem,
     tracks: NDArray[np.int64],
     chain: Chain,
     states: FloatArray,
@@ -275,7 +275,7 @@ def find_other_basins(
 
     Parameters
     ----------
-    whole, tracks : the problem of all tracks, and the number in it of the track, or of that in each lane
+    all_tracks, tracks : the problem of all tracks, and the number in it of the track, or of that in each lane
     states : (n, 6)
     near : cosine of the turn within which a course leads to the same basin
     """
@@ -292,7 +292,7 @@ def find_other_basins(
         for k in range(length):
             for i in range(N):
                 here[k, i] = lane_of(states[k, i], lane)
-        if leads_elsewhere(whole, tracks[lane], here, near, course):
+        if leads_elsewhere(all_tracks, tracks[lane], here, near, course):
             this = only_lane(found, lane)
             found |= this
             angles = masked(again, this)

@@ -95,8 +95,8 @@ class Group(NamedTuple):
     """One track, or one in each lane."""
 
     chain: Chain
-    whole: Problem  # of all tracks
-    tracks: NDArray[np.int64]  # its number, or the lanes', in the whole problem; −1: none
+    all_tracks: Problem
+    tracks: NDArray[np.int64]  # its number, or the lanes', in that problem; −1: none
     states: FloatArray  # (n, 6)
     covariance: FloatArray  # (n, 6, 6)
     workspace: Workspace
@@ -123,7 +123,7 @@ def settle(group: Group, max_iterations: int, tolerance: float, search: bool, la
     ended, again, nothing = workspace.ended, workspace.again, 0.0 * chain.length
     elsewhere, begun = nothing > 0.0, nothing
     if search:
-        elsewhere = find_other_basins(group.whole, group.tracks, chain, states, AT_START, workspace)
+        elsewhere = find_other_basins(group.all_tracks, group.tracks, chain, states, AT_START, workspace)
     if any_of(elsewhere):
         # Contradictory observations make a poor start and a long descent.
         begun = cost_of(chain, states, workspace)
@@ -138,7 +138,7 @@ def settle(group: Group, max_iterations: int, tolerance: float, search: bool, la
         ended[RIVAL_COST] = nothing + math.inf
         challenge(group, rivals, gain, max_iterations, tolerance)
     if search:
-        elsewhere = find_other_basins(group.whole, group.tracks, chain, states, AT_END, workspace)
+        elsewhere = find_other_basins(group.all_tracks, group.tracks, chain, states, AT_END, workspace)
         challenge(group, elsewhere, 0.0, max_iterations, tolerance)
     wound = unwind(chain, states, 4.0 * NEAR if last else 0.0, workspace)
     challenge(group, wound, gain, max_iterations, tolerance)
@@ -201,7 +201,7 @@ def note_rivals(group: Group, apart: FloatArray) -> None:
     for lane in range(lane_count(dearer)):
         if group.tracks[lane] < 0 or not lane_of(dearer, lane) < NEAR:
             continue
-        begin = group.whole.offsets[group.tracks[lane]]
+        begin = group.all_tracks.offsets[group.tracks[lane]]
         share = math.sqrt(1.0 / (1.0 + math.exp(lane_of(dearer, lane))))
         for k in range(int(lane_of(group.chain.length, lane))):
             for i in range(2):
@@ -237,7 +237,7 @@ def put_back(group: Group, guessed: BoolArray, before: FloatArray) -> None:
     for lane in range(lane_count(length)):
         if group.tracks[lane] < 0 or len(guessed) == 0:
             continue
-        begin = group.whole.offsets[group.tracks[lane]]
+        begin = group.all_tracks.offsets[group.tracks[lane]]
         here = masked(group.states, only_lane(length > 0.0, lane))
         for k in range(int(lane_of(length, lane))):
             for i in range(2):
@@ -301,7 +301,7 @@ def solve_group(
         add_glance_variance(chain.n, group.modes.held, gait, group.covariance)
         for lane in range(lane_count(length)):
             if tracks[lane] >= 0:
-                begin, frames = group.whole.offsets[tracks[lane]], int(lane_of(length, lane))
+                begin, frames = group.all_tracks.offsets[tracks[lane]], int(lane_of(length, lane))
                 report_modes(frames, lane, group.modes.held, result.modes[begin : begin + frames])
 
 

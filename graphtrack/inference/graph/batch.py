@@ -182,7 +182,7 @@ def _view(model: Model, steps: Sequence[Step], states: FloatArray) -> ChainView 
             return None
         make_solver_ready(known, "gtsam", complete=True)
     view = ChainView(known)
-    view.follow(steps, states, None, whole=True)
+    view.follow(steps, states, None, complete=True)
     return view
 
 

@@ -48,9 +48,9 @@ class ChainView:
         self._filtered = np.empty((2, 0, ROW))
 
     def follow(
-        self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None, whole: bool = False
+        self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None, complete: bool = False
     ) -> None:
-        """Take steps with states (n, 6), and the data of the first; ``whole``: all of a track."""
+        """Take steps with states (n, 6), and the data of the first; ``complete``: all of a track."""
         n, known = len(steps), [step.index for step in self._steps]
         gone = known.index(steps[0].index) if steps[0].index in known else len(known)
         if 0 < gone <= len(self._filtered[0]):
@@ -62,7 +62,7 @@ class ChainView:
         for name in self._program.links:
             # They are part of the prior, or link to steps outside the window.
             self._frames.rows[0, self._frames.place[name]] = 0.0
-        self._steps, self._whole = steps, whole
+        self._steps, self._complete = steps, complete
         self._problem = self._frames.problem
         self._chain = Chain(self._problem, 0, n, float(n))
         self.modes, self._spread, self._held = np.full((n, 3), np.nan), np.zeros((n, 2)), np.zeros((n, 4))
@@ -113,7 +113,7 @@ class ChainView:
     def _note(self) -> None:
         rows = couplings_of(self._problem.records[: len(self._steps)])
         # Links of the first step to the previous one are cut here, and may not be in the graph.
-        first = 0 if self._whole else 1
+        first = 0 if self._complete else 1
         for step, row in zip(self._steps[first:], rows[first:], strict=True):
             self.couplings[step.index] = row
         self.couplings.setdefault(self._steps[0].index, rows[0])

@@ -177,15 +177,15 @@ class Transforms:
 def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
     """Interpolate a link's poses at some times."""
     n = len(stamps)
-    seen, poses = _in_order(link)
-    if not len(seen):
+    known_at, poses = _in_order(link)
+    if not len(known_at):
         return Placement(np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 3)), np.zeros(n, dtype=bool))
-    if link.static or len(seen) == 1:
-        known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - seen[0]) <= _REACH
+    if link.static or len(known_at) == 1:
+        known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - known_at[0]) <= _REACH
         return Placement(np.tile(poses[-1, :4], (n, 1)), np.tile(poses[-1, 4:], (n, 1)), known)
-    within = np.clip(stamps, seen[0], seen[-1])
+    within = np.clip(stamps, known_at[0], known_at[-1])
     # Relative to the first, since a double lacks the digits of an epoch's nanoseconds.
-    since, at = (seen - seen[0]) / 1e9, (within - seen[0]) / 1e9
+    since, at = (known_at - known_at[0]) / 1e9, (within - known_at[0]) / 1e9
     turn = transform.Slerp(since, transform.Rotation.from_quat(poses[:, :4]))(at).as_quat()
     place = np.column_stack([np.interp(at, since, poses[:, k]) for k in (4, 5, 6)])
     return Placement(turn, place, np.abs(stamps - within) <= _REACH)
